@@ -1,0 +1,471 @@
+"""The scene: frozen, validated dataclasses, and the arrays the tracer reads.
+
+Everything is checked when it is made, whether it comes from XML or from
+Python, so the renderer never meets an impossible value.  A check that fails
+raises :class:`SceneError`, which lists *every* fault of the object at once.
+
+Surfaces come in thousands, so :class:`Surfaces` keeps them as arrays and
+checks them whole; it still reads like a sequence of :class:`Sphere` and
+:class:`Box`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "MAX_PIXELS",
+    "Box",
+    "Camera",
+    "Fault",
+    "Lambertian",
+    "Phong",
+    "PointLight",
+    "Scene",
+    "SceneError",
+    "Shader",
+    "Sphere",
+    "Surfaces",
+]
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.intp]
+Vector: TypeAlias = tuple[float, float, float]
+
+MAX_PIXELS = 1 << 28
+"""Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
+
+# Below this sine or cosine the camera basis has no digit left worth trusting.
+_DEGENERATE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing wrong: the field, in words what is wrong and what would be right."""
+
+    field: str
+    message: str
+    index: int | None = None
+    """Which surface (in file order), where the fault lies in one of many."""
+
+    def __str__(self) -> str:
+        where = "" if self.index is None else f"surface {self.index}: "
+        return f"{where}{self.field}: {self.message}"
+
+
+class SceneError(ValueError):
+    """An impossible scene.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+        Everything that is wrong, in the order it was found.
+    """
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+def number(value: float) -> str:
+    """A number as a person would write it: 3, 0.5, 1e+20."""
+    return f"{value:.17g}" if float(f"{value:.6g}") != value else f"{value:g}"
+
+
+def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (3,):
+        faults.append(Fault(name, f"needs 3 numbers, has {array.size}"))
+        return (0.0, 0.0, 1.0)
+    x, y, z = array.tolist()
+    if not np.isfinite(array).all():
+        faults.append(Fault(name, "must be finite"))
+        return (0.0, 0.0, 1.0)
+    return (x, y, z)
+
+
+def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    vector = _vector(value, name, faults)
+    if vector == (0.0, 0.0, 0.0):
+        faults.append(Fault(name, "must not be the zero vector"))
+        return (0.0, 0.0, 1.0)
+    return vector
+
+
+def _color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    color = _vector(value, name, faults)
+    if min(color) < 0:
+        faults.append(Fault(name, f"must not be negative, has {number(min(color))}"))
+    return color
+
+
+def _positive(value: float, name: str, faults: list[Fault]) -> float:
+    value = float(value)
+    if not (0 < value < np.inf):
+        faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
+        return 1.0
+    return value
+
+
+def unit(vector: ArrayLike) -> Floats:
+    """Unit vector (3,), scaled first so that no square over- or underflows."""
+    array = np.asarray(vector, dtype=np.float64)
+    # By a power of two: exact, so that scaled scenes stay bit-identical.
+    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
+    return array / np.sqrt(array @ array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A perspective camera with a window that may be shifted or oblique.
+
+    Parameters
+    ----------
+    view_point : (3,)
+        Centre of projection.
+    view_dir : (3,)
+        From `view_point` to the window's centre; its length is not used.
+    view_up : (3,)
+        Orients the picture.
+    proj_normal : (3,), optional
+        Normal of the window; length and sign are not used.  The view
+        direction if absent.
+    proj_distance : float
+        Distance from `view_point` to the window's centre along `view_dir`.
+    view_width, view_height : float
+        Size of the window.
+
+    Raises
+    ------
+    SceneError
+        For a zero vector, a size that is not positive, `view_up` parallel to
+        `proj_normal` or `proj_normal` perpendicular to `view_dir`.
+    """
+
+    view_point: Vector = (0.0, 0.0, 0.0)
+    view_dir: Vector = (0.0, 0.0, -1.0)
+    view_up: Vector = (0.0, 1.0, 0.0)
+    proj_normal: Vector | None = None
+    proj_distance: float = 1.0
+    view_width: float = 1.0
+    view_height: float = 1.0
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        put = object.__setattr__
+        put(self, "view_point", _vector(self.view_point, "viewPoint", faults))
+        for name, tag in (("view_dir", "viewDir"), ("view_up", "viewUp")):
+            put(self, name, _direction(getattr(self, name), tag, faults))
+        if self.proj_normal is not None:
+            put(self, "proj_normal", _direction(self.proj_normal, "projNormal", faults))
+        for name, tag in (
+            ("proj_distance", "projDistance"),
+            ("view_width", "viewWidth"),
+            ("view_height", "viewHeight"),
+        ):
+            put(self, name, _positive(getattr(self, name), tag, faults))
+        if not faults:
+            normal = unit(self.normal)
+            sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
+            if sine < _DEGENERATE:
+                of = "viewDir" if self.proj_normal is None else "projNormal"
+                faults.append(
+                    Fault("viewUp", f"must not be parallel to {of}; choose another viewUp")
+                )
+            if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
+                faults.append(
+                    Fault("projNormal", "must not be perpendicular to viewDir: no ray would meet it")
+                )
+        if faults:
+            raise SceneError(faults)
+
+    @property
+    def normal(self) -> Vector:
+        """The window's normal as given: `proj_normal`, or else `view_dir`."""
+        return self.view_dir if self.proj_normal is None else self.proj_normal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointLight:
+    """A point light; `intensity` (3,) does not fall off with distance."""
+
+    position: Vector
+    intensity: Vector = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        object.__setattr__(self, "position", _vector(self.position, "position", faults))
+        object.__setattr__(self, "intensity", _color(self.intensity, "intensity", faults))
+        if faults:
+            raise SceneError(faults)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lambertian:
+    """Radiance kd max(0, n.l) per light (Shirley, Fundamentals of CG, 9.1)."""
+
+    diffuse: Vector = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        object.__setattr__(self, "diffuse", _color(self.diffuse, "diffuseColor", faults))
+        if faults:
+            raise SceneError(faults)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phong:
+    """Blinn-Phong: kd max(0, n.l) + ks max(0, n.h)^exponent (Shirley, 9.2)."""
+
+    diffuse: Vector = (1.0, 1.0, 1.0)
+    specular: Vector = (0.0, 0.0, 0.0)
+    exponent: float = 1.0
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        object.__setattr__(self, "diffuse", _color(self.diffuse, "diffuseColor", faults))
+        object.__setattr__(self, "specular", _color(self.specular, "specularColor", faults))
+        exponent = float(self.exponent)
+        if not (0 <= exponent < np.inf):
+            faults.append(
+                Fault("exponent", f"must be finite and not negative, is {number(exponent)}")
+            )
+        object.__setattr__(self, "exponent", exponent)
+        if faults:
+            raise SceneError(faults)
+
+
+Shader: TypeAlias = Lambertian | Phong
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere:
+    """A sphere; white and Lambertian if it has no shader."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    radius: float = 1.0
+    shader: Shader = field(default_factory=Lambertian)
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        object.__setattr__(self, "center", _vector(self.center, "center", faults))
+        object.__setattr__(self, "radius", float(self.radius))
+        faults += _sphere_faults(np.array([self.center]), np.array([self.radius]))
+        if faults:
+            raise SceneError(faults)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box:
+    """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader."""
+
+    min_pt: Vector
+    max_pt: Vector
+    shader: Shader = field(default_factory=Lambertian)
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        object.__setattr__(self, "min_pt", _vector(self.min_pt, "minPt", faults))
+        object.__setattr__(self, "max_pt", _vector(self.max_pt, "maxPt", faults))
+        if not faults:
+            faults += _box_faults(np.array([self.min_pt]), np.array([self.max_pt]))
+        if faults:
+            raise SceneError(faults)
+
+
+def _sphere_faults(
+    center: Floats, radius: Floats, index: Ints | None = None
+) -> Iterable[Fault]:
+    for i in np.flatnonzero(~((radius > 0) & (radius < np.inf))).tolist():
+        yield Fault(
+            "radius",
+            f"must be positive and finite, is {number(radius[i])}",
+            None if index is None else int(index[i]),
+        )
+    for i in np.flatnonzero(~np.isfinite(center).all(axis=1)).tolist():
+        yield Fault("center", "must be finite", None if index is None else int(index[i]))
+
+
+def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints | None = None) -> Iterable[Fault]:
+    for name, corner in (("minPt", min_pt), ("maxPt", max_pt)):
+        for i in np.flatnonzero(~np.isfinite(corner).all(axis=1)).tolist():
+            yield Fault(name, "must be finite", None if index is None else int(index[i]))
+    for i, axis in np.argwhere(min_pt > max_pt).tolist():
+        yield Fault(
+            "minPt",
+            f"must not exceed maxPt, but {'xyz'[axis]} has {number(min_pt[i, axis])}"
+            f" > {number(max_pt[i, axis])}",
+            None if index is None else int(index[i]),
+        )
+
+
+class Surfaces(Sequence[Sphere | Box]):
+    """All surfaces of a scene, as arrays; also a sequence of Sphere and Box.
+
+    Parameters
+    ----------
+    center, radius : (S, 3) and (S,)
+        The spheres.
+    min_pt, max_pt : (B, 3)
+        The boxes.
+    sphere_index, box_index : (S,) and (B,)
+        Place of each in the file: together a permutation of 0 ... S + B - 1.
+        Of two surfaces at the same distance, the earlier is seen.
+    sphere_shader, box_shader : (S,) and (B,)
+        Index into `shaders`.
+    shaders : tuple of Lambertian or Phong
+
+    Raises
+    ------
+    SceneError
+        For a radius that is not positive, minPt > maxPt, or what is not finite.
+    """
+
+    __slots__ = (
+        "box_index",
+        "box_shader",
+        "center",
+        "max_pt",
+        "min_pt",
+        "radius",
+        "shaders",
+        "sphere_index",
+        "sphere_shader",
+    )
+
+    def __init__(
+        self,
+        *,
+        center: ArrayLike = (),
+        radius: ArrayLike = (),
+        sphere_shader: ArrayLike = (),
+        sphere_index: ArrayLike | None = None,
+        min_pt: ArrayLike = (),
+        max_pt: ArrayLike = (),
+        box_shader: ArrayLike = (),
+        box_index: ArrayLike | None = None,
+        shaders: tuple[Shader, ...] = (),
+    ) -> None:
+        self.center = np.ascontiguousarray(center, dtype=np.float64).reshape(-1, 3)
+        self.radius = np.ascontiguousarray(radius, dtype=np.float64).reshape(-1)
+        self.min_pt = np.ascontiguousarray(min_pt, dtype=np.float64).reshape(-1, 3)
+        self.max_pt = np.ascontiguousarray(max_pt, dtype=np.float64).reshape(-1, 3)
+        self.sphere_shader = np.asarray(sphere_shader, dtype=np.intp).reshape(-1)
+        self.box_shader = np.asarray(box_shader, dtype=np.intp).reshape(-1)
+        spheres, boxes = len(self.radius), len(self.min_pt)
+        self.sphere_index = np.asarray(
+            np.arange(spheres) if sphere_index is None else sphere_index, dtype=np.intp
+        )
+        self.box_index = np.asarray(
+            spheres + np.arange(boxes) if box_index is None else box_index, dtype=np.intp
+        )
+        self.shaders = shaders
+        faults = [
+            *_sphere_faults(self.center, self.radius, self.sphere_index),
+            *_box_faults(self.min_pt, self.max_pt, self.box_index),
+        ]
+        if faults:
+            raise SceneError(sorted(faults, key=lambda fault: fault.index or 0))
+
+    @classmethod
+    def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
+        """Gather Sphere and Box objects, in order."""
+        items = tuple(surfaces)
+        # By identity: objects that share a shader keep sharing it.
+        place = {id(item.shader): item.shader for item in items}
+        slot = {key: i for i, key in enumerate(place)}
+        spheres = [(i, item) for i, item in enumerate(items) if isinstance(item, Sphere)]
+        boxes = [(i, item) for i, item in enumerate(items) if isinstance(item, Box)]
+        return cls(
+            center=[item.center for _, item in spheres],
+            radius=[item.radius for _, item in spheres],
+            sphere_shader=[slot[id(item.shader)] for _, item in spheres],
+            sphere_index=[i for i, _ in spheres],
+            min_pt=[item.min_pt for _, item in boxes],
+            max_pt=[item.max_pt for _, item in boxes],
+            box_shader=[slot[id(item.shader)] for _, item in boxes],
+            box_index=[i for i, _ in boxes],
+            shaders=tuple(place.values()),
+        )
+
+    def __len__(self) -> int:
+        return len(self.radius) + len(self.min_pt)
+
+    @overload
+    def __getitem__(self, index: int) -> Sphere | Box: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
+    def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        index = range(len(self))[index]
+        at = np.flatnonzero(self.sphere_index == index)
+        if at.size:
+            x, y, z = self.center[at[0]].tolist()
+            return Sphere(
+                center=(x, y, z),
+                radius=float(self.radius[at[0]]),
+                shader=self.shaders[self.sphere_shader[at[0]]],
+            )
+        at = np.flatnonzero(self.box_index == index)
+        x0, y0, z0 = self.min_pt[at[0]].tolist()
+        x1, y1, z1 = self.max_pt[at[0]].tolist()
+        return Box(
+            min_pt=(x0, y0, z0),
+            max_pt=(x1, y1, z1),
+            shader=self.shaders[self.box_shader[at[0]]],
+        )
+
+    def __repr__(self) -> str:
+        return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What is seen (`surfaces`), by what light, through which camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    width, height : int
+        Size of the picture in pixels; their product is at most `MAX_PIXELS`.
+    lights : iterable of PointLight
+    surfaces : iterable of Sphere and Box, or Surfaces
+
+    Raises
+    ------
+    SceneError
+        For a picture of no pixels, or of more than `MAX_PIXELS`.
+    """
+
+    camera: Camera = field(default_factory=Camera)
+    width: int
+    height: int
+    lights: tuple[PointLight, ...] = ()
+    surfaces: Surfaces = field(default_factory=Surfaces)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lights", tuple(self.lights))
+        if not isinstance(self.surfaces, Surfaces):
+            object.__setattr__(self, "surfaces", Surfaces.of(self.surfaces))
+        faults = [
+            Fault("image", f"{name} must be a whole number of at least 1, is {value}")
+            for name, value in (("width", self.width), ("height", self.height))
+            if value != int(value) or value < 1
+        ]
+        if not faults and self.width * self.height > MAX_PIXELS:
+            gib = self.width * self.height * 24 / 2**30
+            faults.append(
+                Fault(
+                    "image",
+                    f"{self.width} x {self.height} pixels are too many: the picture would take"
+                    f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed",
+                )
+            )
+        if faults:
+            raise SceneError(faults)
