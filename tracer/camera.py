@@ -1,0 +1,101 @@
+"""The camera's rays: one pencil from the eye, row by row.
+
+In the camera's own axes (u to the right, v down, w ahead) the ray through the
+point (x, y) of the picture, in pixels from its upper left corner, has the
+direction
+
+    ( shift_u + (x - width / 2) step_u,  shift_v + (y - height / 2) step_v,  depth ).
+
+Along a pixel row only the first component changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tracer.intersection import Triple
+from tracer.scene import Camera, Floats, unit
+
+__all__ = ["Raster", "raster_of"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Raster:
+    """The picture's rays: the eye, its axes, and the step from pixel to pixel.
+
+    Attributes
+    ----------
+    eye : (3,)
+    axes : (3, 3)
+        Rows u (right), v (down) and w (ahead): orthonormal.
+    shift_u, shift_v, depth : float
+        The window's centre seen from the eye, along the axes; depth > 0.
+    step_u, step_v : float
+        Size of a pixel on the window.
+    width, height : int
+    """
+
+    eye: Floats
+    axes: Floats
+    shift_u: float
+    shift_v: float
+    depth: float
+    step_u: float
+    step_v: float
+    width: int
+    height: int
+
+    def local(self, points: Floats) -> Triple:
+        """Points (n, 3) in the camera's axes, seen from the eye."""
+        relative = points - self.eye
+        u, v, w = (
+            relative[:, 0] * a + relative[:, 1] * b + relative[:, 2] * c
+            for a, b, c in self.axes.tolist()
+        )
+        return u, v, w
+
+    def across(self, x: Floats) -> Floats:
+        """First component of the direction, at x pixels from the left."""
+        return self.shift_u + (x - self.width / 2) * self.step_u
+
+    def down(self, y: Floats) -> Floats:
+        """Second component of the direction, at y pixels from the top."""
+        return self.shift_v + (y - self.height / 2) * self.step_v
+
+    def column(self, s: Floats) -> Floats:
+        """Inverse of `across`."""
+        return (s - self.shift_u) / self.step_u + self.width / 2
+
+    def row(self, g: Floats) -> Floats:
+        """Inverse of `down`."""
+        return (g - self.shift_v) / self.step_v + self.height / 2
+
+
+def raster_of(
+    camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
+) -> Raster:
+    """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 4.3).
+
+    `offset` moves every sample by so many pixels to the right and down.
+    """
+    ahead = unit(camera.view_dir)
+    w = unit(camera.normal)
+    if w @ ahead > 0:
+        w = -w
+    u = unit(np.cross(unit(camera.view_up), w))
+    v = np.cross(w, u)
+    center = camera.proj_distance * ahead
+    step_u, step_v = camera.view_width / width, camera.view_height / height
+    return Raster(
+        eye=np.array(camera.view_point),
+        axes=np.array([u, -v, -w]),
+        shift_u=float(center @ u) + offset[0] * step_u,
+        shift_v=-float(center @ v) + offset[1] * step_v,
+        depth=-float(center @ w),
+        step_u=step_u,
+        step_v=step_v,
+        width=width,
+        height=height,
+    )

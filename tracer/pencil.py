@@ -1,0 +1,212 @@
+"""Outlines of objects seen from the eye: where a row of pixels can meet them.
+
+All rays of a picture start at the eye, and those of a pixel row lie in one
+plane, so a convex object covers one interval of each row.  `spans` finds these
+intervals in closed form: the two tangents to a disc for a sphere, the
+silhouette edges for a box.  What lies outside them is never looked at again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.camera import Raster
+from tracer.intersection import Triple
+from tracer.scene import Floats, Ints, Surfaces
+
+__all__ = ["Outlines", "Spans", "expand", "outlines"]
+
+
+def expand(counts: Ints) -> tuple[Ints, Ints]:
+    """For each i, counts[i] elements: their i, and their place 0 ... counts[i] - 1."""
+    owner = np.repeat(np.arange(counts.size), counts)
+    place = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    return owner, place
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """Intervals of picture rows that objects cover.
+
+    Attributes
+    ----------
+    owner : (n,)
+        Which sphere or box.
+    row : (n,)
+        Index into the rows asked for; ascending.
+    left, right : (n,)
+        In pixels from the picture's left edge, clipped to the picture.
+    """
+
+    owner: Ints
+    row: Ints
+    left: Floats
+    right: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Outlines:
+    """What all rows share: each object's place in the camera's axes."""
+
+    raster: Raster
+    center: Triple
+    radius: Floats
+    power: Floats
+    sphere_rows: tuple[Floats, Floats]
+    edges: tuple[Floats, Floats, Floats]
+    box_rows: tuple[Floats, Floats]
+
+    def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
+        """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
+        owner, row = _meetings(self.sphere_rows, rows, pad)
+        g = self.raster.down(rows)[row]
+        depth = self.raster.depth
+        hypot = np.sqrt(g * g + depth * depth)
+        u, v, w = (m[owner] for m in self.center)
+        radius = self.radius[owner]
+        aside = (v * depth - w * g) / hypot
+        ahead = (v * g + w * depth) / hypot
+        chord2 = (radius - aside) * (radius + aside)
+        low, high = _tangents(u, ahead, chord2, self.power[owner])
+        return self._clip(owner, row, low * hypot, high * hypot, pad)
+
+    def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
+        """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
+        owner, row = _meetings(self.box_rows, rows, pad)
+        g = self.raster.down(rows)[row]
+        low = np.full(owner.size, -np.inf)
+        high = np.full(owner.size, np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for k in range(6):
+                slope = self.edges[0][k][owner]
+                level = self.edges[1][k][owner] * g + self.edges[2][k][owner]
+                # The silhouette's inner side is slope * s + level >= 0.
+                bound = -level / slope
+                np.maximum(low, bound, out=low, where=slope > 0)
+                np.minimum(high, bound, out=high, where=slope < 0)
+        return self._clip(owner, row, low, high, pad)
+
+    def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
+        left = np.maximum(self.raster.column(low) - pad, 0.0)
+        right = np.minimum(self.raster.column(high) + pad, float(self.raster.width))
+        keep = np.flatnonzero(left <= right)
+        keep = keep[np.argsort(row[keep], kind="stable")]
+        return Spans(owner[keep], row[keep], left[keep], right[keep])
+
+
+def outlines(raster: Raster, surfaces: Surfaces) -> Outlines:
+    """Project all surfaces onto the picture."""
+    u, v, w = raster.local(surfaces.center)
+    radius = surfaces.radius
+    distance = np.sqrt(u * u + v * v + w * w)
+    power = (distance - radius) * (distance + radius)
+    top, bottom = _tangents(v, w, radius * radius, v * v + w * w - radius * radius)
+    sphere_rows = (raster.row(top * raster.depth), raster.row(bottom * raster.depth))
+    edges, box_rows = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
+    return Outlines(raster, (u, v, w), radius, power, sphere_rows, edges, box_rows)
+
+
+def _meetings(extent: tuple[Floats, Floats], rows: Floats, pad: float) -> tuple[Ints, Ints]:
+    """Pairs (object, row) with the row inside the object's vertical extent."""
+    first = np.searchsorted(rows, extent[0] - pad)
+    last = np.searchsorted(rows, extent[1] + pad, side="right")
+    owner, place = expand(np.maximum(last - first, 0))
+    return owner, first[owner] + place
+
+
+def _tangents(
+    along: Floats, ahead: Floats, chord2: Floats, power: Floats
+) -> tuple[Floats, Floats]:
+    """Slopes (along / ahead) between which rays from the origin meet discs.
+
+    Parameters
+    ----------
+    along, ahead
+        The disc's centre.
+    chord2, power
+        Its squared radius, and its centre's squared distance less that.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tilt = along * ahead
+        root = np.sqrt(chord2 * power)
+        divisor = ahead * ahead - chord2
+        a, b = (tilt - root) / divisor, (tilt + root) / divisor
+        before = divisor > 0
+        low = np.where(before, a, np.where(along > 0, a, -np.inf))
+        high = np.where(before, b, np.where(along > 0, np.inf, b))
+        # Nothing at all: the plane misses the sphere, or it lies behind.
+        miss = (chord2 < 0) | (before & (ahead < 0))
+        whole = (power <= 0) & (chord2 >= 0)
+    # What rounding left undecided covers the row: wider is always safe.
+    low = np.where(whole | np.isnan(low), -np.inf, low)
+    high = np.where(whole | np.isnan(high), np.inf, high)
+    return np.where(miss, np.inf, low), np.where(miss, -np.inf, high)
+
+
+def _silhouette_table() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Corner pairs (27, 6) of the silhouette edges, by where the eye is.
+
+    The eye is below, between or above the two planes of each axis: 27 regions
+    (Schmalstieg and Tobler, Real-time bounding box area computation, 1999).
+    Corner i has bit k set where it is high along axis k.  Regions with four
+    edges repeat the first; the middle region has none (corners 0 and 0).
+    """
+    start = np.zeros((27, 6), dtype=np.intp)
+    end = np.zeros((27, 6), dtype=np.intp)
+    for region, code in enumerate(product((-1, 0, 1), repeat=3)):
+        pairs = [
+            (corner, corner | 1 << k)
+            for k in range(3)
+            for corner in range(8)
+            if not corner >> k & 1
+            # Of the two faces at an edge along k, one is seen and one is not.
+            and sum(
+                code[j] == (1 if corner >> j & 1 else -1) for j in range(3) if j != k
+            ) == 1
+        ]
+        if pairs:
+            start[region], end[region] = np.transpose((pairs * 2)[:6])
+    return start, end
+
+
+_EDGE_START, _EDGE_END = _silhouette_table()
+
+
+def _silhouettes(
+    raster: Raster, min_pt: Floats, max_pt: Floats
+) -> tuple[tuple[Floats, Floats, Floats], tuple[Floats, Floats]]:
+    """Planes (6, n) through the eye and each silhouette edge, and the rows between.
+
+    A plane is three coefficients: slope, tilt and level of
+    slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
+    """
+    count = len(min_pt)
+    corners = [
+        raster.local(
+            np.column_stack([(max_pt if i >> k & 1 else min_pt)[:, k] for k in range(3)])
+        )
+        for i in range(8)
+    ]
+    u, v, w = (np.array([corner[k] for corner in corners]).reshape(8, count) for k in range(3))
+    code = (raster.eye > max_pt).astype(np.intp) - (raster.eye < min_pt)
+    region = (code + 1) @ np.array([9, 3, 1])
+    every = np.arange(count)
+    start, end = _EDGE_START[region].T, _EDGE_END[region].T
+    a = [m[start, every] for m in (u, v, w)]
+    b = [m[end, every] for m in (u, v, w)]
+    slope = a[1] * b[2] - a[2] * b[1]
+    tilt = a[2] * b[0] - a[0] * b[2]
+    level = a[0] * b[1] - a[1] * b[0]
+    middle = [m.mean(axis=0) for m in (u, v, w)]
+    sign = np.where(slope * middle[0] + tilt * middle[1] + level * middle[2] < 0, -1.0, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        projected = raster.row(v / w * raster.depth)
+    top, bottom = projected.min(axis=0), projected.max(axis=0)
+    behind = w.min(axis=0) <= 0
+    top = np.where(behind, -np.inf, top)
+    bottom = np.where(behind, np.where(w.max(axis=0) >= 0, np.inf, -np.inf), bottom)
+    return (sign * slope, sign * tilt, sign * level * raster.depth), (top, bottom)

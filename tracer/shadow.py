@@ -1,0 +1,302 @@
+"""Which points a light reaches: one pencil from each light.
+
+All shadow segments end at a light, so seen from there an object can only block
+points in the directions it covers.  Directions are sorted into the cells of an
+octahedral map (Engelhardt and Dachsbacher 2008: each octant of directions onto
+the plane |x| + |y| + |z| = 1), each object is listed in the cells that its
+bounding box can touch, and a point is tested against its own cell's list.
+
+The bounds are interval arithmetic and stay valid with the light beside, on or
+inside an object; they only ever leave out pairs that cannot meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.intersection import (
+    INSIDE,
+    ON,
+    SURFACE_TOLERANCE,
+    Bools,
+    Triple,
+    box_blocks,
+    sphere_blocks,
+    sphere_side,
+)
+from tracer.pencil import expand
+from tracer.scene import Floats, Ints, Surfaces
+
+__all__ = ["LightPencil", "Occluders", "light_pencil", "occluders_of"]
+
+# Widens bounds by more than all roundings between a point and its cell.
+_SLACK = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Occluders:
+    """All surfaces, spheres first, as whatever may cast a shadow.
+
+    Attributes
+    ----------
+    surfaces : Surfaces
+    eye_inside : (n,)
+        Which of them are seen from inside.
+    seen : (n,)
+        Which of them may be seen at all.
+    low, high : (3, n)
+        Their bounding boxes.
+    size : (n,)
+        What a sphere's tolerance, or a box's, scales with.
+    """
+
+    surfaces: Surfaces
+    eye_inside: Bools
+    seen: Bools
+    low: Floats
+    high: Floats
+    size: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class LightPencil:
+    """One light's cells, each with a list of objects that may block in it.
+
+    Attributes
+    ----------
+    position : tuple of 3 floats
+    side : (n,) int8
+        Where the light is to each object: outside, on or inside it.
+    scale, shift : (2, 8)
+        From octahedral coordinates to cells, per octant.
+    cells : int
+        Cells along each side of an octant.
+    first : (8 * cells * cells + 1,)
+        Where each cell's list begins in `listed`.
+    listed : (m,)
+        Objects.
+    near : (n,)
+        Each object's least distance to the light, in the 1-norm.
+    safe : (n,)
+        Objects none of whose points any other object can keep from the light.
+    """
+
+    position: tuple[float, float, float]
+    side: NDArray[np.int8]
+    scale: Floats
+    shift: Floats
+    cells: int
+    first: Ints
+    listed: Ints
+    near: Floats
+    safe: Bools
+
+    def blocked(
+        self, occluders: Occluders, p: Triple, to_light: Triple, own: Ints, reach: Floats
+    ) -> Bools:
+        """Whether another object than their own keeps points from the light.
+
+        Parameters
+        ----------
+        p, to_light
+            The points, and from there to the light.
+        own
+            The object each point lies on.
+        reach
+            Length that a point's rounding error scales with: its distances
+            from the origin and from the eye.
+        """
+        result = np.zeros(own.size, dtype=np.bool_)
+        asked = np.flatnonzero(~self.safe[own])
+        if not asked.size:
+            return result
+        distance, cell = self._locate(tuple(d[asked] for d in to_light))  # type: ignore[arg-type]
+        first = self.first[cell]
+        counts = self.first[cell + 1] - first
+        owner, place = expand(counts)
+        other = self.listed[first[owner] + place]
+        point = asked[owner]
+        keep = np.flatnonzero((other != own[point]) & (self.near[other] <= distance[owner]))
+        other, point = other[keep], point[keep]
+        result[point[_pairs_block(self, occluders, p, to_light, reach, other, point)]] = True
+        return result
+
+    def _locate(self, to_light: Triple) -> tuple[Floats, Ints]:
+        """Distance from the light (1-norm) and cell of points, from these to the light."""
+        x, y, z = (np.abs(d) for d in to_light)
+        total = x + y + z
+        octant = (
+            (to_light[0] < 0).view(np.int8)
+            + 2 * (to_light[1] < 0).view(np.int8)
+            + 4 * (to_light[2] < 0).view(np.int8)
+        ).astype(np.intp)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            inverse = 1 / total
+            i = x * inverse * self.scale[0][octant] + self.shift[0][octant]
+            j = y * inverse * self.scale[1][octant] + self.shift[1][octant]
+        last = self.cells - 1
+        # A point in the light itself is in no direction: any cell will do.
+        i = np.fmin(np.fmax(i, 0), last).astype(np.intp)
+        j = np.fmin(np.fmax(j, 0), last).astype(np.intp)
+        return total * (1 + _SLACK), (octant * self.cells + i) * self.cells + j
+
+
+def _pairs_block(
+    light: LightPencil,
+    occluders: Occluders,
+    p: Triple,
+    to_light: Triple,
+    reach: Floats,
+    other: Ints,
+    point: Ints,
+) -> Bools:
+    """Whether objects `other` block the points `point`, pair by pair."""
+    surfaces = occluders.surfaces
+    spheres = len(surfaces.radius)
+    side = light.side[other]
+    tolerance = reach[point]
+    if (side == ON).any():
+        end = sum(abs(x) for x in light.position)
+        tolerance = np.where(side == ON, np.maximum(tolerance, end), tolerance)
+    tolerance = SURFACE_TOLERANCE * (tolerance + occluders.size[other])
+    result = np.empty(other.size, dtype=np.bool_)
+
+    at = np.flatnonzero(other < spheres)
+    ball, i = other[at], point[at]
+    result[at] = sphere_blocks(
+        (to_light[0][i], to_light[1][i], to_light[2][i]),
+        (
+            surfaces.center[ball, 0] - p[0][i],
+            surfaces.center[ball, 1] - p[1][i],
+            surfaces.center[ball, 2] - p[2][i],
+        ),
+        surfaces.radius[ball],
+        tolerance[at],
+        side[at],
+        occluders.eye_inside[ball],
+    )
+    at = np.flatnonzero(other >= spheres)
+    box, i = other[at] - spheres, point[at]
+    x, y, z = light.position
+    result[at] = box_blocks(
+        (p[0][i], p[1][i], p[2][i]),
+        (np.full(i.size, x), np.full(i.size, y), np.full(i.size, z)),
+        (surfaces.min_pt[box, 0], surfaces.min_pt[box, 1], surfaces.min_pt[box, 2]),
+        (surfaces.max_pt[box, 0], surfaces.max_pt[box, 1], surfaces.max_pt[box, 2]),
+        tolerance[at],
+    )
+    return result
+
+
+def occluders_of(surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluders:
+    """Gather spheres and boxes."""
+    center, radius = surfaces.center.T, surfaces.radius
+    low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
+    high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
+    size = np.concatenate(
+        [
+            np.abs(center).sum(axis=0) + radius,
+            np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt)).sum(axis=1),
+        ]
+    )
+    return Occluders(surfaces, eye_inside, seen, low, high, size)
+
+
+def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> LightPencil:
+    """List the objects that may block a light, by direction."""
+    surfaces = occluders.surfaces
+    count = len(surfaces)
+    origin = np.array(position)
+    reach = np.abs(origin).sum()
+    distance = np.sqrt(((surfaces.center - origin) ** 2).sum(axis=1))
+    tolerance = SURFACE_TOLERANCE * (reach + occluders.size)
+    spheres = len(surfaces.radius)
+    strictly = ((surfaces.min_pt < origin) & (origin < surfaces.max_pt)).all(axis=1)
+    side = np.concatenate(
+        [
+            sphere_side(distance, surfaces.radius, tolerance[:spheres]),
+            np.where(strictly, INSIDE, ON).astype(np.int8),
+        ]
+    )
+
+    # Rectangles of (object, octant) in octahedral coordinates.
+    rectangles = []
+    near = np.full(count, np.inf)
+    for octant in range(8):
+        low, high = np.empty((3, count)), np.empty((3, count))
+        for k in range(3):
+            # An octant's sign is that of the direction from the point to the light.
+            slack = _SLACK * (np.abs(occluders.low[k]) + np.abs(occluders.high[k]) + reach)
+            below = occluders.low[k] - slack - position[k]
+            above = occluders.high[k] + slack - position[k]
+            away = octant >> k & 1
+            low[k], high[k] = (below, above) if away else (-above, -below)
+        at = np.flatnonzero((high >= 0).all(axis=0))
+        if not at.size:
+            continue
+        x0, y0, z0 = np.maximum(low[:, at], 0)
+        x1, y1, z1 = high[:, at]
+        near[at] = np.minimum(near[at], x0 + y0 + z0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            bounds = np.array(
+                [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0), y0 / (y0 + x1 + z1), y1 / (y1 + x0 + z0)]
+            )
+        bounds = np.where(np.isnan(bounds), [[0.0], [1.0], [0.0], [1.0]], bounds)
+        bounds += np.array([[-_SLACK], [_SLACK], [-_SLACK], [_SLACK]])
+        far = x1 + y1 + z1
+        rectangles.append((octant, at, bounds, x0 + y0 + z0, far))
+
+    cells = int(np.clip(2 * np.sqrt(count), 16, 1024))
+    scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
+    hits = np.zeros((8, cells, cells), dtype=np.intp)
+    entries = []
+    safe = np.ones(count, dtype=np.bool_)
+    for octant, at, bounds, nearest, farthest in rectangles:
+        receivers = np.flatnonzero(occluders.seen[at])
+        if not receivers.size:
+            continue
+        # The cells cover just the directions in which there is something to light.
+        left, top = bounds[0][receivers].min(), bounds[2][receivers].min()
+        right, bottom = bounds[1][receivers].max(), bounds[3][receivers].max()
+        scale[:, octant] = cells / (right - left), cells / (bottom - top)
+        shift[:, octant] = -left * scale[0, octant], -top * scale[1, octant]
+        # An object nearer to the light than no other one's farthest point blocks nothing.
+        reachable = np.sort(farthest[receivers])[-2:]
+        limit = np.where(
+            occluders.seen[at] & (farthest >= reachable[-1]),
+            reachable[0] if reachable.size == 2 else -np.inf,
+            reachable[-1],
+        )
+        i0, i1 = (np.floor(bounds[k] * scale[0, octant] + shift[0, octant]) for k in (0, 1))
+        j0, j1 = (np.floor(bounds[k] * scale[1, octant] + shift[1, octant]) for k in (2, 3))
+        i0, j0 = np.maximum(i0, 0).astype(np.intp), np.maximum(j0, 0).astype(np.intp)
+        i1 = np.minimum(i1, cells - 1).astype(np.intp)
+        j1 = np.minimum(j1, cells - 1).astype(np.intp)
+        may = np.flatnonzero((nearest <= limit * (1 + _SLACK)) & (i0 <= i1) & (j0 <= j1))
+        wide, tall = i1[may] - i0[may] + 1, j1[may] - j0[may] + 1
+        owner, place = expand(wide * tall)
+        down, over = np.divmod(place, tall[owner])
+        cell = (i0[may][owner] + down) * cells + j0[may][owner] + over
+        entries.append((octant * cells * cells + cell, at[may][owner]))
+        hits[octant] = np.bincount(cell, minlength=cells * cells).reshape(cells, cells)
+        # Sums over rectangles at once: is there anything listed but the object itself?
+        total = np.zeros((cells + 1, cells + 1), dtype=np.intp)
+        total[1:, 1:] = hits[octant].cumsum(axis=0).cumsum(axis=1)
+        within = (
+            total[i1 + 1, j1 + 1] - total[i0, j1 + 1] - total[i1 + 1, j0] + total[i0, j0]
+        )
+        within[may] -= wide * tall
+        safe[at[receivers]] &= within[receivers] <= 0
+    first = np.zeros(8 * cells * cells + 1, dtype=np.intp)
+    np.cumsum(hits, out=first[1:])
+    if entries:
+        cell = np.concatenate([entry[0] for entry in entries])
+        listed = np.concatenate([entry[1] for entry in entries])[np.argsort(cell, kind="stable")]
+    else:
+        listed = np.zeros(0, dtype=np.intp)
+    return LightPencil(
+        position, side, scale, shift, cells, first, listed, near * (1 - _SLACK), safe
+    )
