@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.intersection import Triple
+from tracer.intersection import Triple, dot
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Outlines", "Spans", "expand", "outlines"]
+__all__ = ["Outlines", "Spans", "box_corners", "expand", "outlines", "silhouette_planes"]
 
 
 def expand(counts: Ints) -> tuple[Ints, Ints]:
@@ -39,7 +39,7 @@ class Spans:
     row : (n,)
         Index into the rows asked for; ascending.
     left, right : (n,)
-        In pixels from the picture's left edge, clipped to the picture.
+        In pixels from the picture's left edge, clipped to a pixel around the picture.
     """
 
     owner: Ints
@@ -57,7 +57,7 @@ class Outlines:
     radius: Floats
     power: Floats
     sphere_rows: tuple[Floats, Floats]
-    edges: tuple[Floats, Floats, Floats]
+    edges: Triple
     box_rows: tuple[Floats, Floats]
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
@@ -90,9 +90,20 @@ class Outlines:
                 np.minimum(high, bound, out=high, where=slope < 0)
         return self._clip(owner, row, low, high, pad)
 
+    def in_picture(self) -> NDArray[np.bool_]:
+        """Which objects, spheres first, may be seen (up to what hides them)."""
+        top, bottom = -1.0, self.raster.height + 1.0
+        return np.concatenate(
+            [
+                (rows[0] <= bottom) & (rows[1] >= top)
+                for rows in (self.sphere_rows, self.box_rows)
+            ]
+        )
+
     def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
-        left = np.maximum(self.raster.column(low) - pad, 0.0)
-        right = np.minimum(self.raster.column(high) + pad, float(self.raster.width))
+        # One column more on either side than the picture has: antialiasing looks there.
+        left = np.maximum(self.raster.column(low) - pad, -1.0)
+        right = np.minimum(self.raster.column(high) + pad, self.raster.width + 1.0)
         keep = np.flatnonzero(left <= right)
         keep = keep[np.argsort(row[keep], kind="stable")]
         return Spans(owner[keep], row[keep], left[keep], right[keep])
@@ -176,37 +187,57 @@ def _silhouette_table() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 _EDGE_START, _EDGE_END = _silhouette_table()
 
 
+def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Floats) -> Triple:
+    """Planes through an apex and the silhouette edges of boxes seen from there.
+
+    Parameters
+    ----------
+    corners : three (8, n)
+        The boxes' corners seen from the apex, in any axes.
+    apex : (3,)
+    min_pt, max_pt : (n, 3)
+
+    Returns
+    -------
+    normals : three (6, n)
+        In the same axes; directions d towards the box have d . normal >= 0.
+        All zero where there is no silhouette (apex inside).
+    """
+    code = (apex > max_pt).astype(np.intp) - (apex < min_pt)
+    region = (code + 1) @ np.array([9, 3, 1])
+    every = np.arange(len(min_pt))
+    start, end = _EDGE_START[region].T, _EDGE_END[region].T
+    a = [m[start, every] for m in corners]
+    b = [m[end, every] for m in corners]
+    normal = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    middle = [m.mean(axis=0) for m in corners]
+    sign = np.where(dot(normal, (middle[0], middle[1], middle[2])) < 0, -1.0, 1.0)
+    return sign * normal[0], sign * normal[1], sign * normal[2]
+
+
+def box_corners(min_pt: Floats, max_pt: Floats) -> list[Floats]:
+    """Eight arrays (n, 3): corner i is high along axis k where bit k of i is set."""
+    return [
+        np.column_stack([(max_pt if i >> k & 1 else min_pt)[:, k] for k in range(3)])
+        for i in range(8)
+    ]
+
+
 def _silhouettes(
     raster: Raster, min_pt: Floats, max_pt: Floats
-) -> tuple[tuple[Floats, Floats, Floats], tuple[Floats, Floats]]:
+) -> tuple[Triple, tuple[Floats, Floats]]:
     """Planes (6, n) through the eye and each silhouette edge, and the rows between.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
     """
-    count = len(min_pt)
-    corners = [
-        raster.local(
-            np.column_stack([(max_pt if i >> k & 1 else min_pt)[:, k] for k in range(3)])
-        )
-        for i in range(8)
-    ]
-    u, v, w = (np.array([corner[k] for corner in corners]).reshape(8, count) for k in range(3))
-    code = (raster.eye > max_pt).astype(np.intp) - (raster.eye < min_pt)
-    region = (code + 1) @ np.array([9, 3, 1])
-    every = np.arange(count)
-    start, end = _EDGE_START[region].T, _EDGE_END[region].T
-    a = [m[start, every] for m in (u, v, w)]
-    b = [m[end, every] for m in (u, v, w)]
-    slope = a[1] * b[2] - a[2] * b[1]
-    tilt = a[2] * b[0] - a[0] * b[2]
-    level = a[0] * b[1] - a[1] * b[0]
-    middle = [m.mean(axis=0) for m in (u, v, w)]
-    sign = np.where(slope * middle[0] + tilt * middle[1] + level * middle[2] < 0, -1.0, 1.0)
+    corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
+    u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
+    slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
     with np.errstate(divide="ignore", invalid="ignore"):
         projected = raster.row(v / w * raster.depth)
     top, bottom = projected.min(axis=0), projected.max(axis=0)
     behind = w.min(axis=0) <= 0
     top = np.where(behind, -np.inf, top)
     bottom = np.where(behind, np.where(w.max(axis=0) >= 0, np.inf, -np.inf), bottom)
-    return (sign * slope, sign * tilt, sign * level * raster.depth), (top, bottom)
+    return (slope, tilt, level * raster.depth), (top, bottom)

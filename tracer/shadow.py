@@ -24,16 +24,20 @@ from tracer.intersection import (
     Bools,
     Triple,
     box_blocks,
+    dot,
     sphere_blocks,
     sphere_side,
 )
-from tracer.pencil import expand
+from tracer.pencil import box_corners, expand, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["LightPencil", "Occluders", "light_pencil", "occluders_of"]
 
 # Widens bounds by more than all roundings between a point and its cell.
 _SLACK = 1e-9
+
+# Cells along the side of an octant: finer cells list less, and take longer to fill.
+_CELLS_LEAST, _CELLS_MOST = 64, 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +253,8 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
         far = x1 + y1 + z1
         rectangles.append((octant, at, bounds, x0 + y0 + z0, far))
 
-    cells = int(np.clip(2 * np.sqrt(count), 16, 1024))
+    cells = int(np.clip(2 * np.sqrt(count), _CELLS_LEAST, _CELLS_MOST))
+    normals = _separators(origin, surfaces)
     scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
     hits = np.zeros((8, cells, cells), dtype=np.intp)
     entries = []
@@ -280,6 +285,9 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
         owner, place = expand(wide * tall)
         down, over = np.divmod(place, tall[owner])
         cell = (i0[may][owner] + down) * cells + j0[may][owner] + over
+        grid = ((left, scale[0, octant]), (top, scale[1, octant]))
+        touch = _touch(octant, i0[may][owner] + down, j0[may][owner] + over, grid, at[may][owner], surfaces, origin, normals)
+        cell, owner = cell[touch], owner[touch]
         entries.append((octant * cells * cells + cell, at[may][owner]))
         hits[octant] = np.bincount(cell, minlength=cells * cells).reshape(cells, cells)
         # Sums over rectangles at once: is there anything listed but the object itself?
@@ -288,7 +296,7 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
         within = (
             total[i1 + 1, j1 + 1] - total[i0, j1 + 1] - total[i1 + 1, j0] + total[i0, j0]
         )
-        within[may] -= wide * tall
+        within[may] -= np.bincount(owner, minlength=may.size)
         safe[at[receivers]] &= within[receivers] <= 0
     first = np.zeros(8 * cells * cells + 1, dtype=np.intp)
     np.cumsum(hits, out=first[1:])
@@ -300,3 +308,63 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
     return LightPencil(
         position, side, scale, shift, cells, first, listed, near * (1 - _SLACK), safe
     )
+
+
+def _separators(origin: Floats, surfaces: Surfaces) -> Triple:
+    """Silhouette planes (6, B) of the boxes, seen from a light."""
+    corners = np.array(box_corners(surfaces.min_pt, surfaces.max_pt)).reshape(8, -1, 3) - origin
+    return silhouette_planes(
+        (corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]),
+        origin,
+        surfaces.min_pt,
+        surfaces.max_pt,
+    )
+
+
+def _touch(
+    octant: int,
+    i: Ints,
+    j: Ints,
+    grid: tuple[tuple[float, float], tuple[float, float]],
+    owner: Ints,
+    surfaces: Surfaces,
+    origin: Floats,
+    normals: Triple,
+) -> Ints:
+    """Which cells (i, j) of an octant may meet their objects.
+
+    A cell is the cone between four directions.  If a plane through the light
+    has all four on one side and the object on the other, they do not meet: a
+    box's silhouette planes, or the sphere's tangent plane towards the cell.
+    """
+    sign = [-1.0 if octant >> k & 1 == 0 else 1.0 for k in range(3)]
+    corners = []
+    for di, dj in ((-_SLACK, -_SLACK), (1 + _SLACK, -_SLACK), (-_SLACK, 1 + _SLACK), (1 + _SLACK, 1 + _SLACK)):
+        a = (i + di) / grid[0][1] + grid[0][0]
+        b = (j + dj) / grid[1][1] + grid[1][0]
+        corners.append((sign[0] * a, sign[1] * b, sign[2] * (1 - a - b)))
+    apart = np.zeros(owner.size, dtype=np.bool_)
+    spheres = len(surfaces.radius)
+
+    at = np.flatnonzero(owner < spheres)
+    ball = owner[at]
+    m = tuple((surfaces.center[ball, k] - origin[k]) for k in range(3))
+    middle = tuple(corners[0][k][at] + corners[3][k][at] for k in range(3))
+    length = np.sqrt(dot(m, m))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        m = tuple(x / length for x in m)
+        sine = surfaces.radius[ball] / length
+        along = dot(middle, m)
+        aside = tuple(x - along * y for x, y in zip(middle, m, strict=True))
+        scale = np.sqrt(1 - sine * sine) / np.sqrt(dot(aside, aside))
+        tangent = tuple(scale * x - sine * y for x, y in zip(aside, m, strict=True))
+    # Not a number inside the sphere, or straight at it: then nothing is apart.
+    apart[at] = np.all([dot(tangent, tuple(x[at] for x in corner)) > _SLACK for corner in corners], axis=0)
+
+    at = np.flatnonzero(owner >= spheres)
+    box = owner[at] - spheres
+    for k in range(6):
+        normal = tuple(m[k, box] for m in normals)
+        limit = -_SLACK * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2]))
+        apart[at] |= np.all([dot(normal, tuple(x[at] for x in corner)) < limit for corner in corners], axis=0)
+    return np.flatnonzero(~apart)

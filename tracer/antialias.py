@@ -1,0 +1,137 @@
+"""Antialiasing: as many samples as a pixel needs, and no more.
+
+Most pixels see one smooth surface: there the sample at the centre, with a
+correction for curvature, is worth more than any number of samples.  Where an
+outline, a box edge, a shadow edge or a narrow highlight crosses a pixel, it
+gets the full grid of samples.  Outlines are known in closed form, so objects
+between the pixel centres are found however small they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.intersection import Bools
+from tracer.lighting import Lighting, shade
+from tracer.pencil import Spans
+from tracer.scene import Floats, Ints
+from tracer.visibility import Samples, View, grid, visible
+
+__all__ = ["antialiased"]
+
+_CHUNK = 1 << 15
+
+# The curvature correction may be off by a part of itself; where that could show, sample.
+_CURVATURE = 4e-3
+
+
+def antialiased(
+    view: View, lighting: Lighting, top: int, bottom: int, per_side: int
+) -> Floats:
+    """Radiance (bottom - top, width, 3) of pixel rows, averaged over each pixel.
+
+    At least as accurate as `per_side` x `per_side` samples in every pixel.
+    """
+    width, rows = view.raster.width, bottom - top
+    # A pixel more on every side: each pixel is compared with its neighbours.
+    samples = grid(top - 1, bottom + 1, -1, width + 1)
+    shape = (rows + 2, width + 2)
+    hits = visible(view, samples)
+    radiance, key = np.zeros((shape[0] * shape[1], 3)), np.full(shape[0] * shape[1], -1)
+    radiance[hits.sample], key[hits.sample] = shade(lighting, hits)
+    radiance = radiance.reshape(*shape, 3)
+    image = radiance[1:-1, 1:-1]
+    around = radiance[:-2, 1:-1] + radiance[2:, 1:-1] + radiance[1:-1, :-2] + radiance[1:-1, 2:]
+    # The mean over a pixel is the centre's value plus a 24th of the Laplacian.
+    curvature = (around - 4 * image) / 24
+    marked = _differ(key.reshape(shape)) | (np.abs(curvature).max(axis=2) > _CURVATURE / per_side)
+    for spans in _spans(view, top, bottom, per_side):
+        marked |= _crossed(spans, rows, width, per_side)
+    image = image + curvature
+    row, column = np.nonzero(marked)
+    if row.size:
+        image[row, column] = _sampled(view, lighting, row, column, top, per_side)
+    return image
+
+
+def _differ(key: NDArray[np.int64]) -> Bools:
+    """Whether a pixel's key differs from one of its eight neighbours'."""
+    high = np.maximum(np.maximum(key[:-2], key[1:-1]), key[2:])
+    low = np.minimum(np.minimum(key[:-2], key[1:-1]), key[2:])
+    high = np.maximum(np.maximum(high[:, :-2], high[:, 1:-1]), high[:, 2:])
+    low = np.minimum(np.minimum(low[:, :-2], low[:, 1:-1]), low[:, 2:])
+    return high != low
+
+
+def _spans(view: View, top: int, bottom: int, per_side: int) -> tuple[Spans, Spans]:
+    """Outlines in every row of the sampling grid."""
+    y = top + (np.arange((bottom - top) * per_side) + 0.5) / per_side
+    return view.outlines.sphere_spans(y), view.outlines.box_spans(y)
+
+
+def _crossed(spans: Spans, rows: int, width: int, per_side: int) -> Bools:
+    """Which pixels an outline crosses, by the spans in each row of the sampling grid.
+
+    Between the leftmost and the rightmost place at which an object begins (or
+    ends) in the rows of one pixel, its outline crosses; an object that misses
+    some of these rows has its top or bottom there, and crosses wherever it is.
+    """
+    if not spans.owner.size:
+        return np.zeros((rows, width), dtype=np.bool_)
+    pixel_row = spans.row // per_side
+    group = spans.owner * rows + pixel_row
+    order = np.argsort(group, kind="stable")
+    first = np.flatnonzero(np.diff(group[order], prepend=-1))
+    counts = np.diff(first, append=order.size)
+    left, right = spans.left[order], spans.right[order]
+    left_min, left_max = np.minimum.reduceat(left, first), np.maximum.reduceat(left, first)
+    right_min, right_max = np.minimum.reduceat(right, first), np.maximum.reduceat(right, first)
+    whole = (counts < per_side) | (left_max >= right_min)
+    left_max = np.where(whole, right_max, left_max)
+    row = pixel_row[order][first]
+    # +1 where crossed pixels begin and -1 after they end: a running sum marks them.
+    edge = np.zeros((rows, width + 3), dtype=np.intp)
+    for begin, end in ((left_min, left_max), (right_min, right_max)):
+        np.add.at(edge, (row, _pixel(begin, width)), 1)
+        np.add.at(edge, (row, _pixel(end, width) + 1), -1)
+    crossed: Bools = edge.cumsum(axis=1)[:, 1 : width + 1] > 0
+    return crossed
+
+
+def _pixel(x: Floats, width: int) -> Ints:
+    """Column + 1 of the pixel at x; 0 and width + 1 are off the picture."""
+    column: Ints = np.clip(np.floor(x).astype(np.intp) + 1, 0, width + 1)
+    return column
+
+
+def _sampled(
+    view: View, lighting: Lighting, row: Ints, column: Ints, top: int, per_side: int
+) -> Floats:
+    """Mean radiance (n, 3) of a grid of samples in each of some pixels."""
+    total = np.zeros((row.size, 3))
+    steps = (np.arange(per_side) + 0.5) / per_side
+    # Whole rows of pixels at a time, as many as fit a chunk.
+    begin = 0
+    while begin < row.size:
+        end = int(np.searchsorted(row, row[min(begin + _CHUNK // per_side**2, row.size - 1)]))
+        end = int(np.searchsorted(row, row[begin], side="right")) if end <= begin else end
+        pixel_rows, inverse = np.unique(row[begin:end], return_inverse=True)
+        pixels = np.arange(begin, end)
+        y = (top + pixel_rows[:, None] + steps).ravel()
+        # Each pixel row comes per_side times, its samples from left to right.
+        sub = (inverse[:, None] * per_side + np.arange(per_side)).ravel()
+        owner = np.repeat(pixels, per_side)
+        order = np.argsort(sub, kind="stable")
+        sub, owner = sub[order], owner[order]
+        samples = Samples(
+            y, np.repeat(sub, per_side), (column[owner][:, None] + steps).ravel()
+        )
+        hits = visible(view, samples)
+        radiance = np.zeros((samples.x.size, 3))
+        radiance[hits.sample] = shade(lighting, hits)[0]
+        pixel = np.repeat(owner, per_side) - begin
+        for k in range(3):
+            total[begin:end, k] = np.bincount(pixel, radiance[:, k], minlength=end - begin)
+        begin = end
+    return total / per_side**2
