@@ -10,7 +10,6 @@ between the pixel centres are found however small they are.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracer.intersection import Bools
 from tracer.lighting import Lighting, shade
@@ -37,9 +36,7 @@ def antialiased(
     # A pixel more on every side: each pixel is compared with its neighbours.
     samples = grid(top - 1, bottom + 1, -1, width + 1)
     shape = (rows + 2, width + 2)
-    hits = visible(view, samples)
-    radiance, key = np.zeros((shape[0] * shape[1], 3)), np.full(shape[0] * shape[1], -1)
-    radiance[hits.sample], key[hits.sample] = shade(lighting, hits)
+    radiance, key = _traced(view, lighting, samples)
     radiance = radiance.reshape(*shape, 3)
     image = radiance[1:-1, 1:-1]
     around = radiance[:-2, 1:-1] + radiance[2:, 1:-1] + radiance[1:-1, :-2] + radiance[1:-1, 2:]
@@ -55,7 +52,17 @@ def antialiased(
     return image
 
 
-def _differ(key: NDArray[np.int64]) -> Bools:
+def _traced(view: View, lighting: Lighting, samples: Samples) -> tuple[Floats, Ints]:
+    """Radiance (n, 3) and key (n,) of samples; -1 where they see nothing."""
+    radiance, key = np.zeros((samples.x.size, 3)), np.full(samples.x.size, -1)
+    for hits in visible(view, samples):
+        values, key[hits.sample] = shade(lighting, hits)
+        for k in range(3):
+            radiance[hits.sample, k] = values[k]
+    return radiance, key
+
+
+def _differ(key: Ints) -> Bools:
     """Whether a pixel's key differs from one of its eight neighbours'."""
     high = np.maximum(np.maximum(key[:-2], key[1:-1]), key[2:])
     low = np.minimum(np.minimum(key[:-2], key[1:-1]), key[2:])
@@ -127,9 +134,7 @@ def _sampled(
         samples = Samples(
             y, np.repeat(sub, per_side), (column[owner][:, None] + steps).ravel()
         )
-        hits = visible(view, samples)
-        radiance = np.zeros((samples.x.size, 3))
-        radiance[hits.sample] = shade(lighting, hits)[0]
+        radiance = _traced(view, lighting, samples)[0]
         pixel = np.repeat(owner, per_side) - begin
         for k in range(3):
             total[begin:end, k] = np.bincount(pixel, radiance[:, k], minlength=end - begin)

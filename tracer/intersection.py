@@ -81,7 +81,10 @@ def sphere_hit(
     middle = along * s + ahead * hypot
     with np.errstate(invalid="ignore", divide="ignore"):
         root = middle + np.sqrt(length2 * half2)
-        t = np.where(power > 0, power / root, root / length2)
+        if np.ndim(power):
+            t = np.where(power > 0, power / root, root / length2)
+        else:
+            t = power / root if power > 0 else root / length2
         # Without a root all comparisons are false, and so they are behind the eye.
         t[~((t > 0) & (root > 0) & ((middle > 0) | (power <= 0)))] = np.inf
     return t

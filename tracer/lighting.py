@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracer.intersection import Bools, Triple, dot
+from tracer.groups import select, where
+from tracer.intersection import INSIDE, Bools, Triple, dot
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import LightPencil, Occluders, light_pencil, occluders_of
@@ -50,57 +50,65 @@ def lighting_of(scene: Scene, eye_inside: Bools, seen: Bools) -> Lighting:
     )
 
 
-def shade(lighting: Lighting, hits: Hits) -> tuple[Floats, NDArray[np.int64]]:
+def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
     """Radiance towards the eye, and a key of what was decided on the way.
 
     Returns
     -------
-    radiance : (n, 3)
+    radiance : three (n,)
     key : (n,)
         Equal where the same face of the same object is lit by the same lights
         (up to chance collisions, past 50 lights).
     """
     occluders, materials = lighting.occluders, lighting.materials
+    count = hits.t.size
     shader = lighting.shader[hits.owner]
-    total = np.zeros((3, hits.owner.size))
-    key = hits.owner * 4 + hits.face
+    diffuse = [table[shader] for table in materials.diffuse]
+    radiance = [np.zeros(count) for _ in range(3)]
+    key = np.full(count, hits.owner * 4 + hits.face)
     length = np.sqrt(dot(hits.direction, hits.direction))
-    view: Triple = tuple(-m / length for m in hits.direction)  # type: ignore[assignment]
-    reach = np.abs(hits.p[0]) + np.abs(hits.p[1]) + np.abs(hits.p[2]) + hits.t * length
+    reach = hits.t * length
+    for x in hits.p:
+        reach = reach + np.abs(x)
     for light, intensity in lighting.lights:
-        to_light: Triple = tuple(  # type: ignore[assignment]
-            x - m for x, m in zip(light.position, hits.p, strict=True)
-        )
-        projected = dot(hits.n, to_light)
+        key *= 2
         # Seen from inside, an object keeps out all light that is not inside as well.
-        kept_out = occluders.eye_inside & (light.side >= 0)
-        lit = np.flatnonzero((projected > 0) & ~kept_out[hits.owner])
-        to_light = tuple(m[lit] for m in to_light)  # type: ignore[assignment]
+        kept_out = occluders.eye_inside[hits.owner] & (light.side[hits.owner] != INSIDE)
+        away = [x - m for x, m in zip(light.position, hits.p, strict=True)]
+        projected = sum(m * d for m, d in zip(hits.n, away, strict=True) if np.ndim(m) or m)
+        lit = where(np.broadcast_to((projected > 0) & ~kept_out, (count,)))
+        to_light = tuple(select(d, lit) for d in away)
         blocked = light.blocked(
             occluders,
-            tuple(m[lit] for m in hits.p),  # type: ignore[arg-type]
+            tuple(select(x, lit) for x in hits.p),
             to_light,
-            hits.owner[lit],
+            select(hits.owner, lit),
             reach[lit],
         )
-        free = np.flatnonzero(~blocked)
-        lit = lit[free]
-        key *= 2
+        if blocked.any():
+            free = np.flatnonzero(~blocked)
+            lit = free if isinstance(lit, slice) else lit[free]
+            to_light = tuple(select(d, free) for d in to_light)
         key[lit] += 1
-        distance = np.sqrt(dot(*[tuple(m[free] for m in to_light)] * 2))  # type: ignore[arg-type]
-        cosine = projected[lit] / distance
-        material = shader[lit]
+        inverse = 1 / np.sqrt(dot(to_light, to_light))
+        cosine = select(projected, lit) * inverse
+        material = select(shader, lit)
         for k in range(3):
-            total[k, lit] += intensity[k] * materials.diffuse[k][material] * cosine
-        shiny = np.flatnonzero(materials.glossy[material])
-        if shiny.size:
-            at, material = lit[shiny], material[shiny]
-            power = highlight(
-                tuple(m[at] for m in hits.n),  # type: ignore[arg-type]
-                tuple(m[free[shiny]] / distance[shiny] for m in to_light),  # type: ignore[arg-type]
-                tuple(m[at] for m in view),  # type: ignore[arg-type]
-                materials.exponent[material],
-            )
-            for k in range(3):
-                total[k, at] += intensity[k] * materials.specular[k][material] * power
-    return total.T, key
+            radiance[k][lit] += (intensity[k] * select(diffuse[k], lit)) * cosine
+        glossy = materials.glossy[material]
+        if not glossy.any():
+            continue
+        at = where(np.broadcast_to(glossy, cosine.shape))
+        shiny = at if isinstance(lit, slice) else lit[at]
+        scale = inverse[at]
+        view_scale = -1 / length[shiny]
+        material = select(material, at)
+        power = highlight(
+            tuple(select(m, shiny) for m in hits.n),
+            tuple(select(d, at) * scale for d in to_light),
+            tuple(d[shiny] * view_scale for d in hits.direction),
+            materials.exponent[material],
+        )
+        for k in range(3):
+            radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
+    return (radiance[0], radiance[1], radiance[2]), key

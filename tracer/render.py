@@ -98,8 +98,9 @@ def render_bands(
         if per_side > 1:
             return antialiased(view, lighting, top, bottom, per_side)
         radiance = np.zeros(((bottom - top) * scene.width, 3))
-        hits = visible(view, grid(top, bottom, 0, scene.width))
-        radiance[hits.sample] = shade(lighting, hits)[0]
+        for hits in visible(view, grid(top, bottom, 0, scene.width)):
+            for k, values in enumerate(shade(lighting, hits)[0]):
+                radiance[hits.sample, k] = values
         return radiance.reshape(bottom - top, scene.width, 3)
 
     if threads == 1:

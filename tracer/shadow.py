@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.groups import Index, Vectors, select
 from tracer.intersection import (
     INSIDE,
     ON,
@@ -35,6 +36,8 @@ __all__ = ["LightPencil", "Occluders", "light_pencil", "occluders_of"]
 
 # Widens bounds by more than all roundings between a point and its cell.
 _SLACK = 1e-9
+
+_NONE, _MANY = -1, -2
 
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
 _CELLS_LEAST, _CELLS_MOST = 64, 1024
@@ -82,6 +85,8 @@ class LightPencil:
         Where each cell's list begins in `listed`.
     listed : (m,)
         Objects.
+    sole : (8 * cells * cells,)
+        The only object listed in a cell; `_MANY` or `_NONE`.
     near : (n,)
         Each object's least distance to the light, in the 1-norm.
     safe : (n,)
@@ -95,11 +100,12 @@ class LightPencil:
     cells: int
     first: Ints
     listed: Ints
+    sole: Ints
     near: Floats
     safe: Bools
 
     def blocked(
-        self, occluders: Occluders, p: Triple, to_light: Triple, own: Ints, reach: Floats
+        self, occluders: Occluders, p: Vectors, to_light: Vectors, own: Index, reach: Floats
     ) -> Bools:
         """Whether another object than their own keeps points from the light.
 
@@ -113,17 +119,28 @@ class LightPencil:
             Length that a point's rounding error scales with: its distances
             from the origin and from the eye.
         """
-        result = np.zeros(own.size, dtype=np.bool_)
-        asked = np.flatnonzero(~self.safe[own])
-        if not asked.size:
+        result = np.zeros(reach.size, dtype=np.bool_)
+        if isinstance(own, int) or not np.ndim(own):
+            if self.safe[own]:
+                return result
+            asked: Ints | slice = slice(None)
+        else:
+            asked = np.flatnonzero(~self.safe[own])
+        distance, cell = self._locate(tuple(select(d, asked) for d in to_light))
+        # Most cells hold nothing, or the object itself.
+        sole = self.sole[cell]
+        active = np.flatnonzero((sole != _NONE) & (sole != select(own, asked)))
+        if not active.size:
             return result
-        distance, cell = self._locate(tuple(d[asked] for d in to_light))  # type: ignore[arg-type]
+        cell = cell[active]
         first = self.first[cell]
-        counts = self.first[cell + 1] - first
-        owner, place = expand(counts)
+        owner, place = expand(self.first[cell + 1] - first)
         other = self.listed[first[owner] + place]
-        point = asked[owner]
-        keep = np.flatnonzero((other != own[point]) & (self.near[other] <= distance[owner]))
+        point = active[owner]
+        distance = distance[point]
+        if not isinstance(asked, slice):
+            point = asked[point]
+        keep = np.flatnonzero((other != select(own, point)) & (self.near[other] <= distance))
         other, point = other[keep], point[keep]
         result[point[_pairs_block(self, occluders, p, to_light, reach, other, point)]] = True
         return result
@@ -132,11 +149,9 @@ class LightPencil:
         """Distance from the light (1-norm) and cell of points, from these to the light."""
         x, y, z = (np.abs(d) for d in to_light)
         total = x + y + z
-        octant = (
-            (to_light[0] < 0).view(np.int8)
-            + 2 * (to_light[1] < 0).view(np.int8)
-            + 4 * (to_light[2] < 0).view(np.int8)
-        ).astype(np.intp)
+        octant = sum(
+            (np.asarray(d) < 0).astype(np.intp) << k for k, d in enumerate(to_light)
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
             inverse = 1 / total
             i = x * inverse * self.scale[0][octant] + self.shift[0][octant]
@@ -151,8 +166,8 @@ class LightPencil:
 def _pairs_block(
     light: LightPencil,
     occluders: Occluders,
-    p: Triple,
-    to_light: Triple,
+    p: Vectors,
+    to_light: Vectors,
     reach: Floats,
     other: Ints,
     point: Ints,
@@ -171,11 +186,11 @@ def _pairs_block(
     at = np.flatnonzero(other < spheres)
     ball, i = other[at], point[at]
     result[at] = sphere_blocks(
-        (to_light[0][i], to_light[1][i], to_light[2][i]),
+        (select(to_light[0], i), select(to_light[1], i), select(to_light[2], i)),
         (
-            surfaces.center[ball, 0] - p[0][i],
-            surfaces.center[ball, 1] - p[1][i],
-            surfaces.center[ball, 2] - p[2][i],
+            surfaces.center[ball, 0] - select(p[0], i),
+            surfaces.center[ball, 1] - select(p[1], i),
+            surfaces.center[ball, 2] - select(p[2], i),
         ),
         surfaces.radius[ball],
         tolerance[at],
@@ -186,8 +201,8 @@ def _pairs_block(
     box, i = other[at] - spheres, point[at]
     x, y, z = light.position
     result[at] = box_blocks(
-        (p[0][i], p[1][i], p[2][i]),
-        (np.full(i.size, x), np.full(i.size, y), np.full(i.size, z)),
+        (select(p[0], i), select(p[1], i), select(p[2], i)),
+        (x, y, z),
         (surfaces.min_pt[box, 0], surfaces.min_pt[box, 1], surfaces.min_pt[box, 2]),
         (surfaces.max_pt[box, 0], surfaces.max_pt[box, 1], surfaces.max_pt[box, 2]),
         tolerance[at],
@@ -305,8 +320,11 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
         listed = np.concatenate([entry[1] for entry in entries])[np.argsort(cell, kind="stable")]
     else:
         listed = np.zeros(0, dtype=np.intp)
+    many = np.diff(first)
+    sole = np.where(many == 0, _NONE, _MANY)
+    sole[many == 1] = listed[first[:-1][many == 1]]
     return LightPencil(
-        position, side, scale, shift, cells, first, listed, near * (1 - _SLACK), safe
+        position, side, scale, shift, cells, first, listed, sole, near * (1 - _SLACK), safe
     )
 
 

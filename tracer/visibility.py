@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from tracer.camera import Raster
+from tracer.groups import Index, Scalars, Vectors, select, spread
 from tracer.intersection import Bools, Triple, box_hit, sphere_hit
-from tracer.pencil import Outlines, Spans, expand
+from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Hits", "Samples", "View", "grid", "visible"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
+
+# From so many samples on, an object is worth arrays of its own, with its data as numbers.
+_LARGE = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,161 +90,243 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What is seen, one entry for each sample that meets a surface.
+    """What is seen at some samples: of one large object, or of many small ones.
+
+    What is the same for all of them is a number; the rest are arrays (n,).
 
     Attributes
     ----------
-    sample, owner : (n,)
-        Which sample, and which object it sees (spheres first).
-    face : (n,)
+    sample : (n,)
+        Which sample.
+    owner
+        Which object it sees (spheres first).
+    face
         Of a box, the axis of the face; 3 for spheres.
     t : (n,)
         Distance in units of the direction's length.
-    direction, p, n : three (n,)
+    direction, p, n : three each
         The ray's direction (not normalised), the point, put back onto the
         surface, and the unit normal towards the eye.
     """
 
     sample: Ints
-    owner: Ints
-    face: Ints
+    owner: Index
+    face: Index
     t: Floats
     direction: Triple
-    p: Triple
-    n: Triple
+    p: Vectors
+    n: Vectors
 
 
-def visible(view: View, samples: Samples) -> Hits:
+def visible(view: View, samples: Samples) -> list[Hits]:
     """Nearest surface at each sample; of exactly equal ones the first in the file."""
-    balls = _sphere_fragments(view, samples)
-    boxes = _box_fragments(view, samples)
-    nearest = np.full(samples.x.size, np.inf)
-    np.minimum.at(nearest, balls.sample, balls.t)
-    np.minimum.at(nearest, boxes.sample, boxes.t)
-    balls = balls.take(np.flatnonzero((balls.t == nearest[balls.sample]) & (balls.t < np.inf)))
-    boxes = boxes.take(np.flatnonzero((boxes.t == nearest[boxes.sample]) & (boxes.t < np.inf)))
-    spheres = len(view.surfaces.radius)
-    if balls.t.size + boxes.t.size > np.count_nonzero(nearest < np.inf):
-        order = np.concatenate([view.order[balls.owner], view.order[boxes.owner + spheres]])
-        sample = np.concatenate([balls.sample, boxes.sample])
-        ranked = np.lexsort((order, sample))
-        first = np.zeros(sample.size, dtype=np.bool_)
-        first[ranked] = np.diff(sample[ranked], prepend=-1) != 0
-        boxes = boxes.take(np.flatnonzero(first[balls.t.size :]))
-        balls = balls.take(np.flatnonzero(first[: balls.t.size]))
-    p, n = _on_spheres(view, balls)
-    q, m = _on_boxes(view, boxes)
-    return Hits(
-        np.concatenate([balls.sample, boxes.sample]),
-        np.concatenate([balls.owner, boxes.owner + spheres]),
-        np.concatenate([balls.face, boxes.face]),
-        np.concatenate([balls.t, boxes.t]),
-        _join(balls.direction, boxes.direction),
-        _join(p, q),
-        _join(n, m),
-    )
+    groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
+    # Larger than any distance, and less than the infinity of what misses.
+    nearest = np.full(samples.x.size, np.finfo(np.float64).max)
+    for group in groups:
+        if isinstance(group.owner, int):
+            nearest[group.sample] = np.minimum(nearest[group.sample], group.t)
+        else:
+            np.minimum.at(nearest, group.sample, group.t)
+    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
+    seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
+    if sum(group.t.size for group in groups) > seen:
+        groups = _first_of_equals(view, groups)
+    hits = []
+    for group in groups:
+        if group.t.size:
+            of = _sphere_hits if group.sphere else _box_hits
+            hits += of(view, group)
+    return hits
 
 
 @dataclass(frozen=True, slots=True)
 class _Fragments:
-    """Pairs (sample, object): where a ray meets an object, whatever is before it."""
+    """Pairs (sample, object): where rays meet objects, whatever is before them."""
 
+    sphere: bool
     sample: Ints
-    owner: Ints
-    face: Ints
+    owner: Index
+    axis: Ints
     t: Floats
     direction: Triple
 
-    def take(self, index: Ints) -> _Fragments:
+    def where(self, mask: Bools) -> _Fragments:
+        """Those where the mask holds."""
+        index = np.flatnonzero(mask)
+        if index.size == mask.size:
+            return self
         x, y, z = self.direction
         return _Fragments(
+            self.sphere,
             self.sample[index],
-            self.owner[index],
-            self.face[index],
+            select(self.owner, index),
+            self.axis if self.sphere else self.axis[index],
             self.t[index],
             (x[index], y[index], z[index]),
         )
 
 
-def _sphere_fragments(view: View, samples: Samples) -> _Fragments:
+def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
+    """Of fragments that share a sample, only those of the first object in the file."""
+    spheres = len(view.surfaces.radius)
+    sample = np.concatenate([group.sample for group in groups])
+    order = np.concatenate(
+        [
+            np.broadcast_to(view.order[group.owner + (0 if group.sphere else spheres)], group.t.shape)
+            for group in groups
+        ]
+    )
+    ranked = np.lexsort((order, sample))
+    first = np.zeros(sample.size, dtype=np.bool_)
+    first[ranked] = np.diff(sample[ranked], prepend=-1) != 0
+    ends = np.cumsum([group.t.size for group in groups])[:-1]
+    return [
+        group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)
+    ]
+
+
+def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, Ints]]:
+    """Spans of each large object, then of all small ones together.
+
+    Yields
+    ------
+    owner
+        The large object, or the owner (spans,) of each span.
+    spans
+        Which spans.
+    """
+    size = np.bincount(spans.owner, counts, minlength=objects)
+    large = np.flatnonzero(size >= _LARGE).tolist()
+    for owner in large:
+        yield owner, np.flatnonzero(spans.owner == owner)
+    rest = np.flatnonzero((size[spans.owner] < _LARGE) & (counts > 0))
+    if rest.size:
+        yield spans.owner[rest], rest
+
+
+def _sphere_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
     raster, lines = view.raster, view.outlines
     spans = lines.sphere_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
-    # What is constant along a row is computed once a span.
-    g = raster.down(samples.y[spans.row])
-    hypot = np.sqrt(g * g + raster.depth * raster.depth)
-    u, v, w = (m[spans.owner] for m in lines.center)
-    radius = lines.radius[spans.owner]
-    aside = (v * raster.depth - w * g) / hypot
-    ahead = (v * g + w * raster.depth) / hypot
-    chord2 = (radius - aside) * (radius + aside)
-    span, place = expand(counts)
-    sample = start[span] + place
-    s = raster.across(samples.x[sample])
-    t = sphere_hit(
-        s, hypot[span], u[span], ahead[span], chord2[span], lines.power[spans.owner][span]
-    )
-    face = np.full(sample.size, 3)
-    return _Fragments(sample, spans.owner[span], face, t, _directions(raster, s, g, span))
+    for owner, span in _groups(spans, counts, len(lines.radius)):
+        many = counts[span]
+        # What is constant along a row is computed once a span.
+        g = raster.down(samples.y[spans.row[span]])
+        hypot = np.sqrt(g * g + raster.depth * raster.depth)
+        u, v, w = (m[owner] for m in lines.center)
+        radius = lines.radius[owner]
+        aside = (v * raster.depth - w * g) / hypot
+        ahead = (v * g + w * raster.depth) / hypot
+        chord2 = (radius - aside) * (radius + aside)
+        sample = _runs(start[span], many)
+        s = raster.across(samples.x[sample])
+        t = sphere_hit(
+            s,
+            np.repeat(hypot, many),
+            spread(u, many),
+            np.repeat(ahead, many),
+            np.repeat(chord2, many),
+            spread(lines.power[owner], many),
+        )
+        d = _directions(raster, s, g, many)
+        yield _Fragments(True, sample, spread(owner, many), sample, t, d)
 
 
-def _box_fragments(view: View, samples: Samples) -> _Fragments:
+def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
     raster, surfaces = view.raster, view.surfaces
     spans = view.outlines.box_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
-    span, place = expand(counts)
-    sample = start[span] + place
-    s = raster.across(samples.x[sample])
-    d = _directions(raster, s, raster.down(samples.y[spans.row]), span)
-    low = surfaces.min_pt[spans.owner] - raster.eye
-    high = surfaces.max_pt[spans.owner] - raster.eye
-    t, face = box_hit(
-        d,
-        (low[:, 0][span], low[:, 1][span], low[:, 2][span]),
-        (high[:, 0][span], high[:, 1][span], high[:, 2][span]),
-    )
-    return _Fragments(sample, spans.owner[span], face, t, d)
+    eye = raster.eye.tolist()
+    for owner, span in _groups(spans, counts, len(surfaces.min_pt)):
+        many = counts[span]
+        sample = _runs(start[span], many)
+        g = raster.down(samples.y[spans.row[span]])
+        d = _directions(raster, raster.across(samples.x[sample]), g, many)
+        t, axis = box_hit(
+            d,
+            tuple(spread(surfaces.min_pt[owner, k] - eye[k], many) for k in range(3)),
+            tuple(spread(surfaces.max_pt[owner, k] - eye[k], many) for k in range(3)),
+        )
+        yield _Fragments(False, sample, spread(owner, many), axis, t, d)
 
 
-def _directions(raster: Raster, s: Floats, g: Floats, span: Ints) -> Triple:
+def _runs(start: Ints, counts: Ints) -> Ints:
+    """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
+    skip = start - (np.cumsum(counts) - counts)
+    runs: Ints = np.repeat(skip, counts)
+    runs += np.arange(runs.size)
+    return runs
+
+
+def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
     """Ray directions in the scene's axes, from (s, g, depth) in the camera's."""
     u, v, w = raster.axes.tolist()
-    x, y, z = (s * u[k] + (g * v[k] + raster.depth * w[k])[span] for k in range(3))
+    x, y, z = (
+        s * u[k] + np.repeat(g * v[k] + raster.depth * w[k], counts) for k in range(3)
+    )
     return x, y, z
 
 
-def _on_spheres(view: View, hits: _Fragments) -> tuple[Triple, Triple]:
+def _sphere_hits(view: View, group: _Fragments) -> list[Hits]:
     """Points and normals; the point is c + r n, so that it lies on the sphere."""
-    surfaces, eye = view.surfaces, view.raster.eye.tolist()
-    radius = surfaces.radius[hits.owner]
-    inverse = 1 / surfaces.radius[hits.owner]
-    flip = np.where(view.eye_inside[hits.owner], -1.0, 1.0)
+    surfaces, eye, owner = view.surfaces, view.raster.eye.tolist(), group.owner
+    radius = surfaces.radius[owner]
+    inverse = 1 / radius
     p, n = [], []
-    for k, d in enumerate(hits.direction):
-        center = surfaces.center[:, k]
-        normal = (hits.t * d - (center - eye[k])[hits.owner]) * inverse
-        p.append(center[hits.owner] + radius * normal)
-        n.append(flip * normal)
-    return (p[0], p[1], p[2]), (n[0], n[1], n[2])
-
-
-def _on_boxes(view: View, hits: _Fragments) -> tuple[Triple, Triple]:
-    """Points and normals; the point's coordinate is exactly that of the face."""
-    surfaces, eye = view.surfaces, view.raster.eye.tolist()
-    inside = view.eye_inside[hits.owner + len(surfaces.radius)]
-    p = [eye[k] + hits.t * d for k, d in enumerate(hits.direction)]
-    n = [np.zeros(hits.t.size) for _ in range(3)]
-    for k, d in enumerate(hits.direction):
-        at = np.flatnonzero(hits.face == k)
-        owner = hits.owner[at]
-        backward = d[at] < 0
-        p[k][at] = np.where(
-            backward != inside[at], surfaces.max_pt[owner, k], surfaces.min_pt[owner, k]
+    for k, d in enumerate(group.direction):
+        center = surfaces.center[owner, k]
+        normal = group.t * d
+        normal -= center - eye[k]
+        normal *= inverse
+        p.append(center + radius * normal)
+        n.append(normal)
+    inside = view.eye_inside[owner]
+    if inside.any():
+        flip = np.where(inside, -1.0, 1.0)
+        n = [flip * normal for normal in n]
+    return [
+        Hits(
+            group.sample,
+            owner,
+            3,
+            group.t,
+            group.direction,
+            (p[0], p[1], p[2]),
+            (n[0], n[1], n[2]),
         )
-        n[k][at] = np.where(backward, 1.0, -1.0)
-    return (p[0], p[1], p[2]), (n[0], n[1], n[2])
+    ]
 
 
-def _join(a: Triple, b: Triple) -> Triple:
-    x, y, z = (np.concatenate([i, j]) for i, j in zip(a, b, strict=True))
-    return x, y, z
+def _box_hits(view: View, group: _Fragments) -> list[Hits]:
+    """Points and normals, face by face; the point lies exactly in the face's plane."""
+    surfaces, eye = view.surfaces, view.raster.eye.tolist()
+    hits = []
+    for axis in range(3):
+        on_axis = group.axis == axis
+        if not on_axis.any():
+            continue
+        backward = group.direction[axis] < 0
+        for sign, mask in ((1.0, on_axis & backward), (-1.0, on_axis & ~backward)):
+            part = group.where(mask)
+            if not part.t.size:
+                continue
+            owner = part.owner + len(surfaces.radius)
+            inside = view.eye_inside[owner]
+            low, high = surfaces.min_pt[part.owner, axis], surfaces.max_pt[part.owner, axis]
+            p: list[Scalars] = [eye[k] + part.t * d for k, d in enumerate(part.direction)]
+            p[axis] = np.where(inside == (sign > 0), low, high)[()]
+            n = [0.0, 0.0, 0.0]
+            n[axis] = sign
+            hits.append(
+                Hits(
+                    part.sample,
+                    owner,
+                    axis,
+                    part.t,
+                    part.direction,
+                    (p[0], p[1], p[2]),
+                    (n[0], n[1], n[2]),
+                )
+            )
+    return hits
