@@ -1,0 +1,679 @@
+"""From a scene file to a :class:`~tracer.scene.Scene`: the only module that knows tags.
+
+The file is parsed as a stream, and of its tree no more than one child of
+`scene` is ever held: each is turned into numbers when it ends.  Surfaces go
+straight into flat arrays, so that a hundred thousand of them load in about the
+time that `xml.etree` takes to build its tree.
+
+Every fault of a file is found and told in a line of its own, as
+``FILE:LINE: element: what is wrong; what would be right``.  The reader holds
+against the limits below whatever it is given, so that no file can exhaust the
+memory or the reader's patience.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from array import array
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
+from typing import IO, Any, NoReturn, TypeVar
+from xml.parsers import expat
+
+import numpy as np
+
+from tracer.scene import (
+    MAX_PIXELS,
+    Camera,
+    Lambertian,
+    Phong,
+    PointLight,
+    Scene,
+    SceneError,
+    Shader,
+    Sphere,
+    Surfaces,
+)
+
+__all__ = ["SceneFileError", "load_scene"]
+
+MAX_BYTES = 1 << 28
+"""Largest scene file: 256 MiB, about two million objects."""
+MAX_TOKEN = 1 << 20
+"""Longest tag, comment or text, in bytes or characters."""
+MAX_NESTING = 64
+"""Deepest nesting, and most children of anything but the scene."""
+MAX_FAULTS = 1_000
+"""How many faults are told before the reader gives up on a file."""
+
+_CHUNK = 1 << 16
+
+# What holds numbers: tag -> parameter of the dataclass, how many numbers.
+_Fields = Mapping[str, tuple[str, int]]
+_CAMERA: _Fields = {
+    "viewPoint": ("view_point", 3),
+    "viewDir": ("view_dir", 3),
+    "viewUp": ("view_up", 3),
+    "projNormal": ("proj_normal", 3),
+    "projDistance": ("proj_distance", 1),
+    "viewWidth": ("view_width", 1),
+    "viewHeight": ("view_height", 1),
+}
+# The specification says color, the published scenes say intensity.
+_LIGHT: _Fields = {
+    "position": ("position", 3),
+    "intensity": ("intensity", 3),
+    "color": ("intensity", 3),
+}
+_LAMBERTIAN: _Fields = {"diffuseColor": ("diffuse", 3)}
+_PHONG: _Fields = {
+    **_LAMBERTIAN,
+    "specularColor": ("specular", 3),
+    "exponent": ("exponent", 1),
+}
+_SHADERS = {"Lambertian": _LAMBERTIAN, "Phong": _PHONG}
+# A shader holds no number of its own; it yields its place among the shaders.
+_SPHERE: _Fields = {"shader": ("shader", 0), "center": ("center", 3), "radius": ("radius", 1)}
+_BOX: _Fields = {"shader": ("shader", 0), "minPt": ("min_pt", 3), "maxPt": ("max_pt", 3)}
+_SURFACES = {"Sphere": _SPHERE, "Box": _BOX}
+
+_SCENE = ("camera", "image", "light", "shader", "surface")
+_CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
+
+# float() takes more than decimal numbers: 1_0, nan, infinity, digits of other scripts.
+_NUMERIC = frozenset("0123456789+-.eE \t\r\n")
+
+_UNIT_SPHERE = Sphere()
+_NAN = float("nan")
+_CODES = expat.errors.codes
+
+_Made = TypeVar("_Made")
+
+
+class SceneFileError(ValueError):
+    """A scene file with faults; the message is a line for each, in file order.
+
+    Attributes
+    ----------
+    lines : tuple of str
+        ``FILE:LINE: element: what is wrong; what would be right``, or
+        ``FILE: ...`` where there is no line.
+    """
+
+    def __init__(self, lines: Iterable[str]) -> None:
+        self.lines = tuple(lines)
+        super().__init__("\n".join(self.lines))
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or path-like
+        An XML file of at most `MAX_BYTES`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneFileError
+        If the file cannot be read, or is anything but a faultless scene.
+    """
+    reader = _Reader()
+    try:
+        with reader.opened(path) as file:
+            reader.read(file)
+        scene = reader.scene()
+        if scene is not None:
+            return scene
+    except _GiveUp:
+        pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        reader.faults.append(
+            (None, f"cannot be read: {reason}; check the path and its permissions")
+        )
+    name = printable(os.fspath(path))
+    raise SceneFileError(
+        f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
+        for line, message in sorted(reader.faults, key=lambda fault: fault[0] or 0)
+    )
+
+
+def printable(text: str) -> str:
+    """`text` in one line that any terminal can show: a new line becomes ``\\n``."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _quoted(text: str) -> str:
+    return repr(_short(text))
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """What would have been right in place of `name`."""
+    from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
+
+    names = sorted(islice(known, 256))
+    if not names:
+        return "remove it"
+    folded = {word.lower(): word for word in names}
+    for match in get_close_matches(_short(name).lower(), folded, n=1):
+        return f"did you mean {_quoted(folded[match])}?"
+    return f"known: {', '.join(map(_short, names[:9]))}{', ...' * (len(names) > 9)}"
+
+
+def _words(text: str) -> list[str]:
+    """Split at XML's white space; str.split() knows more kinds."""
+    return re.findall("[^ \t\r\n]+", text)
+
+
+def _is_decimal(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return _NUMERIC.issuperset(word)
+
+
+class _GiveUp(Exception):  # noqa: N818 - not an error: the faults are noted already
+    """The rest of the file is not worth reading."""
+
+
+class _Element:
+    """An element of the file, and the line it starts in."""
+
+    __slots__ = ("attributes", "children", "line", "tag", "text")
+
+    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
+        self.tag = tag
+        self.attributes = attributes
+        self.line = line
+        self.children: list[_Element] = []
+        self.text = ""
+
+
+class _Values:
+    """What the children of an element say, as parameters of its dataclass.
+
+    Numbers that cannot be read stand in as NaN, and their parameter is `bad`:
+    what validation says about those is dropped, for it was said already.
+    """
+
+    __slots__ = ("bad", "elements", "fields", "parameters")
+
+    def __init__(self, fields: _Fields) -> None:
+        self.fields = fields
+        self.parameters: dict[str, Any] = {}
+        self.elements: dict[str, _Element] = {}
+        self.bad: set[str] = set()
+
+    def put_nan(self, parameter: str, count: int) -> None:
+        self.bad.add(parameter)
+        self.parameters[parameter] = [_NAN] * count if count > 1 else _NAN
+
+
+class _Rows:
+    """All spheres or all boxes, in flat arrays: two fields, with their lines, and a shader."""
+
+    __slots__ = ("first", "index", "lines", "second", "shader")
+
+    def __init__(self) -> None:
+        self.first = array("d")
+        self.second = array("d")
+        self.shader = array("q")
+        self.index = array("q")
+        self.lines = array("q")
+
+
+class _Reader:
+    """Takes the parser's events; holds the scene so far, and the faults."""
+
+    def __init__(self) -> None:
+        self.faults: list[tuple[int | None, str]] = []
+        self.parser = expat.ParserCreate()
+        self.open: list[_Element] = []
+        self.root_line = 1
+        self.seen: dict[str, _Element] = {}
+        self.camera = Camera()
+        self.size = (1, 1)
+        self.lights: list[PointLight] = []
+        # A name gets its place from whoever comes first, a reference or the definition.
+        self.places: dict[str, int] = {}
+        self.shaders: list[Shader | None] = []
+        self.definitions: dict[str, int] = {}
+        # Of each reference, the place and the line.
+        self.references = array("q")
+        self.white: int | None = None
+        self.spheres = _Rows()
+        self.boxes = _Rows()
+        # (index of a surface, parameter)
+        self.bad: set[tuple[int, str]] = set()
+
+    def fault(self, line: int | None, message: str) -> None:
+        """Note a fault; at the `MAX_FAULTS`-th raise `_GiveUp`."""
+        self.faults.append((line, message))
+        if len(self.faults) == MAX_FAULTS:
+            self.give_up(line, f"{MAX_FAULTS} faults so far; mend these first")
+
+    def give_up(self, line: int | None, message: str) -> NoReturn:
+        """Note a last fault; raise `_GiveUp`."""
+        self.faults.append((line, message))
+        raise _GiveUp
+
+    def opened(self, path: str | os.PathLike[str]) -> IO[bytes]:
+        """Open a regular file: a pipe or a device may block, or never end."""
+        try:
+            status = os.stat(path)  # noqa: PTH116 - works on str and Path alike
+        except ValueError:
+            self.give_up(None, "no path has a NUL in it; check the path")
+        if stat.S_ISDIR(status.st_mode):
+            self.give_up(None, "is a folder; name a scene file in it")
+        if not stat.S_ISREG(status.st_mode):
+            self.give_up(None, "is not a regular file; save the scene to one")
+        if status.st_size == 0:
+            self.give_up(None, "is empty; a scene file holds <scene> ... </scene>")
+        if status.st_size > MAX_BYTES:
+            self.give_up(None, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+        return open(path, "rb")  # noqa: PTH123
+
+    # The parser's events
+
+    def read(self, file: IO[bytes]) -> None:
+        """Parse the file to its end, or to where it is no longer XML."""
+        parser = self.parser
+        parser.buffer_text = True
+        parser.StartElementHandler = self.start
+        parser.EndElementHandler = self.end
+        parser.CharacterDataHandler = self.text
+        parser.EntityDeclHandler = self.entity
+        parser.SkippedEntityHandler = self.entity
+        given = 0
+        try:
+            while chunk := file.read(_CHUNK):
+                parser.Parse(chunk)
+                given += len(chunk)
+                # Versions of expat before 2.6 take quadratic time over one token.
+                if given - parser.CurrentByteIndex > MAX_TOKEN:
+                    self.give_up(
+                        parser.CurrentLineNumber,
+                        f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter",
+                    )
+            parser.Parse(b"", True)
+        except expat.ExpatError as error:
+            self.give_up(
+                error.lineno,
+                f"not XML: {expat.ErrorString(error.code)} at column {error.offset + 1};"
+                f" {self.remedy(error.code, file)}",
+            )
+        except (LookupError, ValueError):  # of the codec that the file asks for
+            self.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
+
+    def remedy(self, code: int, file: IO[bytes]) -> str:
+        """What would make it XML."""
+        index = self.parser.ErrorByteIndex
+        file.seek(max(0, index - 64))
+        before = file.read(min(64, index)).rstrip()
+        at = file.read(1)
+        if before.endswith(b"=") and at.isalnum():
+            return 'put the value of an attribute in quotes, as in type="Sphere"'
+        if at >= b"\x80":
+            return "save the file as UTF-8"
+        if code == _CODES[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
+            return "nothing may follow </scene>"
+        if code == _CODES[expat.errors.XML_ERROR_INVALID_TOKEN]:
+            return "in text, < is written &lt; and & is written &amp;"
+        if code == _CODES[expat.errors.XML_ERROR_UNDEFINED_ENTITY]:
+            return "write out what the entity stands for"
+        if code == _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]:
+            return "keep one of the two"
+        if self.open:
+            return f"close <{_short(self.open[-1].tag)}> of line {self.open[-1].line}"
+        return "a scene file holds <scene> ... </scene>"
+
+    def entity(self, name: str, *_: object) -> None:
+        self.give_up(
+            self.parser.CurrentLineNumber,
+            f"entity {_quoted(name)}: entities are not allowed; write out what it stands for",
+        )
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = _Element(tag, attributes, self.parser.CurrentLineNumber)
+        depth = len(self.open)
+        if depth > 1:
+            siblings = self.open[-1].children
+            siblings.append(element)
+            if depth == MAX_NESTING or len(siblings) == MAX_NESTING:
+                self.give_up(
+                    element.line,
+                    f"{_short(self.open[-1].tag)}: more than {MAX_NESTING} elements in another",
+                )
+        elif depth == 0:
+            if tag != "scene":
+                self.give_up(element.line, f"{_short(tag)}: the root must be <scene>")
+            self.root_line = element.line
+            self.no_attributes(element)
+        self.open.append(element)
+
+    def text(self, text: str) -> None:
+        element = self.open[-1]
+        if element.tag not in _CONTAINERS:
+            element.text += text
+            if len(element.text) > MAX_TOKEN:
+                self.give_up(
+                    element.line,
+                    f"{_short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter",
+                )
+        elif not text.isspace():
+            # The event comes where the text ends; the fault is where it begins.
+            text = text.lstrip()
+            self.fault(
+                self.parser.CurrentLineNumber - text.count("\n"),
+                f"{element.tag}: stray text {_quoted(text.rstrip())}; remove it",
+            )
+
+    def end(self, tag: str) -> None:
+        element = self.open.pop()
+        if len(self.open) != 1:
+            return
+        if tag == "surface":
+            self.surface(element)
+        elif tag == "shader":
+            self.shader(element, nested=False)
+        elif tag == "light":
+            self.light(element)
+        elif tag == "camera":
+            self.once(self.seen, tag, element)
+            self.no_attributes(element)
+            self.camera = self.made(Camera, element, self.values(element, _CAMERA)) or self.camera
+        elif tag == "image":
+            self.once(self.seen, tag, element)
+            self.no_attributes(element)
+            self.image(element)
+        else:
+            self.unknown(element, "scene", _SCENE)
+
+    # The children of scene
+
+    def image(self, element: _Element) -> None:
+        self.no_children(element)
+        words = _words(element.text)
+        if len(words) != 2 or not all(re.fullmatch("[-+]?[0-9]+", word) for word in words):
+            self.fault(
+                element.line,
+                "image: needs two whole numbers, width and height, as in 640 480;"
+                f" has {_quoted(element.text.strip())}",
+            )
+        elif max(map(len, words)) > 100:  # int() refuses thousands of digits
+            self.fault(
+                element.line,
+                f"image: {_quoted(' '.join(words))} is out of range;"
+                f" from 1 to {MAX_PIXELS} pixels are allowed",
+            )
+        else:
+            self.size = (int(words[0]), int(words[1]))
+
+    def light(self, element: _Element) -> None:
+        self.no_attributes(element)
+        light = self.made(PointLight, element, self.values(element, _LIGHT, ("position",)))
+        if light is not None:
+            self.lights.append(light)
+
+    def shader(self, element: _Element, *, nested: bool) -> int:
+        """Take in a shader or a reference to one; return its place."""
+        attributes = element.attributes
+        if nested and "ref" in attributes:
+            self.no_attributes(element, ("ref",))
+            self.no_children(element)
+            place = self.place(attributes["ref"])
+            self.references.extend((place, element.line))
+            return place
+        kind = self.type_of(element, _SHADERS, ("type", "name"))
+        values = self.values(element, _SHADERS.get(kind, _PHONG))
+        shader: Shader | None = None
+        if kind == "Lambertian":
+            shader = self.made(Lambertian, element, values)
+        elif kind == "Phong":
+            shader = self.made(Phong, element, values)
+        name = attributes.get("name")
+        if name is None:
+            if not nested:
+                self.fault(element.line, 'shader: has no name; add one, as in name="white"')
+            self.shaders.append(shader)
+            return len(self.shaders) - 1
+        place = self.place(name)
+        if name in self.definitions:
+            self.fault(
+                element.line,
+                f"shader: the name {_quoted(name)} is taken by the shader in line"
+                f" {self.definitions[name]}; choose another",
+            )
+        else:
+            self.definitions[name] = element.line
+            self.shaders[place] = shader
+        return place
+
+    def place(self, name: str) -> int:
+        """Where the shader of this name is, or will be, among `shaders`."""
+        place = self.places.setdefault(name, len(self.shaders))
+        if place == len(self.shaders):
+            self.shaders.append(None)
+        return place
+
+    def surface(self, element: _Element) -> None:
+        kind = self.type_of(element, _SURFACES, ("type",))
+        if kind == "Sphere":
+            rows, first, second = self.spheres, "center", "radius"
+            values = self.values(element, _SPHERE)
+            rows.first.extend(values.parameters.get("center", _UNIT_SPHERE.center))
+            rows.second.append(values.parameters.get("radius", _UNIT_SPHERE.radius))
+        elif kind == "Box":
+            rows, first, second = self.boxes, "min_pt", "max_pt"
+            values = self.values(element, _BOX, ("minPt", "maxPt"))
+            rows.first.extend(values.parameters["min_pt"])
+            rows.second.extend(values.parameters["max_pt"])
+        else:
+            self.values(element, {**_SPHERE, **_BOX})
+            return
+        place = values.parameters.get("shader")
+        if place is None:
+            place = self.white
+            if place is None:
+                place = self.white = len(self.shaders)
+                self.shaders.append(Lambertian())
+        rows.shader.append(place)
+        for parameter in (first, second):
+            child = values.elements.get(parameter, element)
+            rows.lines.append(child.line)
+        index = len(self.spheres.index) + len(self.boxes.index)
+        rows.index.append(index)
+        for parameter in values.bad:
+            self.bad.add((index, parameter))
+
+    # What elements have in common
+
+    def values(self, element: _Element, fields: _Fields, required: tuple[str, ...] = ()) -> _Values:
+        """The parameters that the children of an element give."""
+        values = _Values(fields)
+        for child in element.children:
+            field = fields.get(child.tag)
+            if field is None:
+                self.unknown(child, element.attributes.get("type", element.tag), fields)
+                continue
+            parameter, count = field
+            if not self.once(values.elements, parameter, child):
+                continue
+            if count == 0:
+                values.parameters[parameter] = self.shader(child, nested=True)
+                continue
+            numbers = self.numbers(child, count)
+            if numbers is None:
+                values.put_nan(parameter, count)
+            else:
+                values.parameters[parameter] = numbers if count > 1 else numbers[0]
+        for tag in required:
+            parameter, count = fields[tag]
+            if parameter not in values.elements:
+                self.fault(element.line, f"{element.tag}: has no {tag}; add <{tag}>x y z</{tag}>")
+                values.put_nan(parameter, count)
+        return values
+
+    def numbers(self, element: _Element, count: int) -> list[float] | None:
+        """The numbers that an element holds, or None after a fault."""
+        if element.attributes:
+            self.no_attributes(element)
+        if element.children:
+            self.no_children(element)
+        words = element.text.split()
+        if len(words) == count and _NUMERIC.issuperset(element.text):
+            try:
+                return [*map(float, words)]
+            except ValueError:
+                pass
+        words = _words(element.text)
+        for word in words:
+            if not _is_decimal(word):
+                self.fault(
+                    element.line,
+                    f"{element.tag}: {_quoted(word)} is no decimal number;"
+                    " write it as 2, -.5 or 1e-3",
+                )
+        if len(words) != count and not element.children:
+            self.fault(
+                element.line,
+                f"{element.tag}: needs {count} number{'s' * (count > 1)}, has {len(words)}",
+            )
+        return None
+
+    def made(self, make: Callable[..., _Made], element: _Element, values: _Values) -> _Made | None:
+        """The dataclass of an element, or None after a fault."""
+        try:
+            return make(**values.parameters)
+        except SceneError as error:
+            for fault in error.faults:
+                parameter, _ = values.fields[fault.field]
+                if parameter not in values.bad:
+                    child = values.elements.get(parameter)
+                    if child is None:
+                        self.fault(element.line, f"{fault.field}: {fault.message}")
+                    else:
+                        self.fault(child.line, f"{child.tag}: {fault.message}")
+        return None
+
+    def type_of(self, element: _Element, known: Iterable[str], allowed: tuple[str, ...]) -> str:
+        """The `type` of a shader or surface; what is not `known` is a fault."""
+        self.no_attributes(element, allowed)
+        kind = element.attributes.get("type")
+        if kind is None:
+            choice = " or ".join(f'type="{name}"' for name in known)
+            self.fault(element.line, f"{element.tag}: has no type; add {choice}")
+            return ""
+        if kind not in known:
+            self.fault(
+                element.line,
+                f"{element.tag}: unknown type {_quoted(kind)}; {_nearest(kind, known)}",
+            )
+        return kind
+
+    def unknown(self, element: _Element, of: str, known: Iterable[str]) -> None:
+        self.fault(
+            element.line,
+            f"{_short(element.tag)}: unknown in {_short(of)}; {_nearest(element.tag, known)}",
+        )
+
+    def once(self, seen: dict[str, _Element], what: str, element: _Element) -> bool:
+        """Whether nothing of the kind was `seen` before; that it was is a fault."""
+        earlier = seen.setdefault(what, element)
+        if earlier is element:
+            return True
+        given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
+        self.fault(
+            element.line,
+            f"{element.tag}: {given} already, in line {earlier.line}; keep one of the two",
+        )
+        return False
+
+    def no_attributes(self, element: _Element, known: tuple[str, ...] = ()) -> None:
+        for name in element.attributes:
+            if name not in known:
+                self.fault(
+                    element.line,
+                    f"{_short(element.tag)}: unknown attribute {_quoted(name)};"
+                    f" {_nearest(name, known)}",
+                )
+
+    def no_children(self, element: _Element) -> None:
+        for child in element.children:
+            self.fault(
+                child.line,
+                f"{element.tag}: no element may stand in it; remove <{_short(child.tag)}>",
+            )
+
+    # The end
+
+    def scene(self) -> Scene | None:
+        """The scene, or None after a fault."""
+        for tag in ("camera", "image"):
+            if tag not in self.seen:
+                self.fault(self.root_line, f"scene: has no {tag}; add <{tag}> ... </{tag}>")
+        undefined = {
+            place: name for name, place in self.places.items() if name not in self.definitions
+        }
+        if undefined:
+            for place, line in zip(self.references[::2], self.references[1::2], strict=True):
+                if (name := undefined.get(place)) is not None:
+                    self.fault(
+                        line,
+                        f"shader: no shader is named {_quoted(name)}; "
+                        + (_nearest(name, self.definitions) if self.definitions else "define it"),
+                    )
+        surfaces = self.all_surfaces()
+        try:
+            scene = Scene(
+                camera=self.camera,
+                width=self.size[0],
+                height=self.size[1],
+                lights=tuple(self.lights),
+                surfaces=surfaces,
+            )
+        except SceneError as error:
+            for fault in error.faults:
+                self.fault(self.seen["image"].line, str(fault))
+        return None if self.faults else scene
+
+    def all_surfaces(self) -> Surfaces:
+        """All surfaces, checked whole; none after a fault."""
+        spheres, boxes = self.spheres, self.boxes
+        try:
+            return Surfaces(
+                center=np.asarray(spheres.first),
+                radius=np.asarray(spheres.second),
+                sphere_shader=np.asarray(spheres.shader),
+                sphere_index=np.asarray(spheres.index),
+                min_pt=np.asarray(boxes.first),
+                max_pt=np.asarray(boxes.second),
+                box_shader=np.asarray(boxes.shader),
+                box_index=np.asarray(boxes.index),
+                shaders=tuple(shader or Lambertian() for shader in self.shaders),
+            )
+        except SceneError as error:
+            for fault in error.faults:
+                rows, fields = (spheres, _SPHERE) if fault.field in _SPHERE else (boxes, _BOX)
+                parameter, _ = fields[fault.field]
+                index = fault.index or 0
+                if (index, parameter) not in self.bad:
+                    row = bisect_left(rows.index, index)
+                    self.fault(
+                        rows.lines[2 * row + (parameter in ("radius", "max_pt"))],
+                        f"{fault.field}: {fault.message}",
+                    )
+        return Surfaces()
