@@ -1,0 +1,202 @@
+"""Random scenes that are hard to get right, each from its own seed.
+
+Coordinates are small dyadic numbers wherever objects are meant to touch, so
+that they do touch exactly; the rest is drawn without such care.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
+
+__all__ = ["KINDS", "random_scene"]
+
+Vector = tuple[float, float, float]
+Surface = Sphere | Box
+
+
+def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
+    """A scene of a kind in `KINDS`; the same for the same seed."""
+    rng = np.random.default_rng([*kind.encode(), seed])
+    surfaces, target, reach = KINDS[kind](rng)
+    camera = _camera(rng, target, reach)
+    lights = [_light(rng, camera, surfaces, reach) for _ in range(rng.integers(1, 4))]
+    return Scene(camera=camera, width=width, height=height, lights=tuple(lights), surfaces=surfaces)
+
+
+def _camera(rng: np.random.Generator, target: Vector, reach: float) -> Camera:
+    """Looks at the target, often through a window that is oblique or not square."""
+    direction = _direction(rng)
+    axis_aligned = rng.random() < 0.25
+    if axis_aligned:
+        direction = np.eye(3)[rng.integers(3)] * rng.choice([-1, 1])
+    eye = np.array(target) - direction * reach
+    up = np.roll(np.abs(direction), 1) if axis_aligned else _direction(rng)
+    tilted = direction + 0.5 * _direction(rng) if rng.random() < 0.4 else None
+    return Camera(
+        view_point=_vector(eye),
+        view_dir=_vector(direction),
+        view_up=_vector(up),
+        proj_normal=None if tilted is None else _vector(tilted),
+        # From further away through a longer lens.
+        proj_distance=rng.uniform(0.5, 2) * max(1, reach / 3),
+        view_width=rng.uniform(0.3, 3),
+        view_height=rng.uniform(0.3, 2),
+    )
+
+
+def _light(
+    rng: np.random.Generator, camera: Camera, surfaces: list[Surface], reach: float
+) -> PointLight:
+    """Anywhere around; sometimes at the eye, in a sphere's centre or on a box's face."""
+    position = rng.normal(size=3) * reach
+    surface = surfaces[rng.integers(len(surfaces))]
+    where = rng.random()
+    if where < 0.1:
+        position = np.array(camera.view_point)
+    elif where < 0.2 and isinstance(surface, Sphere):
+        position = np.array(surface.center)
+    elif where < 0.3 and isinstance(surface, Box):
+        position = rng.uniform(surface.min_pt, surface.max_pt)
+        position[1] = surface.min_pt[1]
+    return PointLight(position=_vector(position), intensity=_vector(rng.uniform(0.2, 1, 3)))
+
+
+def _shader(rng: np.random.Generator) -> Shader:
+    diffuse = _vector(rng.uniform(0.1, 1, 3))
+    if rng.random() < 0.5:
+        return Lambertian(diffuse=diffuse)
+    return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=float(rng.integers(0, 60)))
+
+
+def _direction(rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def _vector(v: np.ndarray) -> Vector:
+    x, y, z = v.tolist()
+    return x, y, z
+
+
+def _dyadic(rng: np.random.Generator, low: float, high: float, size: int = 3) -> np.ndarray:
+    """Multiples of 1/8."""
+    return np.asarray(rng.integers(int(low * 8), int(high * 8) + 1, size) / 8)
+
+
+def _some(rng: np.random.Generator, count: int, spread: float) -> list[Surface]:
+    surfaces: list[Surface] = []
+    for _ in range(count):
+        center, shader = rng.uniform(-spread, spread, 3), _shader(rng)
+        size = rng.uniform(0.1, 0.9, 3) * (rng.random(3) > 0.1)  # now and then flat
+        surfaces.append(
+            Sphere(center=_vector(center), radius=rng.uniform(0.1, 1), shader=shader)
+            if rng.random() < 0.5
+            else Box(min_pt=_vector(center - size), max_pt=_vector(center + size), shader=shader)
+        )
+    return surfaces
+
+
+def _scattered(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    return _some(rng, int(rng.integers(1, 9)), 2), (0, 0, 0), rng.uniform(1, 6)
+
+
+def _touching(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """Boxes and balls standing on each other and on a floor at y = 0."""
+    surfaces: list[Surface] = [
+        Box(min_pt=(-8, -1, -8), max_pt=(8, 0, 8), shader=_shader(rng)),
+        Box(min_pt=(-8, 0, -8), max_pt=(8, 0, 8), shader=_shader(rng)),
+    ]
+    for _ in range(4):
+        x, z = _dyadic(rng, -2, 2, 2).tolist()
+        a, h, r = _dyadic(rng, 0.25, 1, 3).tolist()
+        surfaces += [
+            Box(min_pt=(x - a, 0, z - a), max_pt=(x + a, h, z + a), shader=_shader(rng)),
+            Sphere(center=(x, h + r, z), radius=r, shader=_shader(rng)),
+            Sphere(center=(x + a + r, r, z), radius=r, shader=_shader(rng)),
+            Sphere(center=(x, h + 2 * r + h, z), radius=h, shader=_shader(rng)),
+        ]
+    return surfaces, (0, 0.5, 0), rng.uniform(2, 6)
+
+
+def _nested(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """Each in the next, some touching it from inside; the eye between them."""
+    surfaces: list[Surface] = []
+    radius = 0.25
+    for _ in range(5):
+        radius *= float(rng.choice([1.5, 2, 4]))
+        away = float(rng.choice([0, 0.25])) * radius
+        surfaces += [
+            Sphere(center=(away, 0, 0), radius=radius, shader=_shader(rng)),
+            Box(
+                min_pt=(-radius, -radius, -radius),
+                max_pt=(radius, radius, radius + away),
+                shader=_shader(rng),
+            ),
+        ]
+    return surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * radius
+
+
+def _duplicated(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """All of another kind, listed twice: the copies shine like the originals."""
+    kind = [_scattered, _touching, _nested, _rooms][rng.integers(4)]
+    surfaces, target, reach = kind(rng)
+    return [*surfaces, *(surfaces[i] for i in rng.permutation(len(surfaces)))], target, reach
+
+
+def _enormous(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """Small things on the flank of a huge ball, beside a huge box."""
+    radius = float(2 ** rng.integers(10, 24))
+    surfaces = [
+        Sphere(center=(0, -radius, 0), radius=radius, shader=_shader(rng)),
+        Box(min_pt=(-radius, -3, -radius), max_pt=(radius, -2, 0), shader=_shader(rng)),
+        *_some(rng, 4, 2),
+    ]
+    return surfaces, (0, 1, 0), rng.uniform(1, 6)
+
+
+def _rooms(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """The eye inside a box or a ball, with things in it, some through its walls."""
+    size = float(_dyadic(rng, 2, 4, 1)[0])
+    room: Surface = Sphere(radius=2 * size, shader=_shader(rng))
+    if rng.random() < 0.5:
+        room = Box(min_pt=(-size,) * 3, max_pt=(size,) * 3, shader=_shader(rng))
+    return [room, *_some(rng, 5, size)], (0, 0, 0), size * rng.uniform(0.1, 0.9)
+
+
+def _far(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """Seen from up to 10^4 times their size."""
+    return _some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4)
+
+
+def _tiny(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+    """Another kind, all of it 10^-6 as large."""
+    surfaces, target, reach = _scattered(rng)
+    shrunk = [
+        replace(s, center=_vector(np.array(s.center) * 1e-6), radius=s.radius * 1e-6)
+        if isinstance(s, Sphere)
+        else replace(
+            s,
+            min_pt=_vector(np.array(s.min_pt) * 1e-6),
+            max_pt=_vector(np.array(s.max_pt) * 1e-6),
+        )
+        for s in surfaces
+    ]
+    return shrunk, target, reach * 1e-6
+
+
+Kind = Callable[[np.random.Generator], tuple[list[Surface], Vector, float]]
+KINDS: dict[str, Kind] = {
+    "scattered": _scattered,
+    "touching": _touching,
+    "nested": _nested,
+    "duplicated": _duplicated,
+    "enormous": _enormous,
+    "rooms": _rooms,
+    "far": _far,
+    "tiny": _tiny,
+}
