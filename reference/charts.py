@@ -1,0 +1,141 @@
+"""How the charts look: one style, labels beside their curves, SVG + PNG + CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patheffects import withStroke
+
+__all__ = ["HALO", "HERE", "LOOKS", "End", "label_ends", "label_losses", "plt", "save", "write_csv"]
+
+HERE = Path(__file__).parent
+
+HALO = [withStroke(linewidth=3, foreground="white")]
+"""Keeps text legible across lines."""
+
+plt.rcParams.update(
+    {
+        "font.family": "DejaVu Sans",
+        "font.size": 10,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.edgecolor": "#888888",
+        "axes.labelcolor": "#333333",
+        "axes.titlelocation": "left",
+        "axes.titlesize": 11.5,
+        "axes.titleweight": "bold",
+        "axes.grid": True,
+        "grid.color": "#e8e8e8",
+        "grid.linewidth": 0.7,
+        "xtick.color": "#555555",
+        "ytick.color": "#555555",
+        "xtick.minor.visible": False,
+        "ytick.minor.visible": False,
+        "svg.hashsalt": "pencil-tracer",
+    }
+)
+
+# Okabe and Ito's colours; every look also has its own dashes and marker, for print in grey.
+LOOKS: dict[str, dict[str, Any]] = {
+    "tracer": {"color": "#000000", "lw": 3.0, "ls": "-", "marker": "o", "ms": 5.5, "zorder": 5},
+    "a": {"color": "#d55e00", "lw": 1.6, "ls": "-", "marker": "s", "ms": 4.5},
+    "b": {"color": "#cc79a7", "lw": 1.6, "ls": "--", "marker": "D", "ms": 4},
+    "c": {"color": "#b8860b", "lw": 1.6, "ls": "-.", "marker": "v", "ms": 5},
+    "d": {"color": "#009e73", "lw": 1.6, "ls": (0, (5, 1.5, 1, 1.5, 1, 1.5)), "marker": "P"},
+    "e": {"color": "#56b4e9", "lw": 1.6, "ls": (0, (1.2, 1.2)), "marker": "X", "ms": 5},
+    "f": {"color": "#0072b2", "lw": 1.6, "ls": (0, (7, 2)), "marker": "^", "ms": 5},
+    "g": {"color": "#7b5fc4", "lw": 1.6, "ls": (0, (3, 1, 1, 1)), "marker": "<", "ms": 5},
+}
+
+
+End: TypeAlias = tuple[float, float, str, str]
+"""Where a curve ends (x, y), its name and its colour."""
+
+
+def _spread(wanted: Sequence[float], spacing: float) -> list[float]:
+    """Move sorted places as little as it takes to keep them `spacing` apart."""
+    # Places too near merge into blocks, each centred where its members want to be.
+    blocks: list[tuple[float, int]] = []
+    for place in wanted:
+        blocks.append((place, 1))
+        while len(blocks) > 1:
+            (y0, n0), (y1, n1) = blocks[-2:]
+            if y1 - y0 >= spacing * (n0 + n1) / 2:
+                break
+            blocks[-2:] = [((n0 * y0 + n1 * y1) / (n0 + n1), n0 + n1)]
+    return [y + (i - (n - 1) / 2) * spacing for y, n in blocks for i in range(n)]
+
+
+def label_ends(axes: Any, ends: Iterable[End], size: float = 9) -> None:
+    """Name curves at the right of the axes, which must have their final limits."""
+    _label(axes, sorted(ends, key=lambda end: (end[1], end[2])), 1, size)
+
+
+def label_losses(axes: Any, ends: Iterable[End], size: float = 9) -> None:
+    """Cross curves out where they leave through the top of the axes, and name them there."""
+    ends = sorted(ends)
+    for x, y, _, color in ends:
+        axes.plot(x, y, "x", color=color, ms=11, mew=3, clip_on=False, zorder=6)
+    _label(axes, ends, 0, size)
+
+
+def _label(axes: Any, ends: Sequence[End], along: int, size: float) -> None:
+    axes.figure.canvas.draw()
+    points = 72 / axes.figure.dpi
+    corner = axes.get_window_extent().max * points
+    at = [axes.transData.transform(end[:2]) * points for end in ends]
+    places = _spread([float(xy[along]) for xy in at], (1.3 if along else 2.6) * size)
+    for (x, y, text, color), xy, place in zip(ends, at, places, strict=True):
+        away = (corner[0] + 14 - xy[0], place - xy[1])
+        if not along:
+            away = (place - xy[0] + 3, corner[1] + 9 - xy[1])
+        axes.annotate(
+            text,
+            xy=(x, y),
+            xytext=away,
+            textcoords="offset points",
+            color=color,
+            fontsize=size,
+            fontweight="bold" if "tracer" in text else "normal",
+            va="center" if along else "bottom",
+            rotation=0 if along else 28,
+            rotation_mode="anchor",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": color,
+                "lw": 0.6,
+                "shrinkA": 0,
+                "shrinkB": 4,
+                "relpos": (0, 0.5 if along else 0),
+            },
+        )
+
+
+def save(figure: Any, name: str) -> None:
+    """Write a figure as SVG and PNG into this folder."""
+    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None})
+    figure.savefig(HERE / f"{name}.png", dpi=110, pil_kwargs={"optimize": True})
+    plt.close(figure)
+
+
+def write_csv(
+    name: str, machine: str, header: Sequence[str], rows: Iterable[Sequence[object]]
+) -> None:
+    """Write numbers into this folder, under a comment that names the machine."""
+    with (HERE / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        file.write(f"# {machine}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(
+            [f"{v:.4g}" if isinstance(v, (float, np.floating)) else v for v in row] for row in rows
+        )
