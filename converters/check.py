@@ -1,0 +1,303 @@
+"""Hold the tracer's picture of a scene against Mitsuba's, pixel by pixel, in linear light.
+
+Both sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs through
+a pixel's centre the two may fall on different sides of it: pixels whose value changes by more
+than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted.
+Every other pixel has to agree.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from time import perf_counter
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from converters.flavours import exact, normalisation
+from converters.variant import use
+from reference.compare import Figures, figures
+from tracer.reader import load_scene
+from tracer.render import render
+from tracer.scene import Floats, Scene
+
+__all__ = [
+    "EDGE_CHANGE",
+    "EDGE_SHIFT",
+    "MAX_MASKED",
+    "CheckResult",
+    "check",
+    "check_scene",
+    "doubts",
+    "edge_mask",
+    "render_mitsuba",
+    "tolerance",
+    "write_exr",
+]
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+EDGE_SHIFT = 0.03
+"""How far a sample moves, in pixels, to see whether an edge is near."""
+EDGE_CHANGE = 1e-2
+"""What change of linear radiance makes an edge."""
+MAX_MASKED = 0.015
+"""Largest share of a picture that may be masked."""
+MIN_SSIM = 0.999
+MAX_MEDIAN = 1e-6
+
+# Float32 leaves an error of about 5e-8 times distance / radius in a normal.
+_NEAR, _FAR = 1e-4, 3e-4
+_FAR_DISTANCE = 1000.0
+
+# So many pixels the oracle is asked at most; where more differ, Mitsuba stays the judge.
+_MOST_JUDGED = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckResult:
+    """What came of a comparison.
+
+    Attributes
+    ----------
+    name : str
+    tracer, mitsuba : (h, w, 3) float64
+        The two pictures, linear.
+    reference : (h, w, 3) float64
+        What the tracer is held against: Mitsuba's picture, but for the
+        pixels that the oracle has judged.
+    mask : (h, w) bool
+        Edge pixels, which are not compared.
+    figures : Figures
+        Of `tracer` against `reference`, outside the mask; its SSIM is of the
+        whole picture.
+    tolerance : float
+        What the largest difference is held against.
+    variant : str
+        Mitsuba's.
+    reasons : tuple of str
+        Why Mitsuba is not trusted with all of this scene.
+    judged : int
+        How many pixels the oracle has judged in Mitsuba's place.
+    tracer_seconds, mitsuba_seconds : float
+        Warm rendering times.
+    """
+
+    name: str
+    tracer: Floats
+    mitsuba: Floats
+    reference: Floats
+    mask: Bools
+    figures: Figures
+    tolerance: float
+    variant: str
+    reasons: tuple[str, ...]
+    judged: int
+    tracer_seconds: float
+    mitsuba_seconds: float
+
+    @property
+    def judged_by(self) -> str:
+        """Who has the last word on this scene."""
+        return "Mitsuba and the oracle" if self.reasons else "Mitsuba"
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is out of tolerance; nothing if the pictures agree."""
+        f = self.figures
+        share = float(self.mask.mean())
+        return tuple(
+            fault
+            for broken, fault in (
+                (not f.ssim >= MIN_SSIM, f"SSIM {f.ssim:.5f} is below {MIN_SSIM}"),
+                (
+                    not f.max <= self.tolerance,
+                    f"largest difference {f.max:.1e} exceeds {self.tolerance:.0e}",
+                ),
+                (
+                    not f.median <= MAX_MEDIAN,
+                    f"median difference {f.median:.1e} exceeds {MAX_MEDIAN:.0e}",
+                ),
+                (
+                    not share <= MAX_MASKED,
+                    f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}",
+                ),
+            )
+            if broken
+        )
+
+    def report(self) -> str:
+        """All of it in a few lines, for people."""
+        f = self.figures
+        lines = [
+            f"{self.name}: {'agrees' if not self.faults else 'DIFFERS'}",
+            f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9 % {f.p999:.1e},"
+            f" RMSE {f.rmse:.1e}, {f.over} pixels over 1e-3",
+            f"  {f.masked} pixels ({self.mask.mean():.2%}) masked: an edge within"
+            f" {EDGE_SHIFT} pixels of the centre, or a change over {EDGE_CHANGE:g} there",
+            f"  {self.variant} {self.mitsuba_seconds:.3f} s, tracer {self.tracer_seconds:.3f} s",
+        ]
+        if self.reasons:
+            lines.append(
+                f"  Mitsuba errs on this scene: {'; '.join(self.reasons)};"
+                f" the oracle judged the {self.judged} pixels that differ"
+            )
+        return "\n".join([*lines, *(f"  out of tolerance: {fault}" for fault in self.faults)])
+
+
+def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -> Floats:
+    """Render a scene with Mitsuba, in the exact flavour.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Samples a pixel: 1 takes the centre, more are stratified.
+    variant : str, optional
+        Mitsuba's variant; the fastest that works here if absent.
+
+    Returns
+    -------
+    image : (h, w, 3) float64
+        Linear RGB.
+
+    Raises
+    ------
+    ImportError
+        If the given variant does not work here.
+    """
+    return _timed_mitsuba(scene, samples, variant)[0]
+
+
+def _timed_mitsuba(scene: Scene, samples: int, variant: str | None) -> tuple[Floats, float]:
+    use(variant)
+    mi = importlib.import_module("mitsuba")
+    importlib.import_module("converters.plugins")
+    # Every run would warn that Python plugins are slow in scalar variants.
+    mi.set_log_level(mi.LogLevel.Error)
+    loaded = mi.load_string(exact(scene, samples))
+    start = perf_counter()
+    image = np.array(mi.render(loaded), dtype=np.float64)
+    return image, perf_counter() - start
+
+
+def edge_mask(scene: Scene, image: Floats) -> Bools:
+    """Pixels (h, w) near an edge: moving the sample a little changes them.
+
+    Parameters
+    ----------
+    scene : Scene
+    image : (h, w, 3) float64
+        The tracer's picture of it.
+    """
+    mask = np.zeros(image.shape[:2], dtype=np.bool_)
+    for dx, dy in product((-EDGE_SHIFT, EDGE_SHIFT), repeat=2):
+        mask |= np.abs(render(scene, offset=(dx, dy)) - image).max(axis=2) > EDGE_CHANGE
+    return mask
+
+
+def tolerance(scene: Scene) -> float:
+    """Largest difference outside the mask that float32 accounts for."""
+    place = normalisation(scene)
+    distance = float(np.linalg.norm(np.array(scene.camera.view_point) - place.center))
+    return _FAR if distance >= _FAR_DISTANCE else _NEAR
+
+
+def doubts(scene: Scene) -> tuple[str, ...]:
+    """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
+    surfaces = scene.surfaces
+    low, high = surfaces.min_pt, surfaces.max_pt
+    found = []
+    if (low == high).any():
+        found.append("zero-thickness boxes")
+    balls = np.column_stack([surfaces.center, surfaces.radius])
+    if len(np.unique(balls, axis=0)) < len(balls):
+        found.append("coincident spheres")
+    if any(_shared_faces(low, high, axis) for axis in range(3)):
+        found.append("coincident faces of boxes")
+    return tuple(found)
+
+
+def _shared_faces(low: Floats, high: Floats, axis: int) -> bool:
+    """Whether two boxes have overlapping faces in one plane across an axis."""
+    boxes = np.tile(np.arange(len(low)), 2)
+    plane = np.concatenate([low[:, axis], high[:, axis]])
+    others = [k for k in range(3) if k != axis]
+    order = np.argsort(plane, kind="stable")
+    ends = np.flatnonzero(np.diff(plane[order])) + 1
+    for group in np.split(boxes[order], ends):
+        corner, opposite = low[group][:, others], high[group][:, others]
+        for i in range(1, len(group)):
+            overlap = (corner[:i] < opposite[i]) & (corner[i] < opposite[:i])
+            if (overlap.all(axis=1) & (group[:i] != group[i])).any():
+                return True
+    return False
+
+
+def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResult:
+    """Render a scene file with both, and compare.
+
+    Raises
+    ------
+    SceneFileError
+        If the file is not a faultless scene.
+    """
+    return check_scene(load_scene(path), Path(path).stem, variant)
+
+
+def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
+    """Render a scene with both, and compare."""
+    chosen = use(variant)
+    mitsuba, _ = _timed_mitsuba(scene, 1, variant)
+    mitsuba_seconds = _timed_mitsuba(scene, 1, variant)[1]
+    render(scene)
+    start = perf_counter()
+    image = render(scene)
+    tracer_seconds = perf_counter() - start
+    mask = edge_mask(scene, image)
+    limit, reasons = tolerance(scene), doubts(scene)
+    reference, judged = mitsuba, 0
+    if reasons:
+        reference, judged = _judge(scene, image, mitsuba, mask, limit)
+    return CheckResult(
+        name=name,
+        tracer=image,
+        mitsuba=mitsuba,
+        reference=reference,
+        mask=mask,
+        figures=figures(image, reference, mask),
+        tolerance=limit,
+        variant=chosen.variant,
+        reasons=reasons,
+        judged=judged,
+        tracer_seconds=tracer_seconds,
+        mitsuba_seconds=mitsuba_seconds,
+    )
+
+
+def _judge(
+    scene: Scene, image: Floats, mitsuba: Floats, mask: Bools, limit: float
+) -> tuple[Floats, int]:
+    """Mitsuba's picture with the oracle's word where the two differ, and for how many pixels."""
+    differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > limit) & ~mask)
+    if not 0 < len(differ) <= _MOST_JUDGED:
+        return mitsuba, 0
+    # Only this needs the tests' oracle, so only this imports it.
+    oracle = importlib.import_module("tests.oracle").Oracle(scene)
+    reference = mitsuba.copy()
+    for row, column in differ.tolist():
+        reference[row, column] = oracle.judge(column + 0.5, row + 0.5).radiance
+    return reference, len(differ)
+
+
+def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
+    """Write a linear picture (h, w, 3) as float32 EXR."""
+    mi = importlib.import_module("mitsuba")
+    if mi.variant() is None:
+        use()
+    mi.Bitmap(image.astype(np.float32)).write(os.fspath(path))

@@ -1,0 +1,230 @@
+"""The small Mitsuba plugins that the exact flavour of a converted scene names.
+
+Importing this module registers them, for the current variant and again for every other that is
+set later; ``mitsuba.load_file`` then reads such a scene:
+
+>>> import mitsuba
+>>> mitsuba.set_variant("scalar_rgb")
+>>> import converters.plugins
+>>> scene = mitsuba.load_file("one-sphere.mitsuba.xml")
+
+Where no variant is set yet, importing sets the fastest one that works here.
+
+========================  ========  ====================================================
+plugin                    kind      what the stock plugins lack
+========================  ========  ====================================================
+``window``                sensor    pixels that are not square; rays that start near the
+                                    scene, computed in float64
+``unattenuated_point``    emitter   a point light that does not fall off with distance
+``blinn_phong``           bsdf      kd n.l + ks (n.h)^p, seen from both sides
+``every_light``           integrator  each light once a sample, in place of one at random
+========================  ========  ====================================================
+
+Shirley, Fundamentals of Computer Graphics, 9.1 and 9.2, has the shading.
+"""
+
+# Mitsuba's stubs describe one variant; these classes run in every one.
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import drjit as dr
+import mitsuba as mi
+
+from converters.variant import use
+
+if mi.variant() is None:
+    use()
+
+# Film coordinates are float32: a pixel's centre comes back off by up to 1e-4 pixels of 1000.
+_CENTER_SLACK = 1e-3
+
+
+def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
+    return mi.Vector3d(value[0], value[1], value[2])
+
+
+class Window(mi.Sensor):
+    """Rays from `eye` through a rectangle, started where they enter the scene's bounds.
+
+    Parameters
+    ----------
+    eye : point
+    corner, right, down : vector
+        From the eye to the window's upper left corner, and the window's upper and left edges.
+    low, high : point
+        Corners of a box around everything; rays start on it.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.eye, self.corner, self.right, self.down, self.low, self.high = (
+            _vector(props[name]) for name in ("eye", "corner", "right", "down", "low", "high")
+        )
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        """A ray through a point of the film, in float64 until it is done."""
+        size = self.film().crop_size()
+        across = self._centered(sample2.x, size[0])
+        down = self._centered(sample2.y, size[1])
+        d = dr.normalize(self.corner + across * self.right + down * self.down)
+        # The slab method; a component that is zero gives infinities of the right signs.
+        inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
+        a, b = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
+        start = dr.maximum(dr.max(dr.minimum(a, b)), 0)
+        ray = mi.Ray3f(mi.Point3f(self.eye + start * d), mi.Vector3f(d))
+        return ray, mi.Spectrum(1)
+
+    def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
+        """The same ray; no plugin here needs differentials."""
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        return mi.RayDifferential3f(ray), weight
+
+    def bbox(self):
+        """Where rays start: at the eye."""
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        """For people."""
+        return f"Window[eye={self.eye}]"
+
+    @staticmethod
+    def _centered(x: mi.Float, size: int) -> mi.Float64:
+        """A film coordinate in float64, put back on the pixel's centre where it is meant to be."""
+        pixel = mi.Float64(x) * size
+        center = dr.floor(pixel) + 0.5
+        return dr.select(dr.abs(pixel - center) < _CENTER_SLACK, center, pixel) / size
+
+
+class UnattenuatedPoint(mi.Emitter):
+    """A point light whose `intensity` arrives undiminished at any distance."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.m_flags = mi.EmitterFlags.DeltaPosition
+        self.position = mi.Point3f(_vector(props["position"]))
+        self.intensity = mi.Color3f(_vector(props["intensity"]))
+
+    def sample_direction(self, it, sample, active=True):
+        """The one direction to the light."""
+        ds = mi.DirectionSample3f()
+        ds.p = self.position
+        ds.time = it.time
+        ds.delta = True
+        ds.pdf = 1
+        ds.uv = mi.Point2f(0)
+        to_light = self.position - it.p
+        ds.dist = dr.norm(to_light)
+        ds.d = to_light / dr.select(ds.dist > 0, ds.dist, 1)
+        ds.n = mi.Normal3f(-ds.d)
+        return ds, dr.select(active, self.intensity, 0)
+
+    def eval(self, si, active=True):
+        """No ray meets a point."""
+        return mi.Spectrum(0)
+
+    def bbox(self):
+        """The point."""
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        """For people."""
+        return f"UnattenuatedPoint[position={self.position}, intensity={self.intensity}]"
+
+
+class BlinnPhong(mi.BSDF):
+    """kd n.l + ks (n.h)^exponent on both sides (`diffuse`, `specular`, `exponent`)."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.diffuse = mi.Color3f(_vector(props["diffuse"]))
+        self.specular = mi.Color3f(_vector(props["specular"]))
+        self.exponent = float(props["exponent"])
+        flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+        self.m_components = [flags]
+        self.m_flags = flags
+
+    def eval(self, ctx, si, wo, active=True):
+        """The reflected share of a light's radiance, the cosine included where it belongs."""
+        # Both sides: only whether the two directions lie on the same side matters.
+        h = dr.normalize(si.wi + wo)
+        # (n.h)^p by the sine, which float32 still knows where the cosine has become 1.
+        power = dr.exp(0.5 * self.exponent * _log1p(-(dr.square(h.x) + dr.square(h.y))))
+        value = self.diffuse * dr.abs(wo.z) + self.specular * power
+        return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
+
+    def pdf(self, ctx, si, wo, active=True):
+        """Directions are never sampled: every light is a point."""
+        return mi.Float(0)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        """Both of the above."""
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        """Nothing: every light is a point."""
+        return mi.BSDFSample3f(), mi.Spectrum(0)
+
+    def to_string(self) -> str:
+        """For people."""
+        return f"BlinnPhong[{self.diffuse}, {self.specular}, {self.exponent}]"
+
+
+def _log1p(x: mi.Float) -> mi.Float:
+    """log(1 + x) without losing the digits of a small x (Kahan)."""
+    u = 1 + x
+    return dr.select(u == 1, x, dr.log(u) * (x / (u - 1)))
+
+
+class EveryLight(mi.SamplingIntegrator):
+    """Light that comes straight from every emitter.
+
+    A shadow ray runs from the light to the point.  All shapes here are closed and convex, so
+    what such a ray meets before the point lies above the tangent plane there, and the point's own
+    object never does: the point is lit unless the first hit lies more than `tolerance` above
+    that plane.  This needs no offset from the surface, which would move the edges of shadows.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.tolerance = props.get("tolerance", 1e-5)
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        """Radiance along a ray."""
+        si = scene.ray_intersect(ray, active)
+        valid = si.is_valid()
+        if dr.none(valid):
+            return mi.Spectrum(0), False, []
+        bsdf = si.bsdf(ray)
+        total = mi.Spectrum(0)
+        for emitter in scene.emitters():
+            ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
+            value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
+            facing = valid & dr.any(value > 0)
+            shadow_ray = mi.Ray3f(ds.p, -ds.d)
+            first = scene.ray_intersect_preliminary(shadow_ray, active=facing)
+            height = (ds.dist - first.t) * dr.abs(dr.dot(ds.d, si.n))
+            lit = facing & (height <= self.tolerance)
+            total += dr.select(lit, value * intensity, 0)
+        return total, valid, []
+
+    def to_string(self) -> str:
+        """For people."""
+        return f"EveryLight[tolerance={self.tolerance}]"
+
+
+mi.register_sensor("window", Window)
+mi.register_emitter("unattenuated_point", UnattenuatedPoint)
+mi.register_bsdf("blinn_phong", BlinnPhong)
+mi.register_integrator("every_light", EveryLight)
+
+# The base classes belong to a variant: when another one is set, define everything again.
+if "_define_again" not in globals():
+
+    def _define_again(_old: str | None, _new: str | None) -> None:
+        importlib.reload(sys.modules[__name__])
+
+    mi.detail.add_variant_callback(_define_again)

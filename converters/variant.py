@@ -1,0 +1,95 @@
+"""Which Mitsuba variant this machine can run: LLVM where it works, else scalar.
+
+The ``llvm_ad_rgb`` variant needs a shared libLLVM.  Without one Mitsuba says so, but with some
+versions (15 and 16, for instance) the whole process is aborted by the first kernel.  So a child
+process tries a small kernel first, once for each process that asks.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+
+import mitsuba as mi
+
+__all__ = ["LLVM", "SCALAR", "Choice", "choose", "use"]
+
+LLVM = "llvm_ad_rgb"
+SCALAR = "scalar_rgb"
+
+# The two things that unusable versions are known to stumble over: a maximum, and a ray query.
+_KERNEL = f"""
+import drjit as dr
+import mitsuba as mi
+mi.set_variant({LLVM!r})
+scene = mi.load_dict({{"type": "scene", "shape": {{"type": "sphere"}}}})
+x = dr.maximum(dr.linspace(mi.Float, -.5, .5, 64), 0)
+hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0, 3), mi.Vector3f(0, 0, -1)))
+assert abs(dr.mean(hit.t)[0] - 2) < .1
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A variant, and why it was chosen."""
+
+    variant: str
+    reason: str
+
+
+def choose(kernel: str = _KERNEL) -> Choice:
+    """The fastest variant that works here.
+
+    Parameters
+    ----------
+    kernel : str
+        Python code that the child process runs; it must end with status 0 where LLVM works.
+    """
+    # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
+    with tempfile.TemporaryDirectory() as home:
+        try:
+            child = subprocess.run(
+                [sys.executable, "-c", kernel],
+                env=os.environ | {"HOME": home},
+                capture_output=True,
+                text=True,
+                timeout=60,
+            )
+        except subprocess.TimeoutExpired:
+            return Choice(SCALAR, "the libLLVM found here hangs")
+    if child.returncode == 0:
+        return Choice(LLVM, "libLLVM works")
+    if child.returncode < 0:
+        name = signal.Signals(-child.returncode).name
+        return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
+    return Choice(SCALAR, f"no usable libLLVM: {_last(child.stderr)}")
+
+
+def _last(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1].strip() if lines else "it said nothing"
+
+
+_chosen = cache(choose)
+
+
+def use(variant: str | None = None) -> Choice:
+    """Make a variant Mitsuba's current one: the given one, or the fastest that works.
+
+    Raises
+    ------
+    ImportError
+        If the given variant does not work here.
+    """
+    choice = _chosen()
+    if variant is not None and variant != choice.variant:
+        if variant == LLVM:
+            raise ImportError(f"{LLVM} does not work here: {choice.reason}")
+        choice = Choice(variant, "asked for")
+    mi.set_variant(choice.variant)
+    return choice
