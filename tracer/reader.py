@@ -391,14 +391,15 @@ class _Reader:
             self.shader(element, nested=False)
         elif tag == "light":
             self.light(element)
-        elif tag == "camera":
-            self.once(self.seen, tag, element)
+        elif tag in ("camera", "image"):
+            earlier = self.seen.setdefault(tag, element)
+            if earlier is not element:
+                self.repeated(element, earlier)
             self.no_attributes(element)
-            self.camera = self.made(Camera, element, self.values(element, _CAMERA)) or self.camera
-        elif tag == "image":
-            self.once(self.seen, tag, element)
-            self.no_attributes(element)
-            self.image(element)
+            if tag == "camera":
+                self.camera = self.made(Camera, element, self.values(element, _CAMERA)) or Camera()
+            else:
+                self.image(element)
         else:
             self.unknown(element, "scene", _SCENE)
 
@@ -510,7 +511,9 @@ class _Reader:
                 self.unknown(child, element.attributes.get("type", element.tag), fields)
                 continue
             parameter, count = field
-            if not self.once(values.elements, parameter, child):
+            earlier = values.elements.setdefault(parameter, child)
+            if earlier is not child:
+                self.repeated(child, earlier)
                 continue
             if count == 0:
                 values.parameters[parameter] = self.shader(child, nested=True)
@@ -590,17 +593,12 @@ class _Reader:
             f"{_short(element.tag)}: unknown in {_short(of)}; {_nearest(element.tag, known)}",
         )
 
-    def once(self, seen: dict[str, _Element], what: str, element: _Element) -> bool:
-        """Whether nothing of the kind was `seen` before; that it was is a fault."""
-        earlier = seen.setdefault(what, element)
-        if earlier is element:
-            return True
+    def repeated(self, element: _Element, earlier: _Element) -> None:
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
         self.fault(
             element.line,
             f"{element.tag}: {given} already, in line {earlier.line}; keep one of the two",
         )
-        return False
 
     def no_attributes(self, element: _Element, known: tuple[str, ...] = ()) -> None:
         for name in element.attributes:
