@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tracer.camera import Raster
 from tracer.groups import select, where
 from tracer.intersection import INSIDE, Bools, Triple, dot
 from tracer.scene import Floats, Ints, Scene
@@ -35,10 +36,10 @@ class Lighting:
     materials: Materials
 
 
-def lighting_of(scene: Scene, eye_inside: Bools, seen: Bools) -> Lighting:
+def lighting_of(scene: Scene, raster: Raster, eye_inside: Bools, seen: Bools) -> Lighting:
     """Prepare a scene's lights; of its objects, `seen` (n,) may be in the picture."""
     surfaces = scene.surfaces
-    occluders = occluders_of(surfaces, eye_inside, seen)
+    occluders = occluders_of(raster, surfaces, eye_inside, seen)
     return Lighting(
         tuple(
             (light_pencil(light.position, occluders), np.array(light.intensity))
@@ -76,6 +77,11 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
         kept_out = occluders.eye_inside[hits.owner] & (light.side[hits.owner] != INSIDE)
         away = [x - m for x, m in zip(light.position, hits.p, strict=True)]
         projected = sum(m * d for m, d in zip(hits.n, away, strict=True) if np.ndim(m) or m)
+        if not np.ndim(projected):
+            # A whole plane at once: it faces the light or it does not.
+            if projected <= 0 or kept_out:
+                continue
+            projected = float(projected)
         lit = where(np.broadcast_to((projected > 0) & ~kept_out, (count,)))
         to_light = tuple(select(d, lit) for d in away)
         blocked = light.blocked(
@@ -84,6 +90,7 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
             to_light,
             select(hits.owner, lit),
             reach[lit],
+            hits.plane,
         )
         if blocked.any():
             free = np.flatnonzero(~blocked)

@@ -23,7 +23,7 @@ from tracer.visibility import View, grid, visible
 
 __all__ = ["render", "render_bands"]
 
-_BAND_PIXELS = 1 << 15
+_BAND_PIXELS = 1 << 17
 _BANDS_WORTH_THREADS = 4
 
 
@@ -151,4 +151,4 @@ def _prepare(scene: Scene, offset: tuple[float, float]) -> tuple[View, Lighting]
         eye_inside=np.concatenate([lines.power <= 0, in_box]),
         order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
     )
-    return view, lighting_of(scene, view.eye_inside, lines.in_picture())
+    return view, lighting_of(scene, raster, view.eye_inside, lines.in_picture())

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.camera import Raster
 from tracer.groups import Index, Vectors, select
 from tracer.intersection import (
     INSIDE,
@@ -30,12 +31,16 @@ from tracer.intersection import (
     sphere_side,
 )
 from tracer.pencil import box_corners, expand, silhouette_planes
+from tracer.planar import Plane, shade_intervals
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["LightPencil", "Occluders", "light_pencil", "occluders_of"]
 
 # Widens bounds by more than all roundings between a point and its cell.
 _SLACK = 1e-9
+
+# Intervals on a plane's rows pay when they are this many times fewer than samples.
+_PLANE_WORTH = 8
 
 _NONE, _MANY = -1, -2
 
@@ -49,6 +54,8 @@ class Occluders:
 
     Attributes
     ----------
+    raster : Raster
+        The rays they are seen by.
     surfaces : Surfaces
     eye_inside : (n,)
         Which of them are seen from inside.
@@ -60,6 +67,7 @@ class Occluders:
         What a sphere's tolerance, or a box's, scales with.
     """
 
+    raster: Raster
     surfaces: Surfaces
     eye_inside: Bools
     seen: Bools
@@ -91,6 +99,8 @@ class LightPencil:
         Each object's least distance to the light, in the 1-norm.
     safe : (n,)
         Objects none of whose points any other object can keep from the light.
+    silhouettes : three (6, B)
+        Planes through the light around every box.
     """
 
     position: tuple[float, float, float]
@@ -103,9 +113,16 @@ class LightPencil:
     sole: Ints
     near: Floats
     safe: Bools
+    silhouettes: Triple
 
     def blocked(
-        self, occluders: Occluders, p: Vectors, to_light: Vectors, own: Index, reach: Floats
+        self,
+        occluders: Occluders,
+        p: Vectors,
+        to_light: Vectors,
+        own: Index,
+        reach: Floats,
+        plane: Plane | None = None,
     ) -> Bools:
         """Whether another object than their own keeps points from the light.
 
@@ -118,10 +135,29 @@ class LightPencil:
         reach
             Length that a point's rounding error scales with: its distances
             from the origin and from the eye.
+        plane
+            The plane on which all the points lie, if they do.
         """
         result = np.zeros(reach.size, dtype=np.bool_)
         if isinstance(own, int) or not np.ndim(own):
             if self.safe[own]:
+                return result
+            count = len(occluders.surfaces)
+            if plane and count * plane.g.size * _PLANE_WORTH <= reach.size:
+                others = np.delete(np.arange(count), own)
+                shade = shade_intervals(
+                    occluders.raster,
+                    plane,
+                    np.array(self.position),
+                    occluders.surfaces,
+                    others,
+                    self.silhouettes,
+                )
+                result |= shade.certain
+                tried = _pairs_block(
+                    self, occluders, p, to_light, reach, shade.occluder, shade.sample
+                )
+                result[shade.sample[tried]] = True
                 return result
             asked: Ints | slice = slice(None)
         else:
@@ -210,7 +246,9 @@ def _pairs_block(
     return result
 
 
-def occluders_of(surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluders:
+def occluders_of(
+    raster: Raster, surfaces: Surfaces, eye_inside: Bools, seen: Bools
+) -> Occluders:
     """Gather spheres and boxes."""
     center, radius = surfaces.center.T, surfaces.radius
     low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
@@ -221,7 +259,7 @@ def occluders_of(surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluder
             np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt)).sum(axis=1),
         ]
     )
-    return Occluders(surfaces, eye_inside, seen, low, high, size)
+    return Occluders(raster, surfaces, eye_inside, seen, low, high, size)
 
 
 def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> LightPencil:
@@ -308,11 +346,16 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
         # Sums over rectangles at once: is there anything listed but the object itself?
         total = np.zeros((cells + 1, cells + 1), dtype=np.intp)
         total[1:, 1:] = hits[octant].cumsum(axis=0).cumsum(axis=1)
-        within = (
-            total[i1 + 1, j1 + 1] - total[i0, j1 + 1] - total[i1 + 1, j0] + total[i0, j0]
+        within = np.zeros(at.size, dtype=np.intp)
+        within[may] = -np.bincount(owner, minlength=may.size)
+        west, east, north, south = (m[receivers] for m in (i0, i1, j0, j1))
+        others = within[receivers] + (
+            total[east + 1, south + 1]
+            - total[west, south + 1]
+            - total[east + 1, north]
+            + total[west, north]
         )
-        within[may] -= np.bincount(owner, minlength=may.size)
-        safe[at[receivers]] &= within[receivers] <= 0
+        safe[at[receivers]] &= others <= 0
     first = np.zeros(8 * cells * cells + 1, dtype=np.intp)
     np.cumsum(hits, out=first[1:])
     if entries:
@@ -324,7 +367,7 @@ def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> 
     sole = np.where(many == 0, _NONE, _MANY)
     sole[many == 1] = listed[first[:-1][many == 1]]
     return LightPencil(
-        position, side, scale, shift, cells, first, listed, sole, near * (1 - _SLACK), safe
+        position, side, scale, shift, cells, first, listed, sole, near * (1 - _SLACK), safe, normals
     )
 
 

@@ -11,6 +11,7 @@ from tracer.camera import Raster
 from tracer.groups import Index, Scalars, Vectors, select, spread
 from tracer.intersection import Bools, Triple, box_hit, sphere_hit
 from tracer.pencil import Outlines, Spans
+from tracer.planar import Plane
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Hits", "Samples", "View", "grid", "visible"]
@@ -107,6 +108,8 @@ class Hits:
     direction, p, n : three each
         The ray's direction (not normalised), the point, put back onto the
         surface, and the unit normal towards the eye.
+    plane : Plane, optional
+        The samples' rows on the plane of a large box's face.
     """
 
     sample: Ints
@@ -116,6 +119,7 @@ class Hits:
     direction: Triple
     p: Vectors
     n: Vectors
+    plane: Plane | None = None
 
 
 def visible(view: View, samples: Samples) -> list[Hits]:
@@ -136,7 +140,7 @@ def visible(view: View, samples: Samples) -> list[Hits]:
     for group in groups:
         if group.t.size:
             of = _sphere_hits if group.sphere else _box_hits
-            hits += of(view, group)
+            hits += of(view, samples, group)
     return hits
 
 
@@ -268,7 +272,7 @@ def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
     return x, y, z
 
 
-def _sphere_hits(view: View, group: _Fragments) -> list[Hits]:
+def _sphere_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
     """Points and normals; the point is c + r n, so that it lies on the sphere."""
     surfaces, eye, owner = view.surfaces, view.raster.eye.tolist(), group.owner
     radius = surfaces.radius[owner]
@@ -298,7 +302,7 @@ def _sphere_hits(view: View, group: _Fragments) -> list[Hits]:
     ]
 
 
-def _box_hits(view: View, group: _Fragments) -> list[Hits]:
+def _box_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
     """Points and normals, face by face; the point lies exactly in the face's plane."""
     surfaces, eye = view.surfaces, view.raster.eye.tolist()
     hits = []
@@ -318,6 +322,9 @@ def _box_hits(view: View, group: _Fragments) -> list[Hits]:
             p[axis] = np.where(inside == (sign > 0), low, high)[()]
             n = [0.0, 0.0, 0.0]
             n[axis] = sign
+            plane = None
+            if not np.ndim(owner) and part.t.size >= _LARGE:
+                plane = _plane(view.raster, samples, part.sample, axis, float(p[axis]))
             hits.append(
                 Hits(
                     part.sample,
@@ -327,6 +334,19 @@ def _box_hits(view: View, group: _Fragments) -> list[Hits]:
                     part.direction,
                     (p[0], p[1], p[2]),
                     (n[0], n[1], n[2]),
+                    plane,
                 )
             )
     return hits
+
+
+def _plane(raster: Raster, samples: Samples, sample: Ints, axis: int, level: float) -> Plane:
+    row = samples.row[sample]
+    first = np.flatnonzero(np.diff(row, prepend=-1))
+    return Plane(
+        axis,
+        level,
+        raster.across(samples.x[sample]),
+        raster.down(samples.y[row[first]]),
+        np.append(first, row.size),
+    )
