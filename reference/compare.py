@@ -1,0 +1,263 @@
+"""Compare two pictures: figures, a three-part picture, and the kind of difference.
+
+``python -m reference.compare A.png B.png`` holds A against B, the right one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from reference.diagnosis import GAMMA, Floats, diagnose, linear
+
+__all__ = ["Figures", "figures", "main", "write_comparison"]
+
+_Mask: TypeAlias = NDArray[np.bool_]
+
+# SSIM's window (Z. Wang et al., Image quality assessment, IEEE TIP 13(4), 2004).
+_WINDOW = 7
+# Pixels further apart than this, in linear light, are counted.
+_OVER = 1e-3
+# Smaller panels are enlarged, pixel by pixel, so that their labels fit.
+_PANEL = 300
+_MARGIN, _LABEL = 8, 24
+_PAPER, _INK = (250, 250, 250), (30, 30, 30)
+# Colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008).
+_BRIGHTER, _DARKER = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """How far apart two pictures are.
+
+    Attributes
+    ----------
+    ssim : float
+        Mean structural similarity of the displayed pictures, masked pixels included.
+    max, p999, median : float
+        Largest, 99.9th percentile and median of the pixels' differences in
+        linear light, each pixel's the largest of its channels'.
+    rmse : float
+        Root mean square of the linear difference over pixels and channels.
+    over : int
+        Pixels that differ by more than 1e-3.
+    masked : int
+        Pixels left out of everything but `ssim`.
+    """
+
+    ssim: float
+    max: float
+    p999: float
+    rmse: float
+    median: float
+    over: int
+    masked: int
+
+    def __str__(self) -> str:
+        text = (
+            f"SSIM {self.ssim:.6f}   max {self.max:.2e}   p99.9 {self.p999:.2e}"
+            f"   RMSE {self.rmse:.2e}   median {self.median:.2e}   over 1e-3: {self.over}"
+        )
+        return text + (f"   masked: {self.masked}" if self.masked else "")
+
+
+def figures(a: Floats, b: Floats, mask: _Mask | None = None) -> Figures:
+    """Measure how far apart two pictures are.
+
+    Parameters
+    ----------
+    a, b : (h, w, 3) float
+        Linear radiance.
+    mask : (h, w) bool, optional
+        Pixels to leave out.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, a value is not finite, or every pixel is masked.
+    """
+    from skimage.metrics import structural_similarity
+
+    if a.shape != b.shape:
+        raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("a picture holds values that are not finite")
+    kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
+    if not kept.any():
+        raise ValueError("every pixel is masked")
+    short = [max(_WINDOW - size, 0) for size in a.shape[:2]]
+    shown = [
+        np.pad(_displayed(image), ((0, short[0]), (0, short[1]), (0, 0)), mode="edge")
+        for image in (a, b)
+    ]
+    ssim = structural_similarity(*shown, win_size=_WINDOW, channel_axis=2, data_range=1.0)
+    difference = np.abs(a - b)[kept]
+    pixels = difference.max(axis=1)
+    return Figures(
+        ssim=float(ssim),
+        max=float(pixels.max()),
+        p999=float(np.percentile(pixels, 99.9)),
+        rmse=float(np.sqrt(np.mean(difference**2))),
+        median=float(np.median(pixels)),
+        over=int(np.count_nonzero(pixels > _OVER)),
+        masked=int(kept.size - pixels.size),
+    )
+
+
+def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
+    """Write a PNG of three parts: A, B and the difference, amplified.
+
+    Parameters
+    ----------
+    path : str or Path
+    a, b : (h, w, 3) float
+        Linear radiance.
+    labels : (str, str)
+        What A and B are.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+    OSError
+        If the file cannot be written.
+    """
+    if a.shape != b.shape:
+        raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
+    shown, gain = amplified(a, b)
+    titles = (*labels, f"difference × {gain:g}" if gain else "no difference")
+    height, width = a.shape[:2]
+    zoom = -(-_PANEL // width)
+    panel_width, panel_height = width * zoom, height * zoom
+    sheet = Image.new(
+        "RGB",
+        (3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL),
+        _PAPER,
+    )
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
+    for k, (image, title) in enumerate(
+        zip((_displayed(a), _displayed(b), shown), titles, strict=True)
+    ):
+        left = _MARGIN + k * (panel_width + _MARGIN)
+        panel = Image.fromarray(np.round(255 * image).astype(np.uint8))
+        panel = panel.resize((panel_width, panel_height), Image.Resampling.NEAREST)
+        sheet.paste(panel, (left, _MARGIN + _LABEL))
+        draw.text((left, _MARGIN), title, fill=_INK, font=font)
+    if gain:
+        legend = f"orange: {labels[0]} is brighter, blue: darker"
+        draw.text((left, _MARGIN + _LABEL + panel_height + 4), legend, fill=_INK, font=font)
+    sheet.save(path, format="PNG")
+
+
+def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
+    """The difference as a picture, and by how much it is amplified.
+
+    Returns
+    -------
+    image : (h, w, 3)
+        In 0 ... 1: orange where A is brighter, blue where it is darker.
+    gain : float
+        1, 2 or 5 times a power of ten, such that the largest difference is
+        nearly full; 0 if there is none.
+    """
+    difference = a - b
+    strongest = np.abs(difference).argmax(axis=2)[:, :, None]
+    signed = np.take_along_axis(difference, strongest, axis=2)
+    largest = float(np.abs(signed).max())
+    if largest == 0:
+        return np.zeros(a.shape), 0.0
+    power = 10.0 ** np.floor(np.log10(1 / largest))
+    gain = max(k * power for k in (1, 2, 5) if k * power * largest <= 1)
+    bright, dark = np.maximum(signed, 0) * _BRIGHTER, np.maximum(-signed, 0) * _DARKER
+    return gain * (bright + dark), gain
+
+
+def _displayed(image: Floats) -> Floats:
+    """What a screen is given, in 0 ... 1."""
+    shown: Floats = np.clip(image, 0, 1) ** (1 / GAMMA)
+    return shown
+
+
+def read_picture(path: str | Path) -> NDArray[np.uint8]:
+    """Read a picture of 8 bits a channel as codes (h, w, 3).
+
+    What is transparent in it is black, as where a scene has nothing.
+
+    Raises
+    ------
+    OSError, ValueError
+        If it cannot be read, or has more than 8 bits a channel.
+    """
+    with Image.open(path) as image:
+        if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
+            raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
+        rgba = image.convert("RGBA")
+    black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
+    return np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m reference.compare",
+        description="Hold picture A against B, the right one: figures in linear light, the kind"
+        " of difference, and a picture of A, B and the difference.",
+        epilog="Exit status: 0 within the tolerances, 1 beyond them, 2 wrong usage or a picture"
+        " that cannot be read.  Without a tolerance any difference is beyond.",
+    )
+    parser.add_argument("a", metavar="A.png", type=Path, help="the picture in question")
+    parser.add_argument("b", metavar="B.png", type=Path, help="the right one")
+    parser.add_argument("--ssim", type=float, metavar="S", help="least SSIM that is within")
+    parser.add_argument(
+        "--max", type=float, metavar="M", help="largest linear difference that is within"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="PATH", help="the comparison (A.compare.png)"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    codes = []
+    for path in (options.a, options.b):
+        try:
+            codes.append(read_picture(path))
+        except (OSError, ValueError, Image.DecompressionBombError) as error:
+            reason = getattr(error, "strerror", None) or error
+            print(f"{path}: cannot be read: {reason}", file=sys.stderr)
+            return 2
+    diagnosis = diagnose(*codes)
+    if codes[0].shape != codes[1].shape:
+        print(diagnosis.text)
+        return 1
+    a, b = (linear(picture) for picture in codes)
+    result = figures(a, b)
+    output = options.output or options.a.with_suffix(".compare.png")
+    try:
+        write_comparison(output, a, b, (options.a.name, options.b.name))
+    except OSError as error:
+        print(f"{output}: cannot be written: {error.strerror or error}", file=sys.stderr)
+        return 2
+    print(result)
+    print(diagnosis.text)
+    print(output)
+    if options.ssim is None and options.max is None:
+        return int(diagnosis.kind != "identical")
+    within = (options.ssim is None or result.ssim >= options.ssim) and (
+        options.max is None or result.max <= options.max
+    )
+    return int(not within)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

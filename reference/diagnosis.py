@@ -1,0 +1,319 @@
+"""Which kind of difference lies between two pictures, in words.
+
+Each kind that can be predicted from the right picture is a hypothesis: for
+every pixel and channel an interval of 8-bit codes in which the other picture's
+would lie.  The hypothesis that leaves the fewest pixels unexplained is the
+diagnosis, if it leaves few enough.  What is left is told by where the
+difference lies, which sign it has, and whether it ends sharply or fades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Diagnosis", "diagnose", "linear"]
+
+Floats: TypeAlias = NDArray[np.float64]
+Codes: TypeAlias = NDArray[np.int16]
+_Bools: TypeAlias = NDArray[np.bool_]
+
+GAMMA = 2.2
+
+# A hypothesis may leave so many pixels unexplained for each that differs.
+_EXACT, _SUBPIXEL = 0.02, 0.1
+# Neighbours further apart than this, in codes, have an edge between them.
+_EDGE = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The kind of a difference.
+
+    Attributes
+    ----------
+    kind : str
+        A keyword, such as ``"gamma"``.
+    text : str
+        A sentence about A, taking B as the right one.
+    """
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Hypothesis:
+    """What A would be: a code between `low` and `high` in every place, (h, w, 3)."""
+
+    kind: str
+    text: str
+    low: NDArray[np.floating]
+    high: NDArray[np.floating]
+
+
+def linear(codes: NDArray[np.generic]) -> Floats:
+    """Linear light of 8-bit codes: the inverse of the format's gamma of 2.2."""
+    light: Floats = (np.asarray(codes, dtype=np.float64) / 255) ** GAMMA
+    return light
+
+
+def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
+    """Tell which kind of difference lies between A and the right picture, B.
+
+    Parameters
+    ----------
+    a, b : (h, w, 3) uint8
+        Their sizes may differ.
+    """
+    if a.shape != b.shape:
+        return _sizes(a.shape, b.shape)
+    x, y = a.astype(np.int16), b.astype(np.int16)
+    difference = np.abs(x - y)
+    if not difference.any():
+        return Diagnosis("identical", "The pictures are identical.")
+    if difference.max() == 1:
+        return _rounding(x, y)
+    differing = int(np.count_nonzero((difference > 1).any(axis=2)))
+    best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
+    if _unexplained(x, best) <= _EXACT * differing:
+        return Diagnosis(best.kind, best.text)
+    moved = _moved(x, y)
+    if moved is not None and _unexplained(x, moved) <= _SUBPIXEL * differing:
+        return Diagnosis(moved.kind, moved.text)
+    return _regional(x, y)
+
+
+def _sizes(a: tuple[int, ...], b: tuple[int, ...]) -> Diagnosis:
+    text = f"Different sizes: A has {a[1]}x{a[0]} pixels, B {b[1]}x{b[0]}"
+    if a[:2] == b[1::-1]:
+        text += "; width and height are swapped"
+    elif a[0] * b[1] == a[1] * b[0]:
+        text += f"; of the same shape, A {a[0] / b[0]:.3g} times as large"
+    return Diagnosis("size", text + ".")
+
+
+def _rounding(a: Codes, b: Codes) -> Diagnosis:
+    """At most one level apart."""
+    changed = (a != b).any(axis=2)
+    count, lit = int(np.count_nonzero(changed)), int(np.count_nonzero(b.any(axis=2)))
+    if count < 0.01 * lit:
+        some = "One pixel differs" if count == 1 else f"{count} pixels differ"
+        return Diagnosis("rounding", f"{some} by one level: rounding, nothing to worry about.")
+    if (a <= b).all():
+        return Diagnosis(
+            "cut off", "One level of rounding: A is cut off where it should be rounded."
+        )
+    if (a >= b).all():
+        return Diagnosis(
+            "cut off", "One level of rounding: B is cut off, or A rounded up, in place of rounded."
+        )
+    return Diagnosis(
+        "rounding", "One level of rounding, up and down: 255 is not the factor, or noise was added."
+    )
+
+
+def _unexplained(a: Codes, guess: _Hypothesis) -> int:
+    outside = (a < guess.low) | (a > guess.high)
+    return int(np.count_nonzero(outside.any(axis=2)))
+
+
+def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
+    """What moves whole pixels or maps each level to another."""
+    for kind, text, image in (
+        ("mirrored", "A is mirrored: left and right are swapped.", b[:, ::-1]),
+        ("flipped", "A is upside down: row 0 should be the top.", b[::-1]),
+        ("turned", "A is turned by 180 degrees.", b[::-1, ::-1]),
+        ("channels", "Red and blue are swapped in A.", b[:, :, ::-1]),
+        ("inverted", "A is the negative of B.", 255 - b),
+    ):
+        yield _Hypothesis(kind, text, image - 1.0, image + 1.0)
+    steps = (-2, -1, 0, 1, 2)
+    for right in steps:
+        for down in steps:
+            if right or down:
+                text = f"A is shifted by {_way(right, down)}."
+                yield _Hypothesis("shifted", text, *_around(b, [(right, down)]))
+    yield from _tones(a, b)
+
+
+def _tones(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
+    """Levels that are mapped to other levels."""
+    # B's light is known to within the half level by which it was rounded.
+    low, high = linear(np.maximum(b - 0.5, 0)), linear(b + 0.5)
+
+    def tone(kind: str, text: str, curve: Callable[[Floats], Floats]) -> _Hypothesis:
+        levels = [np.round(255 * np.clip(curve(light), 0, 1)) for light in (low, high)]
+        return _Hypothesis(kind, text, levels[0] - 1, levels[1] + 1)
+
+    yield tone("gamma", "A lacks gamma: its levels are linear in light.", lambda light: light)
+    yield tone("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.", _srgb)
+    middle = (b > 20) & (b < 240) & (a > 8) & (a < 248)
+    if not middle.any():
+        return
+    factor = float(np.median(linear(a[middle]) / linear(b[middle])))
+    word = "brighter" if factor > 1 else "darker"
+    text = f"A is {word} by a factor of {factor:.3g} in linear light."
+    # What is displayed is the light to the power of 1 / 2.2.
+    yield tone("brightness", text, lambda light: (factor * light) ** (1 / GAMMA))
+    power = float(np.median(np.log(a[middle] / 255) / np.log(linear(b[middle]))))
+    text = f"A is encoded with a gamma of about {1 / power:.2f} in place of 2.2."
+    yield tone("gamma", text, lambda light: light**power)
+
+
+def _srgb(light: Floats) -> Floats:
+    """IEC 61966-2-1."""
+    root: Floats = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, root)
+
+
+def _around(b: Codes, moves: list[tuple[int, int]]) -> tuple[Floats, Floats]:
+    """Range of the codes at several whole-pixel shifts of B; unknown beyond its border."""
+    height, width = b.shape[:2]
+    low, high = np.full(b.shape, np.inf), np.full(b.shape, -np.inf)
+    inside = np.ones((height, width), dtype=np.bool_)
+    for right, down in moves:
+        rows, columns = np.arange(height) - down, np.arange(width) - right
+        inside &= ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
+        image = b[np.clip(rows, 0, height - 1)][:, np.clip(columns, 0, width - 1)]
+        low, high = np.minimum(low, image), np.maximum(high, image)
+    low[~inside], high[~inside] = -np.inf, np.inf
+    return low - 1, high + 1
+
+
+def _way(right: float, down: float) -> str:
+    """A shift in words: "half a pixel to the right and a whole one down"."""
+    names = {0.5: "half a pixel", 1: "one pixel", 1.5: "one and a half pixels", 2: "two pixels"}
+    parts = [
+        f"{names[abs(size)]} {ways[size < 0]}"
+        for size, ways in ((right, ("to the right", "to the left")), (down, ("down", "up")))
+        if size
+    ]
+    return " and ".join(parts)
+
+
+def _moved(a: Codes, b: Codes) -> _Hypothesis | None:
+    """A shift by half pixels, or a stretch by one, estimated from gradients.
+
+    Along each axis the shift is modelled as c + s x, x from -1/2 at one border
+    to 1/2 at the other: least squares of A - B = -(c + s x) dI/dx (B. Lucas and
+    T. Kanade, An iterative image registration technique, IJCAI 1981).
+    """
+    height, width = b.shape[:2]
+    if min(height, width) < 4:
+        return None
+    mean = (a + b) / 2.0
+    change = (a - b).astype(np.float64)[1:-1, 1:-1]
+    across = (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
+    down = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2
+    x = ((np.arange(1, width - 1) + 0.5) / width - 0.5)[:, None]
+    y = ((np.arange(1, height - 1) + 0.5) / height - 0.5)[:, None, None]
+    columns = [across, across * x, down, down * y]
+    matrix = np.array([[float(np.sum(p * q)) for q in columns] for p in columns])
+    target = np.array([-float(np.sum(p * change)) for p in columns])
+    fit = np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
+    shift_x, stretch_x, shift_y, stretch_y = (np.round(2 * fit) / 2).tolist()
+    if max(abs(shift_x), abs(shift_y)) > 1.5:
+        return None
+    if not shift_x and not shift_y and max(abs(stretch_x), abs(stretch_y)) >= 1:
+        word = "smaller" if stretch_x + stretch_y < 0 else "larger"
+        return _Hypothesis(
+            "stretched",
+            f"A is a pixel {word} than it should be, about its centre: pixel centres lie at"
+            " (column + 1/2) / width, not at column / (width - 1).",
+            *_around(b, [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]),
+        )
+    if not shift_x and not shift_y:
+        return None
+    moves = [(i, j) for i in _between(shift_x) for j in _between(shift_y)]
+    text = f"A is shifted by {_way(shift_x, shift_y)}"
+    if 0.5 in (abs(shift_x), abs(shift_y)):
+        text += ": samples belong at the pixels' centres"
+    return _Hypothesis("shifted", text + ".", *_around(b, moves))
+
+
+def _between(shift: float) -> set[int]:
+    """The whole shifts on both sides of one by half pixels."""
+    return {int(np.floor(shift)), int(np.ceil(shift))}
+
+
+def _regional(a: Codes, b: Codes) -> Diagnosis:
+    """By where the difference lies, its sign, and how it ends."""
+    change = a - b
+    differs: _Bools = np.abs(change).max(axis=2) > 2
+    if not differs.any():
+        return Diagnosis("rounding", "Two levels at most: rounding, or noise.")
+    light = (linear(a) - linear(b)).mean(axis=2)
+    brighter = float((light[differs] > 0).mean())
+    empty: _Bools = b.max(axis=2) == 0
+    share = np.count_nonzero(differs) / differs.size
+    if empty[differs].mean() > 0.9 and np.ptp(a[differs & empty], axis=0).max() <= 2:
+        return Diagnosis("background", "A's background is not black.")
+    if (_edges(a) | _edges(b))[differs].mean() > 0.95:
+        return Diagnosis(
+            "edges",
+            "Only edges differ: A or B is anti-aliased, or samples lie elsewhere in the pixel.",
+        )
+    same_outline = np.mean(a.any(axis=2) == b.any(axis=2)) > 0.99
+    if same_outline and differs[~empty].mean() > 0.97:
+        if brighter > 0.95:
+            return Diagnosis(
+                "brightness",
+                "A is brighter everywhere, not by one factor: an ambient term, or other lights.",
+            )
+        return Diagnosis(
+            "brightness",
+            "Everything is lit otherwise, not by one factor: lights that fall off with distance,"
+            " or other colours.",
+        )
+    sharp = _sharpness(a, b, differs, np.abs(light)) > 0.3
+    if brighter > 0.95:
+        if sharp:
+            return Diagnosis(
+                "missing shadows", f"Shadows are missing in A ({share:.1%} of its pixels)."
+            )
+        return Diagnosis("highlights", "Highlights are stronger or larger in A.")
+    if brighter < 0.05:
+        if sharp:
+            return Diagnosis(
+                "extra shadows",
+                "A has shadows that B has not: surfaces that shadow themselves, or a light that"
+                " is missing.",
+            )
+        return Diagnosis("missing highlight", "Highlights are missing, or weaker, in A.")
+    return Diagnosis(
+        "other",
+        f"{share:.1%} of the pixels differ, in no way that is known: look at the geometry, the"
+        " camera and the shaders.",
+    )
+
+
+def _edges(image: Codes) -> _Bools:
+    """Pixels (h, w) with an edge between them and one of their eight neighbours."""
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
+    edges: _Bools = (np.ptp(windows, axis=(3, 4)) > _EDGE).any(axis=2)
+    return edges
+
+
+def _sharpness(a: Codes, b: Codes, differs: _Bools, size: Floats) -> float:
+    """How large the difference is where it ends, relative to what it is at most.
+
+    Ends at a silhouette, where both pictures have an edge, do not count.
+    """
+    inner = []
+    for axis in (0, 1):
+        step = [np.abs(np.diff(image, axis=axis)).max(axis=2) <= _EDGE for image in (a, b)]
+        ends = np.diff(differs, axis=axis) & (step[0] | step[1])
+        front, back = (slice(None, -1), slice(1, None))
+        first = size[front] if axis == 0 else size[:, front]
+        second = size[back] if axis == 0 else size[:, back]
+        inner.append(np.maximum(first, second)[ends])
+    values = np.concatenate(inner)
+    if not values.size:
+        return 1.0
+    return float(np.median(values) / np.percentile(size[differs], 90))

@@ -1,0 +1,376 @@
+"""Pictures that are wrong in a known way: the way is recognised."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from skimage.metrics import structural_similarity
+
+import tracer
+from reference.compare import figures, main, read_picture, write_comparison
+from reference.diagnosis import diagnose, linear
+
+ROOT = Path(__file__).resolve().parent.parent
+Image8 = NDArray[np.uint8]
+
+
+def codes(light: NDArray[np.float64]) -> Image8:
+    """The format's 8-bit values, as its text has them."""
+    return np.round(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+
+def scene(name: str) -> tracer.Scene:
+    return tracer.load_scene(ROOT / "scenes" / f"{name}.xml")
+
+
+@pytest.fixture(scope="module")
+def light() -> NDArray[np.float64]:
+    return tracer.render(scene("four-spheres"))
+
+
+@pytest.fixture(scope="module")
+def right(light: NDArray[np.float64]) -> Image8:
+    return codes(light)
+
+
+def without_shadows(full: tracer.Scene) -> NDArray[np.float64]:
+    """Each object rendered alone, put together by what is seen where."""
+    eye_light = tracer.PointLight(position=full.camera.view_point)
+    count = len(full.surfaces)
+    # Seen from the light nothing is in shadow: each object in its own share of red to green.
+    keys = [
+        dataclasses.replace(
+            surface, shader=tracer.Lambertian(diffuse=(1 - k / count, k / count, 0.0))
+        )
+        for k, surface in enumerate(full.surfaces)
+    ]
+    red, green, _ = np.moveaxis(
+        tracer.render(dataclasses.replace(full, lights=(eye_light,), surfaces=keys)), 2, 0
+    )
+    with np.errstate(invalid="ignore"):
+        seen = np.round(count * green / (red + green))
+    image = np.zeros((full.height, full.width, 3))
+    for k, surface in enumerate(full.surfaces):
+        alone = tracer.render(dataclasses.replace(full, surfaces=[surface]))
+        image[seen == k] = alone[seen == k]
+    return image
+
+
+def reshaded(full: tracer.Scene, **change: object) -> NDArray[np.float64]:
+    """The picture with every Phong shader changed."""
+    surfaces = [
+        dataclasses.replace(surface, shader=dataclasses.replace(surface.shader, **change))
+        if isinstance(surface.shader, tracer.Phong)
+        else surface
+        for surface in full.surfaces
+    ]
+    return tracer.render(dataclasses.replace(full, surfaces=surfaces))
+
+
+def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    x = np.clip(light, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def test_identical(right: Image8) -> None:
+    assert diagnose(right, right).kind == "identical"
+
+
+def test_cut_off(light: NDArray[np.float64], right: Image8) -> None:
+    cut = (255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    diagnosis = diagnose(cut, right)
+    assert diagnosis.kind == "cut off"
+    assert "A is cut off where it should be rounded" in diagnosis.text
+    assert "B is cut off" in diagnose(right, cut).text
+
+
+def test_a_handful_of_levels(right: Image8) -> None:
+    other = right.copy()
+    other[150, 150] += 1
+    assert diagnose(other, right).text == (
+        "One pixel differs by one level: rounding, nothing to worry about."
+    )
+
+
+@pytest.mark.parametrize(
+    ("curve", "words"),
+    [
+        (lambda x: x, "lacks gamma"),
+        (srgb, "sRGB curve"),
+        (lambda x: x ** (1 / 1.8), "gamma of about 1.80"),
+        (lambda x: x ** (1 / 4.84), "gamma of about 4.84"),
+    ],
+    ids=["none", "srgb", "1.8", "twice"],
+)
+def test_gamma(light: NDArray[np.float64], right: Image8, curve: object, words: str) -> None:
+    assert callable(curve)
+    wrong = np.round(255 * curve(np.clip(light, 0, 1))).astype(np.uint8)
+    diagnosis = diagnose(wrong, right)
+    assert diagnosis.kind == "gamma"
+    assert words in diagnosis.text
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1.02, "brighter by a factor of 1.02"), (0.5, "darker by a factor of 0.5")],
+)
+def test_brightness(light: NDArray[np.float64], right: Image8, factor: float, words: str) -> None:
+    diagnosis = diagnose(codes(factor * light), right)
+    assert diagnosis.kind == "brightness"
+    assert words in diagnosis.text
+
+
+# Samples that lie to the right move the picture to the left.
+@pytest.mark.parametrize("name", ["four-spheres", "one-box", "sticks-perspective", "room"])
+@pytest.mark.parametrize(
+    ("offset", "words"),
+    [
+        ((-0.5, 0.0), "half a pixel to the right:"),
+        ((0.0, 0.5), "half a pixel up:"),
+        ((0.5, 0.5), "half a pixel to the left and half a pixel up:"),
+        ((1.0, 0.0), "one pixel to the left."),
+        ((0.0, -2.0), "two pixels down."),
+        ((-1.0, 0.5), "one pixel to the right and half a pixel up:"),
+    ],
+)
+def test_shifted(name: str, offset: tuple[float, float], words: str) -> None:
+    full = scene(name)
+    shifted = tracer.render(full, offset=offset)
+    diagnosis = diagnose(codes(shifted), codes(tracer.render(full)))
+    assert diagnosis.kind == "shifted"
+    assert words in diagnosis.text
+
+
+def test_stretched() -> None:
+    """Columns and rows divided by width - 1 and height - 1, the commonest half-pixel error."""
+    full = scene("four-spheres")
+    factor = full.width / (full.width - 1)
+    camera = dataclasses.replace(
+        full.camera,
+        view_width=full.camera.view_width * factor,
+        view_height=full.camera.view_height * factor,
+    )
+    stretched = tracer.render(dataclasses.replace(full, camera=camera))
+    diagnosis = diagnose(codes(stretched), codes(tracer.render(full)))
+    assert diagnosis.kind == "stretched"
+    assert "a pixel smaller" in diagnosis.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "view"),
+    [
+        ("mirrored", np.s_[:, ::-1]),
+        ("flipped", np.s_[::-1]),
+        ("turned", np.s_[::-1, ::-1]),
+        ("channels", np.s_[:, :, ::-1]),
+    ],
+)
+def test_turned_round(right: Image8, kind: str, view: tuple[slice, ...]) -> None:
+    assert diagnose(right[view], right).kind == kind
+
+
+def test_negative(right: Image8) -> None:
+    assert diagnose(255 - right, right).kind == "inverted"
+
+
+@pytest.mark.parametrize("name", ["four-spheres", "two-boxes", "sticks-perspective"])
+def test_missing_shadows(name: str) -> None:
+    full = scene(name)
+    wrong, right = codes(without_shadows(full)), codes(tracer.render(full))
+    assert diagnose(wrong, right).kind == "missing shadows"
+    assert diagnose(right, wrong).kind == "extra shadows"
+
+
+@pytest.mark.parametrize("name", ["four-spheres", "highlights", "touching"])
+def test_missing_highlights(name: str) -> None:
+    full = scene(name)
+    wrong, right = codes(reshaded(full, specular=(0.0, 0.0, 0.0))), codes(tracer.render(full))
+    assert diagnose(wrong, right).kind == "missing highlight"
+    assert diagnose(right, wrong).kind == "highlights"
+
+
+def test_lights_that_fall_off(light: NDArray[np.float64], right: Image8) -> None:
+    """As one over the squared distance from the top of the picture."""
+    distance = 1 + np.arange(light.shape[0])[:, None, None] / light.shape[0]
+    diagnosis = diagnose(codes(light / distance**2), right)
+    assert diagnosis.kind == "brightness"
+    assert "fall off" in diagnosis.text
+
+
+def test_ambient(light: NDArray[np.float64], right: Image8) -> None:
+    ambient = np.where(light.any(axis=2, keepdims=True), light + 0.05, 0)
+    assert "ambient" in diagnose(codes(ambient), right).text
+
+
+def test_background(right: Image8) -> None:
+    wrong = np.where(right.any(axis=2, keepdims=True), right, np.uint8(70))
+    assert diagnose(wrong, right).kind == "background"
+
+
+def test_antialiased(right: Image8) -> None:
+    smooth = tracer.render(scene("four-spheres"), samples=16)
+    assert diagnose(codes(smooth), right).kind == "edges"
+
+
+def test_another_scene(right: Image8) -> None:
+    assert diagnose(codes(tracer.render(scene("two-boxes"))), right).kind == "other"
+
+
+def test_sizes(right: Image8) -> None:
+    assert diagnose(right[::2, ::2], right).text == (
+        "Different sizes: A has 150x150 pixels, B 300x300; of the same shape, A 0.5 times as large."
+    )
+    assert "swapped" in diagnose(right[:200], right[:, :200]).text
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_flat_pictures(level: int) -> None:
+    """No gradient and no middle level: nothing to estimate, and no warning."""
+    flat = np.full((5, 9, 3), level, dtype=np.uint8)
+    assert diagnose(flat, flat).kind == "identical"
+    spot = flat.copy()
+    spot[2, 3] = 100
+    assert diagnose(spot, flat).kind not in ("identical", "rounding", "cut off")
+
+
+def test_single_pixels() -> None:
+    black, white = np.zeros((1, 1, 3), np.uint8), np.full((1, 1, 3), 255, np.uint8)
+    assert diagnose(white, black).kind != "identical"
+    assert figures(linear(white), linear(black)).max == 1
+
+
+def test_figures_by_hand() -> None:
+    """Four of 100 pixels differ, by 0.5 in one channel; two of them are masked."""
+    a, b = np.full((10, 10, 3), 0.25), np.full((10, 10, 3), 0.25)
+    a[0, :4, 1] += 0.5
+    mask = np.zeros((10, 10), dtype=np.bool_)
+    mask[0, :2] = True
+    result = figures(a, b, mask)
+    assert (result.max, result.median, result.over, result.masked) == (0.5, 0.0, 2, 2)
+    # 2 of 98 * 3 values are 0.5.
+    assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)
+    assert result.p999 == 0.5
+    assert figures(a, b).ssim == structural_similarity(
+        a ** (1 / 2.2), b ** (1 / 2.2), channel_axis=2, data_range=1.0
+    )
+
+
+def test_figures_refuse() -> None:
+    a = np.zeros((8, 8, 3))
+    with pytest.raises(ValueError, match="shapes differ"):
+        figures(a, np.zeros((8, 9, 3)))
+    with pytest.raises(ValueError, match="not finite"):
+        figures(a, np.full((8, 8, 3), np.nan))
+    with pytest.raises(ValueError, match="every pixel is masked"):
+        figures(a, a, np.ones((8, 8), dtype=np.bool_))
+
+
+def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
+    """300 pixels wide, so not enlarged: A brighter by 0.04 at left, darker by 0.02 at right."""
+    a, b = np.full((20, 300, 3), 0.5), np.full((20, 300, 3), 0.5)
+    a[:, :100] += 0.04
+    a[:, 200:] -= 0.02
+    path = tmp_path / "out.png"
+    write_comparison(path, a, b, ("A", "B"))
+    shown = read_picture(path) / 255
+    assert shown.shape == (20 + 2 * 8 + 2 * 24, 3 * 300 + 4 * 8, 3)
+    difference = shown[8 + 24 : 8 + 24 + 20, 3 * 8 + 2 * 300 : 3 * 8 + 3 * 300]
+    # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
+    np.testing.assert_allclose(difference[10, 50], [0.8, 0.8 * 0.62, 0], atol=1 / 255)
+    assert not difference[10, 150].any()
+    np.testing.assert_allclose(
+        difference[10, 250], [0.4 * 0.34, 0.4 * 0.71, 0.4 * 0.91], atol=1 / 255
+    )
+
+
+def save(path: Path, image: Image8) -> str:
+    Image.fromarray(np.ascontiguousarray(image)).save(path)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "status"),
+    [
+        ([], 1),
+        (["--max", "0.2"], 0),
+        (["--max", "1e-4"], 1),
+        (["--ssim", "0.9"], 0),
+        (["--ssim", "0.9", "--max", "1e-4"], 1),
+        (["--ssim", "1"], 1),
+    ],
+)
+def test_exit_status(
+    tmp_path: Path, light: NDArray[np.float64], right: Image8, tolerances: list[str], status: int
+) -> None:
+    a = save(tmp_path / "a.png", codes(1.05 * light))
+    b = save(tmp_path / "b.png", right)
+    assert main([a, b, *tolerances]) == status
+
+
+def test_command(tmp_path: Path, right: Image8) -> None:
+    a = save(tmp_path / "a.png", right[:, ::-1])
+    b = save(tmp_path / "b.png", right)
+    command = [sys.executable, "-m", "reference.compare", a, b]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 1
+    assert done.stderr == ""
+    figures_line, words, path = done.stdout.splitlines()
+    assert figures_line.startswith("SSIM 0.")
+    assert words == "A is mirrored: left and right are swapped."
+    assert Path(path) == tmp_path / "a.compare.png"
+    with Image.open(path) as comparison:
+        assert comparison.size[0] == 3 * 300 + 4 * 8
+
+
+def test_sizes_exit_1(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]) -> None:
+    a, b = save(tmp_path / "a.png", right[:10]), save(tmp_path / "b.png", right)
+    assert main([a, b, "--max", "2"]) == 1
+    assert capsys.readouterr().out.startswith("Different sizes")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no picture", "cut"], ids=str)
+def test_unreadable(
+    tmp_path: Path, right: Image8, content: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = save(tmp_path / "b.png", right)
+    bad = tmp_path / "a.png"
+    if content is not None:
+        whole = Path(good).read_bytes()
+        bad.write_bytes(content if isinstance(content, bytes) else whole[: len(whole) // 2])
+    assert main([str(bad), good]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"{bad}: cannot be read: ")
+    assert captured.err.count("\n") == 1
+
+
+def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "deep.png"
+    Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(path)
+    with pytest.raises(ValueError, match="8-bit RGB is needed"):
+        read_picture(path)
+
+
+def test_transparency_is_black(tmp_path: Path) -> None:
+    path = tmp_path / "clear.png"
+    Image.new("RGBA", (2, 2), (200, 100, 50, 0)).save(path)
+    assert not read_picture(path).any()
+
+
+def test_unwritable(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = save(tmp_path / "a.png", right)
+    output = tmp_path / "nowhere" / "out.png"
+    assert main([picture, picture, "-o", str(output)]) == 2
+    assert capsys.readouterr().err == f"{output}: cannot be written: No such file or directory\n"
+
+
+def test_wrong_usage() -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["only-one.png"])
