@@ -179,6 +179,14 @@ def _log1p(x: mi.Float) -> mi.Float:
     return dr.select(u == 1, x, dr.log(u) * (x / (u - 1)))
 
 
+def _exit(box: mi.ScalarBoundingBox3f, p: mi.Point3f, d: mi.Vector3f) -> mi.Float:
+    """Distance from a point inside a box to beyond it."""
+    size = dr.max(box.max - box.min)
+    inverse = dr.rcp(dr.select(dr.abs(d) > 1e-20, d, 1e-20))
+    far = dr.maximum((box.min - p) * inverse, (box.max - p) * inverse)
+    return dr.min(far) + 1e-3 * size
+
+
 class EveryLight(mi.SamplingIntegrator):
     """Light that comes straight from every emitter.
 
@@ -204,9 +212,10 @@ class EveryLight(mi.SamplingIntegrator):
             ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
             value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
             facing = valid & dr.any(value > 0)
-            shadow_ray = mi.Ray3f(ds.p, -ds.d)
+            reach = dr.minimum(ds.dist, _exit(scene.bbox(), si.p, ds.d))
+            shadow_ray = mi.Ray3f(si.p + reach * ds.d, -ds.d)
             first = scene.ray_intersect_preliminary(shadow_ray, active=facing)
-            height = (ds.dist - first.t) * dr.abs(dr.dot(ds.d, si.n))
+            height = (reach - first.t) * dr.abs(dr.dot(ds.d, si.n))
             lit = facing & (height <= self.tolerance)
             total += dr.select(lit, value * intensity, 0)
         return total, valid, []
