@@ -1,0 +1,215 @@
+"""From radiance to the codes of an 8-bit picture, and to a PNG file.
+
+The picture is written band by band, in the order it is rendered, so that no
+more of it than a band need ever be in memory.  It appears under its name only
+when it is whole: whatever goes wrong before leaves what was there untouched.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tracer.scene import Floats
+
+__all__ = ["quantise", "write_bands", "write_png"]
+
+# Values worked on at a time: what stays in a core's cache.
+_BLOCK = 1 << 15
+
+
+def _reaches(x: float, code: int) -> bool:
+    """Whether 255 x^(1/2.2) >= code - 1/2, decided in whole numbers.
+
+    1/2.2 is 5/11, so both sides may be raised to the 11th power.
+    """
+    numerator, denominator = x.as_integer_ratio()
+    return numerator**5 * 510**11 >= (2 * code - 1) ** 11 * denominator**5
+
+
+def _threshold(code: int) -> float:
+    """The least float64 whose code is `code` or more."""
+    x: float = ((code - 0.5) / 255) ** 2.2
+    while not _reaches(x, code):
+        x = float(np.nextafter(x, 1))
+    while _reaches(below := float(np.nextafter(x, 0)), code):
+        x = below
+    return x
+
+
+# The cells of a table over [_LEAST, 1]: 2^7 between any two powers of two, and so at most
+# one threshold in each.  The cell of a float64 is its leading bits, taken as an integer.
+_LEAST = 2.0**-20
+_LEAST_BITS = int(np.float64(_LEAST).view(np.int64))
+_CELL_BITS = 52 - 7
+
+
+def _bits(x: Floats) -> NDArray[np.int64]:
+    """The bits of each x, counted from those of `_LEAST`: increasing with x."""
+    return x.view(np.int64) - _LEAST_BITS
+
+
+@cache
+def _shifts() -> NDArray[np.int64]:
+    """For each cell, what to add to the bits of x so that the leading ones are its code."""
+    thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
+    start = np.arange((_bits(np.ones(1))[0] >> _CELL_BITS) + 1) << _CELL_BITS
+    code = np.searchsorted(thresholds, start, side="right")
+    shifts = (code << _CELL_BITS) - start
+    inside = thresholds >> _CELL_BITS
+    shifts[inside] = (np.arange(1, 256) << _CELL_BITS) - thresholds
+    return shifts
+
+
+def quantise(image: ArrayLike) -> NDArray[np.uint8]:
+    """The 8-bit codes of radiances: round(255 clip(x, 0, 1)^(1/2.2)).
+
+    The codes are those of exact arithmetic.  The power function in float64 is
+    some ulps off, and on most machines slower than the table used here.
+
+    Parameters
+    ----------
+    image : (height, width, 3) array_like
+        Linear RGB.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+
+    Raises
+    ------
+    ValueError
+        For another shape, or a NaN.
+    """
+    radiance = _checked(image)
+    codes = np.empty(radiance.shape, dtype=np.uint8)
+    flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
+    for start in range(0, flat.size, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        bits = _bits(np.clip(flat[block], _LEAST, 1.0))
+        bits += _shifts().take(bits >> _CELL_BITS)
+        flat_codes[block] = bits >> _CELL_BITS
+    return codes
+
+
+def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
+    """Write a picture as an 8-bit RGB PNG file.
+
+    Parameters
+    ----------
+    path : str or path-like
+        A file that is there already is replaced, once the new one is whole.
+    image : (height, width, 3) array_like
+        Linear RGB; see `quantise`.
+
+    Raises
+    ------
+    ValueError
+        For another shape, a picture of no pixels, or a NaN.
+    OSError
+        If the file cannot be written.
+    """
+    radiance = _checked(image)
+    height, width, _ = radiance.shape
+    rows = max(1, _BLOCK // (3 * max(1, width)))
+    bands = (radiance[row : row + rows] for row in range(0, height, rows))
+    write_bands(path, width, height, bands)
+
+
+def write_bands(
+    path: str | os.PathLike[str], width: int, height: int, bands: Iterable[Floats]
+) -> None:
+    """Write a picture that comes in bands of rows, from the top, as `write_png` does.
+
+    Parameters
+    ----------
+    path : str or path-like
+    width, height : int
+        Size of the picture in pixels.
+    bands : iterable of (rows, width, 3) float64
+        Linear RGB; each band is done with before the next is asked for.
+
+    Raises
+    ------
+    ValueError
+        For a picture of no pixels, bands that do not make it up, or a NaN.
+    OSError
+        If the file cannot be written.
+    """
+    if width < 1 or height < 1:
+        raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
+    with _whole_or_not_at_all(path) as file:
+        file.write(b"\x89PNG\r\n\x1a\n")
+        # 8 bits a channel, RGB, the only methods there are, not interlaced.
+        _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+        # No filter: rendered pictures are full of exact repeats, which filters disturb.
+        # Level 3 takes no longer than 1.
+        stream = zlib.compressobj(3)
+        written = 0
+        for band in bands:
+            codes = quantise(band)
+            rows = len(codes)
+            written += rows
+            if codes.shape[1] != width or written > height:
+                raise ValueError(f"a band of shape {codes.shape} does not fit {width} x {height}")
+            # Every row starts with the number of its filter, 0 for none.
+            lines = np.zeros((rows, 1 + 3 * width), dtype=np.uint8)
+            lines[:, 1:] = codes.reshape(rows, 3 * width)
+            data = stream.compress(lines.data)
+            if data:
+                _write_chunk(file, b"IDAT", data)
+        if written < height:
+            raise ValueError(f"the bands have {written} rows, not {height}")
+        _write_chunk(file, b"IDAT", stream.flush())
+        _write_chunk(file, b"IEND", b"")
+
+
+def _checked(image: ArrayLike) -> Floats:
+    radiance = np.ascontiguousarray(image, dtype=np.float64)
+    if radiance.ndim != 3 or radiance.shape[2] != 3:
+        raise ValueError(f"an image has shape (height, width, 3), not {radiance.shape}")
+    if np.isnan(radiance).any():
+        raise ValueError("an image must not hold NaN")
+    return radiance
+
+
+def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
+    """Write a chunk of a PNG file (ISO/IEC 15948, 5.3)."""
+    file.write(struct.pack(">I", len(data)))
+    file.write(kind)
+    file.write(data)
+    file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
+
+
+@contextmanager
+def _whole_or_not_at_all(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """A new file that takes the place of `path` if all goes well, and else vanishes."""
+    target = Path(path).resolve()  # a link stays one
+    mode = None
+    if target.exists():
+        mode = target.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    beside = target.with_name(f".{os.getpid()}-{os.urandom(4).hex()}.part")
+    try:
+        with beside.open("xb") as file:
+            yield file
+        if mode is not None:
+            beside.chmod(stat.S_IMODE(mode))
+        beside.replace(target)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
