@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.intersection import Bools
+from tracer.groups import Bools
 from tracer.lighting import Lighting, shade
 from tracer.pencil import Spans
 from tracer.scene import Floats, Ints
@@ -25,9 +25,7 @@ _CHUNK = 1 << 15
 _CURVATURE = 4e-3
 
 
-def antialiased(
-    view: View, lighting: Lighting, top: int, bottom: int, per_side: int
-) -> Floats:
+def antialiased(view: View, lighting: Lighting, top: int, bottom: int, per_side: int) -> Floats:
     """Radiance (bottom - top, width, 3) of pixel rows, averaged over each pixel.
 
     At least as accurate as `per_side` x `per_side` samples in every pixel.
@@ -68,7 +66,8 @@ def _differ(key: Ints) -> Bools:
     low = np.minimum(np.minimum(key[:-2], key[1:-1]), key[2:])
     high = np.maximum(np.maximum(high[:, :-2], high[:, 1:-1]), high[:, 2:])
     low = np.minimum(np.minimum(low[:, :-2], low[:, 1:-1]), low[:, 2:])
-    return high != low
+    differ: Bools = high != low
+    return differ
 
 
 def _spans(view: View, top: int, bottom: int, per_side: int) -> tuple[Spans, Spans]:
@@ -131,9 +130,7 @@ def _sampled(
         owner = np.repeat(pixels, per_side)
         order = np.argsort(sub, kind="stable")
         sub, owner = sub[order], owner[order]
-        samples = Samples(
-            y, np.repeat(sub, per_side), (column[owner][:, None] + steps).ravel()
-        )
+        samples = Samples(y, np.repeat(sub, per_side), (column[owner][:, None] + steps).ravel())
         radiance = _traced(view, lighting, samples)[0]
         pixel = np.repeat(owner, per_side) - begin
         for k in range(3):

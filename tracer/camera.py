@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracer.intersection import Triple
+from tracer.groups import Triple
 from tracer.scene import Camera, Floats, unit
 
 __all__ = ["Raster", "raster_of"]

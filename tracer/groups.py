@@ -1,44 +1,73 @@
-"""Values of a group of samples: one number for all of them, or an array (n,).
+"""Values of a group of samples: one for all of them, or an array (n,).
 
-A large object fills arrays of its own, and its data stay numbers; small
+A large object fills arrays of its own, and its data stay single values; small
 objects share arrays, and their data are gathered.  NumPy's broadcasting lets
 the same arithmetic serve both.
+
+Vectors are triples of such values (structure of arrays): each operation then
+runs over contiguous memory.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.scene import Floats, Ints
 
-__all__ = ["Index", "Scalars", "Vectors", "select", "spread"]
+__all__ = ["Bools", "Index", "Triple", "dot", "each", "pick", "scaled", "select", "spread", "where"]
 
+Bools: TypeAlias = NDArray[np.bool_]
+Triple: TypeAlias = tuple[Floats, Floats, Floats]
 Index: TypeAlias = int | Ints
-Scalars: TypeAlias = float | Floats
-Vectors: TypeAlias = tuple[Scalars, Scalars, Scalars]
 
 T = TypeVar("T")
+
+
+def each(function: Callable[..., Floats], *vectors: Triple) -> Triple:
+    """Apply a function to the first components, the second and the third."""
+    x, y, z = map(function, *vectors)
+    return x, y, z
+
+
+def dot(a: Triple, b: Triple) -> Floats:
+    """Dot product, element by element."""
+    total: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return total
 
 
 def select(value: T, index: Ints | slice) -> T:
     """The value of some samples of the group."""
     if np.ndim(value):  # type: ignore[arg-type]
-        chosen: Any = value[index]  # type: ignore[index]
-        return chosen  # type: ignore[no-any-return]
+        array: Any = value
+        chosen: T = array[index]
+        return chosen
     return value
 
 
+def pick(vector: Triple, index: Ints | slice) -> Triple:
+    """`select`, for each component."""
+    return select(vector[0], index), select(vector[1], index), select(vector[2], index)
+
+
+def scaled(vector: Triple, factor: Floats) -> Triple:
+    """Product with a factor, element by element."""
+    return vector[0] * factor, vector[1] * factor, vector[2] * factor
+
+
 def spread(value: T, counts: Ints) -> T:
-    """Each element so many times; a number stays one."""
+    """Each element so many times; a single value stays one."""
     if np.ndim(value):  # type: ignore[arg-type]
-        repeated: Any = np.repeat(value, counts)  # type: ignore[arg-type]
+        array: Any = value
+        repeated: Any = np.repeat(array, counts)
         return repeated  # type: ignore[no-any-return]
     return value
 
 
-def where(mask: np.ndarray) -> Ints | slice:
+def where(mask: Bools) -> Ints | slice:
     """Index of the elements where the mask holds: a slice, if that is everywhere."""
     index = np.flatnonzero(mask)
     return slice(None) if index.size == mask.size else index

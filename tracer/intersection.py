@@ -4,17 +4,16 @@ Every function works on arrays of (ray, object) pairs, element by element, and
 decides each pair alone: what else is in the scene, and in which order or
 batches the pairs come, changes no bit of an answer.
 
-Vectors are triples of arrays (structure of arrays): each operation then runs
-over contiguous memory.
+Infinities and NaN are answers on the way: floating-point warnings are for the
+caller to turn off.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.groups import Bools, Triple, dot, each
 from tracer.scene import Floats
 
 __all__ = [
@@ -22,30 +21,18 @@ __all__ = [
     "ON",
     "OUTSIDE",
     "SURFACE_TOLERANCE",
-    "Bools",
-    "Triple",
     "box_blocks",
     "box_hit",
-    "dot",
     "sphere_blocks",
     "sphere_hit",
     "sphere_side",
 ]
-
-Bools: TypeAlias = NDArray[np.bool_]
-Triple: TypeAlias = tuple[Floats, Floats, Floats]
 
 OUTSIDE, ON, INSIDE = 1, 0, -1
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 """A point this near to a surface, relative to the sizes that went into it, is
 on the surface: some twenty roundings lie between the scene and a hit point."""
-
-
-def dot(a: Triple, b: Triple) -> Floats:
-    """Dot product, element by element."""
-    total: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return total
 
 
 def sphere_hit(
@@ -79,14 +66,10 @@ def sphere_hit(
     cross = along * hypot - ahead * s
     half2 = chord2 - cross * cross / length2
     middle = along * s + ahead * hypot
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = middle + np.sqrt(length2 * half2)
-        if np.ndim(power):
-            t = np.where(power > 0, power / root, root / length2)
-        else:
-            t = power / root if power > 0 else root / length2
-        # Without a root all comparisons are false, and so they are behind the eye.
-        t[~((t > 0) & (root > 0) & ((middle > 0) | (power <= 0)))] = np.inf
+    root = middle + np.sqrt(length2 * half2)
+    t = power / root if np.all(power > 0) else np.where(power > 0, power / root, root / length2)
+    # Where there is no root, or only behind the eye, these comparisons are false.
+    t[~((t > 0) & ((middle > 0) | (power <= 0)))] = np.inf
     return t
 
 
@@ -110,17 +93,16 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
     """
     near: list[Floats] = []
     far: list[Floats] = []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for k in range(3):
-            a, b = low[k] / d[k], high[k] / d[k]
-            entry, leave = np.minimum(a, b), np.maximum(a, b)
-            if np.count_nonzero(d[k]) < d[k].size:
-                parallel = d[k] == 0
-                between = (low[k] <= 0) & (high[k] >= 0)
-                entry = np.where(parallel, np.where(between, -np.inf, np.inf), entry)
-                leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
-            near.append(entry)
-            far.append(leave)
+    for k in range(3):
+        a, b = low[k] / d[k], high[k] / d[k]
+        entry, leave = np.minimum(a, b), np.maximum(a, b)
+        if np.count_nonzero(d[k]) < d[k].size:
+            parallel = d[k] == 0
+            between = (low[k] <= 0) & (high[k] >= 0)
+            entry = np.where(parallel, np.where(between, -np.inf, np.inf), entry)
+            leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
+        near.append(entry)
+        far.append(leave)
     enter = np.maximum(np.maximum(near[0], near[1]), near[2])
     leave = np.minimum(np.minimum(far[0], far[1]), far[2])
     axis = np.where(near[0] == enter, 0, np.where(near[1] == enter, 1, 2))
@@ -165,10 +147,9 @@ def sphere_blocks(
     """
     b = dot(to_center, to_light)
     length2 = dot(to_light, to_light)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t = b / length2
-    offset = tuple(c - t * d for c, d in zip(to_center, to_light, strict=True))
-    crosses = dot(offset, offset) < radius * radius  # type: ignore[arg-type]
+    t = b / length2
+    offset = each(lambda c, d: c - t * d, to_center, to_light)
+    crosses = dot(offset, offset) < radius * radius
     side = sphere_side(np.sqrt(dot(to_center, to_center)), radius, tolerance)
     # Both ends outside: the closest approach lies between them, within the sphere.
     blocked = crosses & (b > 0) & (b < length2)
@@ -199,8 +180,7 @@ def box_blocks(p: Triple, light: Triple, low: Triple, high: Triple, tolerance: F
         start = _snap(p[k], low[k], high[k], tolerance)
         delta = _snap(light[k], low[k], high[k], tolerance) - start
         below, above = low[k] - start, high[k] - start
-        with np.errstate(divide="ignore", invalid="ignore"):
-            a, b = below / delta, above / delta
+        a, b = below / delta, above / delta
         near, far = np.minimum(a, b), np.maximum(a, b)
         if np.count_nonzero(delta) < delta.size:
             parallel = delta == 0
@@ -211,9 +191,7 @@ def box_blocks(p: Triple, light: Triple, low: Triple, high: Triple, tolerance: F
         leave = far if leave is None else np.minimum(leave, far)
     assert enter is not None
     assert leave is not None
-    blocked: Bools = (enter <= leave) & (
-        ((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1))
-    )
+    blocked: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return blocked
 
 

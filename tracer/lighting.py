@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import select, where
-from tracer.intersection import INSIDE, Bools, Triple, dot
+from tracer.groups import Bools, Triple, dot, pick, scaled, select, where
+from tracer.intersection import INSIDE
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import LightPencil, Occluders, light_pencil, occluders_of
@@ -64,29 +64,28 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
     occluders, materials = lighting.occluders, lighting.materials
     count = hits.t.size
     shader = lighting.shader[hits.owner]
-    diffuse = [table[shader] for table in materials.diffuse]
-    radiance = [np.zeros(count) for _ in range(3)]
+    radiance = np.zeros(count), np.zeros(count), np.zeros(count)
     key = np.full(count, hits.owner * 4 + hits.face)
     length = np.sqrt(dot(hits.direction, hits.direction))
-    reach = hits.t * length
-    for x in hits.p:
-        reach = reach + np.abs(x)
+    reach = hits.t * length + sum(np.abs(x) for x in hits.p)
     for light, intensity in lighting.lights:
         key *= 2
+        x, y, z = light.position
+        to_light: Triple = x - hits.p[0], y - hits.p[1], z - hits.p[2]
+        if hits.face < 3:
+            projected = hits.n[hits.face] * to_light[hits.face]
+        else:
+            projected = dot(hits.n, to_light)
         # Seen from inside, an object keeps out all light that is not inside as well.
         kept_out = occluders.eye_inside[hits.owner] & (light.side[hits.owner] != INSIDE)
-        away = [x - m for x, m in zip(light.position, hits.p, strict=True)]
-        projected = sum(m * d for m, d in zip(hits.n, away, strict=True) if np.ndim(m) or m)
-        if not np.ndim(projected):
-            # A whole plane at once: it faces the light or it does not.
-            if projected <= 0 or kept_out:
-                continue
-            projected = float(projected)
-        lit = where(np.broadcast_to((projected > 0) & ~kept_out, (count,)))
-        to_light = tuple(select(d, lit) for d in away)
+        facing = np.broadcast_to((projected > 0) & ~kept_out, (count,))
+        if not facing.any():
+            continue
+        lit = where(facing)
+        to_light = pick(to_light, lit)
         blocked = light.blocked(
             occluders,
-            tuple(select(x, lit) for x in hits.p),
+            pick(hits.p, lit),
             to_light,
             select(hits.owner, lit),
             reach[lit],
@@ -95,27 +94,24 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
         if blocked.any():
             free = np.flatnonzero(~blocked)
             lit = free if isinstance(lit, slice) else lit[free]
-            to_light = tuple(select(d, free) for d in to_light)
+            to_light = pick(to_light, free)
         key[lit] += 1
         inverse = 1 / np.sqrt(dot(to_light, to_light))
         cosine = select(projected, lit) * inverse
         material = select(shader, lit)
         for k in range(3):
-            radiance[k][lit] += (intensity[k] * select(diffuse[k], lit)) * cosine
-        glossy = materials.glossy[material]
-        if not glossy.any():
-            continue
-        at = where(np.broadcast_to(glossy, cosine.shape))
-        shiny = at if isinstance(lit, slice) else lit[at]
-        scale = inverse[at]
-        view_scale = -1 / length[shiny]
-        material = select(material, at)
-        power = highlight(
-            tuple(select(m, shiny) for m in hits.n),
-            tuple(select(d, at) * scale for d in to_light),
-            tuple(d[shiny] * view_scale for d in hits.direction),
-            materials.exponent[material],
-        )
-        for k in range(3):
-            radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
-    return (radiance[0], radiance[1], radiance[2]), key
+            radiance[k][lit] += (intensity[k] * materials.diffuse[k][material]) * cosine
+        glossy = np.asarray(materials.glossy[material])
+        if glossy.any():
+            at = where(np.broadcast_to(glossy, cosine.shape))
+            shiny = at if isinstance(lit, slice) else lit[at]
+            material = select(material, at)
+            power = highlight(
+                pick(hits.n, shiny),
+                scaled(pick(to_light, at), inverse[at]),
+                scaled(pick(hits.direction, shiny), -1 / length[shiny]),
+                materials.exponent[material],
+            )
+            for k in range(3):
+                radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
+    return radiance, key

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.intersection import Triple, dot
+from tracer.groups import Triple, dot
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Outlines", "Spans", "box_corners", "expand", "outlines", "silhouette_planes"]
@@ -80,24 +80,20 @@ class Outlines:
         g = self.raster.down(rows)[row]
         low = np.full(owner.size, -np.inf)
         high = np.full(owner.size, np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for k in range(6):
-                slope = self.edges[0][k][owner]
-                level = self.edges[1][k][owner] * g + self.edges[2][k][owner]
-                # The silhouette's inner side is slope * s + level >= 0.
-                bound = -level / slope
-                np.maximum(low, bound, out=low, where=slope > 0)
-                np.minimum(high, bound, out=high, where=slope < 0)
+        for k in range(6):
+            slope = self.edges[0][k][owner]
+            level = self.edges[1][k][owner] * g + self.edges[2][k][owner]
+            # The silhouette's inner side is slope * s + level >= 0.
+            bound = -level / slope
+            np.maximum(low, bound, out=low, where=slope > 0)
+            np.minimum(high, bound, out=high, where=slope < 0)
         return self._clip(owner, row, low, high, pad)
 
     def in_picture(self) -> NDArray[np.bool_]:
         """Which objects, spheres first, may be seen (up to what hides them)."""
         top, bottom = -1.0, self.raster.height + 1.0
         return np.concatenate(
-            [
-                (rows[0] <= bottom) & (rows[1] >= top)
-                for rows in (self.sphere_rows, self.box_rows)
-            ]
+            [(rows[0] <= bottom) & (rows[1] >= top) for rows in (self.sphere_rows, self.box_rows)]
         )
 
     def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
@@ -129,9 +125,7 @@ def _meetings(extent: tuple[Floats, Floats], rows: Floats, pad: float) -> tuple[
     return owner, first[owner] + place
 
 
-def _tangents(
-    along: Floats, ahead: Floats, chord2: Floats, power: Floats
-) -> tuple[Floats, Floats]:
+def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
     """Slopes (along / ahead) between which rays from the origin meet discs.
 
     Parameters
@@ -141,17 +135,16 @@ def _tangents(
     chord2, power
         Its squared radius, and its centre's squared distance less that.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tilt = along * ahead
-        root = np.sqrt(chord2 * power)
-        divisor = ahead * ahead - chord2
-        a, b = (tilt - root) / divisor, (tilt + root) / divisor
-        before = divisor > 0
-        low = np.where(before, a, np.where(along > 0, a, -np.inf))
-        high = np.where(before, b, np.where(along > 0, np.inf, b))
-        # Nothing at all: the plane misses the sphere, or it lies behind.
-        miss = (chord2 < 0) | (before & (ahead < 0))
-        whole = (power <= 0) & (chord2 >= 0)
+    tilt = along * ahead
+    root = np.sqrt(chord2 * power)
+    divisor = ahead * ahead - chord2
+    a, b = (tilt - root) / divisor, (tilt + root) / divisor
+    before = divisor > 0
+    low = np.where(before, a, np.where(along > 0, a, -np.inf))
+    high = np.where(before, b, np.where(along > 0, np.inf, b))
+    # Nothing at all: the plane misses the sphere, or it lies behind.
+    miss = (chord2 < 0) | (before & (ahead < 0))
+    whole = (power <= 0) & (chord2 >= 0)
     # What rounding left undecided covers the row: wider is always safe.
     low = np.where(whole | np.isnan(low), -np.inf, low)
     high = np.where(whole | np.isnan(high), np.inf, high)
@@ -175,9 +168,7 @@ def _silhouette_table() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
             for corner in range(8)
             if not corner >> k & 1
             # Of the two faces at an edge along k, one is seen and one is not.
-            and sum(
-                code[j] == (1 if corner >> j & 1 else -1) for j in range(3) if j != k
-            ) == 1
+            and sum(code[j] == (1 if corner >> j & 1 else -1) for j in range(3) if j != k) == 1
         ]
         if pairs:
             start[region], end[region] = np.transpose((pairs * 2)[:6])
@@ -234,8 +225,7 @@ def _silhouettes(
     corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
     u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
     slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        projected = raster.row(v / w * raster.depth)
+    projected = raster.row(v / w * raster.depth)
     top, bottom = projected.min(axis=0), projected.max(axis=0)
     behind = w.min(axis=0) <= 0
     top = np.where(behind, -np.inf, top)

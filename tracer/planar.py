@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.intersection import Bools, Triple
+from tracer.groups import Bools, Triple, each
 from tracer.pencil import expand
 from tracer.scene import Floats, Ints, Surfaces
 
@@ -110,13 +110,12 @@ def shade_intervals(
 
     balls, boxes = others[others < spheres], others[others >= spheres] - spheres
     low, high = np.empty((2, others.size, rows))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        low[: balls.size], high[: balls.size] = _discs(
-            base, along, surfaces.center[balls] - light, surfaces.radius[balls]
-        )
-        low[balls.size :], high[balls.size :] = _wedges(
-            base, along, tuple(n[:, boxes] for n in silhouettes)
-        )
+    low[: balls.size], high[: balls.size] = _discs(
+        base, along, surfaces.center[balls] - light, surfaces.radius[balls]
+    )
+    low[balls.size :], high[balls.size :] = _wedges(
+        base, along, each(lambda n: n[:, boxes], silhouettes)
+    )
     before = np.repeat(clear, rows)
     low, high = (low + middle).ravel(), (high + middle).ravel()
     row = np.tile(np.arange(rows), others.size)
@@ -126,7 +125,10 @@ def shade_intervals(
     start, stop = _located(plane, row, low[hit], high[hit])
     begin, end = plane.first[row], plane.first[row + 1]
     outer = np.maximum(start - _MARGIN, begin), np.minimum(stop + _MARGIN, end)
-    inner = np.where(start > begin, start + _MARGIN, start), np.where(stop < end, stop - _MARGIN, stop)
+    inner = (
+        np.where(start > begin, start + _MARGIN, start),
+        np.where(stop < end, stop - _MARGIN, stop),
+    )
     solid = before & (inner[0] < inner[1])
     edge = np.zeros(plane.s.size + 1, dtype=np.intp)
     np.add.at(edge, inner[0][solid], 1)
@@ -142,9 +144,7 @@ def shade_intervals(
     return Shade(certain, sample[open_], occluder[open_])
 
 
-def _extent(
-    surfaces: Surfaces, others: Ints, plane: Plane, side: float
-) -> tuple[Floats, Floats]:
+def _extent(surfaces: Surfaces, others: Ints, plane: Plane, side: float) -> tuple[Floats, Floats]:
     """Least and greatest height of objects over the plane, on the light's side."""
     spheres = len(surfaces.radius)
     balls, boxes = others[others < spheres], others[others >= spheres] - spheres
@@ -181,9 +181,7 @@ def _located(plane: Plane, row: Ints, low: Floats, high: Floats) -> tuple[Ints, 
     return start, stop
 
 
-def _discs(
-    base: Floats, along: Floats, center: Floats, radius: Floats
-) -> tuple[Floats, Floats]:
+def _discs(base: Floats, along: Floats, center: Floats, radius: Floats) -> tuple[Floats, Floats]:
     """Where lines (rows,) of rays base + s along graze spheres (k,): (k, rows) each.
 
     A ray q grazes where |m x q| = r |q|: a quadratic in s.

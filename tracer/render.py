@@ -23,6 +23,9 @@ from tracer.visibility import View, grid, visible
 
 __all__ = ["render", "render_bands"]
 
+# Infinities and NaN are answers here: a slab never left, a sphere not met.
+_QUIET = np.errstate(all="ignore")
+
 _BAND_PIXELS = 1 << 17
 _BANDS_WORTH_THREADS = 4
 
@@ -93,6 +96,7 @@ def render_bands(
     if threads is None:
         threads = 2 if len(tops) > _BANDS_WORTH_THREADS else 1
 
+    @_QUIET
     def band(top: int) -> Floats:
         bottom = min(top + step, scene.height)
         if per_side > 1:
@@ -109,9 +113,7 @@ def render_bands(
         yield from _ordered(band, tops, threads)
 
 
-def _ordered(
-    work: Callable[[int], Floats], tasks: Iterable[int], threads: int
-) -> Iterator[Floats]:
+def _ordered(work: Callable[[int], Floats], tasks: Iterable[int], threads: int) -> Iterator[Floats]:
     """Like map, in threads, with only so many results waiting as there are threads."""
     from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -138,6 +140,7 @@ def _keep_heap() -> None:
     np.empty((1 << 25) - (1 << 16), dtype=np.uint8)
 
 
+@_QUIET
 def _prepare(scene: Scene, offset: tuple[float, float]) -> tuple[View, Lighting]:
     """Everything that all bands share."""
     surfaces = scene.surfaces

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.intersection import Triple, dot
+from tracer.groups import Triple, dot, each
 from tracer.scene import Floats, Phong, Shader
 
 __all__ = ["Materials", "highlight"]
@@ -38,20 +38,17 @@ class Materials:
         self.glossy = (self.specular > 0).any(axis=0)
 
 
-
-
 def highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floats:
     """(n.h)^exponent for unit vectors, to a few ulp whatever the exponent.
 
     With a = |n - h|^2 the cosine is 1 - a / 2, and
     (n.h)^p = exp(p log1p(-a / 2)) keeps the digits that n.h itself has lost.
     """
-    h = tuple(a + b for a, b in zip(light, view, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = 1 / np.sqrt(dot(h, h))  # type: ignore[arg-type]
-        e = tuple(a - b * scale for a, b in zip(n, h, strict=True))
-        loss = -0.5 * dot(e, e)  # type: ignore[arg-type]
-        # log1p by way of log (Kahan): log(u) (u - 1)^-1 is smooth where u - 1 is inexact.
-        u = 1 + loss
-        log1p = np.where(u == 1, loss, np.log(u) * (loss / (u - 1)))
-        return np.where(exponent == 0, 1.0, np.exp(exponent * log1p))
+    h = each(np.add, light, view)
+    scale = 1 / np.sqrt(dot(h, h))
+    e = each(lambda a, b: a - b * scale, n, h)
+    loss = -0.5 * dot(e, e)
+    # log1p by way of log (Kahan): log(u) (u - 1)^-1 is smooth where u - 1 is inexact.
+    u = 1 + loss
+    log1p = np.where(u == 1, loss, np.log(u) * (loss / (u - 1)))
+    return np.where(exponent == 0, 1.0, np.exp(exponent * log1p))

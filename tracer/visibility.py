@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import Index, Scalars, Vectors, select, spread
-from tracer.intersection import Bools, Triple, box_hit, sphere_hit
+from tracer.groups import Bools, Index, Triple, select, spread
+from tracer.intersection import box_hit, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.planar import Plane
 from tracer.scene import Floats, Ints, Surfaces
@@ -63,7 +63,8 @@ class Samples:
 def grid(top: int, bottom: int, left: int, right: int) -> Samples:
     """The centres of a rectangle of pixels."""
     columns = right - left
-    y, x = np.arange(top, bottom) + 0.5, np.arange(left, right) + 0.5
+    y = np.arange(top, bottom, dtype=np.float64) + 0.5
+    x = np.arange(left, right, dtype=np.float64) + 0.5
     return Samples(y, np.repeat(np.arange(y.size), columns), np.tile(x, y.size), columns)
 
 
@@ -114,11 +115,11 @@ class Hits:
 
     sample: Ints
     owner: Index
-    face: Index
+    face: int
     t: Floats
     direction: Triple
-    p: Vectors
-    n: Vectors
+    p: Triple
+    n: Triple
     plane: Plane | None = None
 
 
@@ -175,19 +176,15 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
     spheres = len(view.surfaces.radius)
     sample = np.concatenate([group.sample for group in groups])
+    orders = (view.order[group.owner + (0 if group.sphere else spheres)] for group in groups)
     order = np.concatenate(
-        [
-            np.broadcast_to(view.order[group.owner + (0 if group.sphere else spheres)], group.t.shape)
-            for group in groups
-        ]
+        [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
     ranked = np.lexsort((order, sample))
     first = np.zeros(sample.size, dtype=np.bool_)
     first[ranked] = np.diff(sample[ranked], prepend=-1) != 0
     ends = np.cumsum([group.t.size for group in groups])[:-1]
-    return [
-        group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)
-    ]
+    return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
 def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, Ints]]:
@@ -249,10 +246,16 @@ def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
         d = _directions(raster, raster.across(samples.x[sample]), g, many)
         t, axis = box_hit(
             d,
-            tuple(spread(surfaces.min_pt[owner, k] - eye[k], many) for k in range(3)),
-            tuple(spread(surfaces.max_pt[owner, k] - eye[k], many) for k in range(3)),
+            _seen_from(eye, surfaces.min_pt[owner], many),
+            _seen_from(eye, surfaces.max_pt[owner], many),
         )
         yield _Fragments(False, sample, spread(owner, many), axis, t, d)
+
+
+def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
+    """One point (3,), or points (spans, 3) each so many times, seen from the eye."""
+    x, y, z = (spread(points[..., k] - eye[k], counts) for k in range(3))
+    return x, y, z
 
 
 def _runs(start: Ints, counts: Ints) -> Ints:
@@ -266,9 +269,7 @@ def _runs(start: Ints, counts: Ints) -> Ints:
 def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
     """Ray directions in the scene's axes, from (s, g, depth) in the camera's."""
     u, v, w = raster.axes.tolist()
-    x, y, z = (
-        s * u[k] + np.repeat(g * v[k] + raster.depth * w[k], counts) for k in range(3)
-    )
+    x, y, z = (s * u[k] + np.repeat(g * v[k] + raster.depth * w[k], counts) for k in range(3))
     return x, y, z
 
 
@@ -318,10 +319,9 @@ def _box_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
             owner = part.owner + len(surfaces.radius)
             inside = view.eye_inside[owner]
             low, high = surfaces.min_pt[part.owner, axis], surfaces.max_pt[part.owner, axis]
-            p: list[Scalars] = [eye[k] + part.t * d for k, d in enumerate(part.direction)]
-            p[axis] = np.where(inside == (sign > 0), low, high)[()]
-            n = [0.0, 0.0, 0.0]
-            n[axis] = sign
+            p = [eye[k] + part.t * d for k, d in enumerate(part.direction)]
+            p[axis] = np.where(inside == (sign > 0), low, high)
+            n = [np.asarray(sign if k == axis else 0.0) for k in range(3)]
             plane = None
             if not np.ndim(owner) and part.t.size >= _LARGE:
                 plane = _plane(view.raster, samples, part.sample, axis, float(p[axis]))

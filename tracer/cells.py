@@ -1,0 +1,246 @@
+"""Directions around a light, in cells, each with the objects that lie there.
+
+The cells are those of an octahedral map (Engelhardt and Dachsbacher 2008): each
+octant of directions is projected onto its face of |x| + |y| + |z| = 1, where
+planes through the light are straight lines.  An object is listed in the cells
+that its bounding box can touch, less those that a plane keeps apart from it.
+
+All bounds are interval arithmetic and valid with the light beside, on or inside
+an object: they leave out only pairs that cannot meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from tracer.groups import Bools, Triple, dot, each, pick, scaled
+from tracer.pencil import expand
+from tracer.scene import Floats, Ints, Surfaces
+
+__all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
+
+# Widens bounds by more than all roundings between a point and its cell.
+_SLACK = 1e-9
+
+# Cells along the side of an octant: finer cells list less, and take longer to fill.
+_SIDE_LEAST, _SIDE_MOST = 64, 1024
+
+NONE, MANY = -1, -2
+
+
+@dataclass(frozen=True, slots=True)
+class Extents:
+    """Bounding boxes of all objects, spheres first.
+
+    Attributes
+    ----------
+    low, high : (3, n)
+    seen : (n,)
+        Which of them may be seen: nothing else needs light.
+    """
+
+    low: Floats
+    high: Floats
+    seen: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Lists of objects, by direction from a light.
+
+    Attributes
+    ----------
+    side : int
+        Cells along each side of an octant.
+    scale, shift : (2, 8)
+        From octahedral coordinates to cells, per octant.
+    first : (8 * side * side + 1,)
+        Where each cell's list begins in `listed`.
+    listed : (m,)
+        Objects.
+    sole : (8 * side * side,)
+        The only object in a cell; `MANY` or `NONE`.
+    near : (n,)
+        Each object's least distance to the light, in the 1-norm.
+    safe : (n,)
+        Objects that share none of their cells: nothing can shade them.
+    """
+
+    side: int
+    scale: Floats
+    shift: Floats
+    first: Ints
+    listed: Ints
+    sole: Ints
+    near: Floats
+    safe: Bools
+
+    def locate(self, to_light: Triple) -> tuple[Floats, Ints]:
+        """Distance from the light (1-norm) and cell of points, given the way to it."""
+        x, y, z = each(np.abs, to_light)
+        total = x + y + z
+        inverse = 1 / total
+        octant = (to_light[0] < 0) + 2 * (to_light[1] < 0) + 4 * (to_light[2] < 0)
+        i = x * inverse * self.scale[0][octant] + self.shift[0][octant]
+        j = y * inverse * self.scale[1][octant] + self.shift[1][octant]
+        # A point in the light itself is in no direction: any cell will do.
+        last = self.side - 1
+        column = np.fmin(np.fmax(i, 0), last).astype(np.intp)
+        row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
+        return total * (1 + _SLACK), (octant * self.side + column) * self.side + row
+
+    def objects(self, cell: Ints) -> tuple[Ints, Ints]:
+        """All pairs of a cell (its index in `cell`) and an object listed there."""
+        first = self.first[cell]
+        owner, place = expand(self.first[cell + 1] - first)
+        return owner, self.listed[first[owner] + place]
+
+
+@dataclass(frozen=True, slots=True)
+class _Octant:
+    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances."""
+
+    number: int
+    objects: Ints
+    bounds: Floats
+    nearest: Floats
+    farthest: Floats
+
+
+def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouettes: Triple) -> Cells:
+    """Fill the cells around a light (3,).
+
+    `silhouettes`: three (6, B), planes through the light around every box.
+    """
+    count = len(surfaces)
+    side = int(np.clip(2 * np.sqrt(count), _SIDE_LEAST, _SIDE_MOST))
+    scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
+    hits = np.zeros((8, side * side), dtype=np.intp)
+    near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
+    cells, listed = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+    for number in range(8):
+        octant = _octant(number, light, extents)
+        objects = octant.objects
+        near[objects] = np.minimum(near[objects], octant.nearest)
+        seen = np.flatnonzero(extents.seen[objects])
+        if not seen.size:
+            continue
+        # The cells cover just the directions in which there is something to light.
+        origin = octant.bounds[::2, seen].min(axis=1)
+        scale[:, number] = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
+        shift[:, number] = -origin * scale[:, number]
+        west, east, north, south = (
+            np.floor(octant.bounds[k] * scale[k // 2, number] + shift[k // 2, number])
+            for k in range(4)
+        )
+        may = np.flatnonzero(
+            (octant.nearest <= _reach(octant, seen) * (1 + _SLACK))
+            & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
+        )
+        left, top = (np.maximum(m, 0).astype(np.intp) for m in (west, north))
+        right, bottom = (np.minimum(m, side - 1).astype(np.intp) for m in (east, south))
+        tall = bottom[may] - top[may] + 1
+        owner, place = expand((right[may] - left[may] + 1) * tall)
+        over, down = np.divmod(place, tall[owner])
+        column, row = left[may][owner] + over, top[may][owner] + down
+        corners = _cell_corners(number, column, row, scale[:, number], origin)
+        touching = ~_apart(corners, objects[may][owner], light, surfaces, silhouettes)
+        owner, cell = may[owner[touching]], (column * side + row)[touching]
+        cells.append(number * side * side + cell)
+        listed.append(objects[owner])
+        hits[number] = np.bincount(cell, minlength=side * side)
+        # How many are listed in a rectangle, by sums over all rectangles at the corner.
+        sums = np.zeros((side + 1, side + 1), dtype=np.intp)
+        sums[1:, 1:] = hits[number].reshape(side, side).cumsum(axis=0).cumsum(axis=1)
+        x0, x1, y0, y1 = left[seen], right[seen] + 1, top[seen], bottom[seen] + 1
+        others = sums[x1, y1] - sums[x0, y1] - sums[x1, y0] + sums[x0, y0]
+        others -= np.bincount(owner, minlength=objects.size)[seen]
+        safe[objects[seen]] &= others == 0
+    first = np.zeros(8 * side * side + 1, dtype=np.intp)
+    np.cumsum(hits, out=first[1:])
+    ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells), kind="stable")]
+    single = np.diff(first) == 1
+    sole = np.where(np.diff(first) == 0, NONE, MANY)
+    sole[single] = ordered[first[:-1][single]]
+    return Cells(side, scale, shift, first, ordered, sole, near * (1 - _SLACK), safe)
+
+
+def _octant(number: int, light: Floats, extents: Extents) -> _Octant:
+    """Bounds of all objects that reach into an octant.
+
+    Bit k of the octant's number is set where the way to the light is negative
+    along axis k, that is, where points lie beyond it.
+    """
+    low, high = np.empty(extents.low.shape), np.empty(extents.low.shape)
+    for k in range(3):
+        slack = _SLACK * (np.abs(extents.low[k]) + np.abs(extents.high[k]) + np.abs(light).sum())
+        below, above = extents.low[k] - slack - light[k], extents.high[k] + slack - light[k]
+        low[k], high[k] = (below, above) if number >> k & 1 else (-above, -below)
+    objects = np.flatnonzero((high >= 0).all(axis=0))
+    x0, y0, z0 = np.maximum(low[:, objects], 0)
+    x1, y1, z1 = high[:, objects]
+    bounds = np.array(
+        [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0), y0 / (y0 + x1 + z1), y1 / (y1 + x0 + z0)]
+    )
+    # Around the light itself there is no bound: all of the octant.
+    whole = np.array([[0.0], [1.0], [0.0], [1.0]])
+    bounds = np.where(np.isnan(bounds), whole, bounds) + _SLACK * (2 * whole - 1)
+    return _Octant(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+
+
+def _reach(octant: _Octant, seen: Ints) -> Floats:
+    """Farthest point (n,) from the light of any seen object but each itself.
+
+    What begins farther away shades nothing.
+    """
+    far = octant.farthest[seen]
+    place = int(far.argmax())
+    reach = np.full(octant.objects.size, far[place])
+    reach[seen[place]] = np.delete(far, place).max(initial=-np.inf)
+    return reach
+
+
+def _cell_corners(number: int, i: Ints, j: Ints, scale: Floats, origin: Floats) -> list[Triple]:
+    """Directions of the four corners of cells (i, j) of an octant, slightly widened."""
+    x, y, z = (1.0 if number >> k & 1 else -1.0 for k in range(3))
+    corners = []
+    for di, dj in product((-_SLACK, 1 + _SLACK), repeat=2):
+        a, b = (i + di) / scale[0] + origin[0], (j + dj) / scale[1] + origin[1]
+        corners.append((x * a, y * b, z * (1 - a - b)))
+    return corners
+
+
+def _apart(
+    corners: list[Triple], owner: Ints, light: Floats, surfaces: Surfaces, silhouettes: Triple
+) -> Bools:
+    """Whether a plane through the light lies between cells and objects, pair by pair.
+
+    A cell is the cone between its corners: if they are all on one side of a
+    plane and the object on the other, they do not meet.  Tried are a box's
+    silhouette planes, and a sphere's tangent plane towards the cell.
+    """
+    apart = np.zeros(owner.size, dtype=np.bool_)
+    spheres = len(surfaces.radius)
+
+    at = np.flatnonzero(owner < spheres)
+    x, y, z = (surfaces.center[owner[at]] - light).T
+    length = np.sqrt(x * x + y * y + z * z)
+    sine = surfaces.radius[owner[at]] / length
+    m = scaled((x, y, z), 1 / length)
+    middle = each(np.add, pick(corners[0], at), pick(corners[3], at))
+    aside = each(np.subtract, middle, scaled(m, dot(middle, m)))
+    turn = np.sqrt((1 - sine * sine) / dot(aside, aside))
+    tangent = each(np.subtract, scaled(aside, turn), scaled(m, sine))
+    # Not a number with the light inside, or the cell straight ahead: not apart.
+    apart[at] = np.all([dot(tangent, pick(c, at)) > _SLACK for c in corners], axis=0)
+
+    at = np.flatnonzero(owner >= spheres)
+    box = owner[at] - spheres
+    for k in range(6):
+        plane = silhouettes[0][k][box], silhouettes[1][k][box], silhouettes[2][k][box]
+        limit = -_SLACK * sum(each(np.abs, plane))
+        apart[at] |= np.all([dot(plane, pick(c, at)) < limit for c in corners], axis=0)
+    return apart
