@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.flavours import exact, normalisation
+from converters.flavours import exact
 from converters.variant import use
 from reference.compare import Figures, figures
 from tracer.reader import load_scene
@@ -29,31 +29,31 @@ from tracer.scene import Floats, Scene
 __all__ = [
     "EDGE_CHANGE",
     "EDGE_SHIFT",
+    "MAX_DIFFERENCE",
     "MAX_MASKED",
+    "MAX_MEDIAN",
+    "MIN_SSIM",
     "CheckResult",
     "check",
     "check_scene",
     "doubts",
     "edge_mask",
     "render_mitsuba",
-    "tolerance",
     "write_exr",
 ]
 
 Bools: TypeAlias = NDArray[np.bool_]
 
-EDGE_SHIFT = 0.03
-"""How far a sample moves, in pixels, to see whether an edge is near."""
+EDGE_SHIFT = 0.003
+"""How far a sample moves, in pixels and both ways, to see whether an edge is near."""
 EDGE_CHANGE = 1e-2
 """What change of linear radiance makes an edge."""
-MAX_MASKED = 0.015
+MAX_MASKED = 0.003
 """Largest share of a picture that may be masked."""
 MIN_SSIM = 0.999
 MAX_MEDIAN = 1e-6
 
-# Float32 leaves an error of about 5e-8 times distance / radius in a normal.
-_NEAR, _FAR = 1e-4, 3e-4
-_FAR_DISTANCE = 1000.0
+MAX_DIFFERENCE = 1e-4
 
 # So many pixels the oracle is asked at most; where more differ, Mitsuba stays the judge.
 _MOST_JUDGED = 2000
@@ -76,8 +76,6 @@ class CheckResult:
     figures : Figures
         Of `tracer` against `reference`, outside the mask; its SSIM is of the
         whole picture.
-    tolerance : float
-        What the largest difference is held against.
     variant : str
         Mitsuba's.
     reasons : tuple of str
@@ -94,7 +92,6 @@ class CheckResult:
     reference: Floats
     mask: Bools
     figures: Figures
-    tolerance: float
     variant: str
     reasons: tuple[str, ...]
     judged: int
@@ -116,8 +113,8 @@ class CheckResult:
             for broken, fault in (
                 (not f.ssim >= MIN_SSIM, f"SSIM {f.ssim:.5f} is below {MIN_SSIM}"),
                 (
-                    not f.max <= self.tolerance,
-                    f"largest difference {f.max:.1e} exceeds {self.tolerance:.0e}",
+                    not f.max <= MAX_DIFFERENCE,
+                    f"largest difference {f.max:.1e} exceeds {MAX_DIFFERENCE:.0e}",
                 ),
                 (
                     not f.median <= MAX_MEDIAN,
@@ -201,13 +198,6 @@ def edge_mask(scene: Scene, image: Floats) -> Bools:
     return mask
 
 
-def tolerance(scene: Scene) -> float:
-    """Largest difference outside the mask that float32 accounts for."""
-    place = normalisation(scene)
-    distance = float(np.linalg.norm(np.array(scene.camera.view_point) - place.center))
-    return _FAR if distance >= _FAR_DISTANCE else _NEAR
-
-
 def doubts(scene: Scene) -> tuple[str, ...]:
     """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
     surfaces = scene.surfaces
@@ -260,10 +250,10 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     image = render(scene)
     tracer_seconds = perf_counter() - start
     mask = edge_mask(scene, image)
-    limit, reasons = tolerance(scene), doubts(scene)
+    reasons = doubts(scene)
     reference, judged = mitsuba, 0
     if reasons:
-        reference, judged = _judge(scene, image, mitsuba, mask, limit)
+        reference, judged = _judge(scene, image, mitsuba, mask)
     return CheckResult(
         name=name,
         tracer=image,
@@ -271,7 +261,6 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
         reference=reference,
         mask=mask,
         figures=figures(image, reference, mask),
-        tolerance=limit,
         variant=chosen.variant,
         reasons=reasons,
         judged=judged,
@@ -280,11 +269,9 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     )
 
 
-def _judge(
-    scene: Scene, image: Floats, mitsuba: Floats, mask: Bools, limit: float
-) -> tuple[Floats, int]:
+def _judge(scene: Scene, image: Floats, mitsuba: Floats, mask: Bools) -> tuple[Floats, int]:
     """Mitsuba's picture with the oracle's word where the two differ, and for how many pixels."""
-    differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > limit) & ~mask)
+    differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > MAX_DIFFERENCE) & ~mask)
     if not 0 < len(differ) <= _MOST_JUDGED:
         return mitsuba, 0
     # Only this needs the tests' oracle, so only this imports it.

@@ -212,7 +212,8 @@ class EveryLight(mi.SamplingIntegrator):
             ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
             value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
             facing = valid & dr.any(value > 0)
-            reach = dr.minimum(ds.dist, _exit(scene.bbox(), si.p, ds.d))
+            # Not from the light itself: it may lie on a surface.
+            reach = dr.minimum(ds.dist - self.tolerance, _exit(scene.bbox(), si.p, ds.d))
             shadow_ray = mi.Ray3f(si.p + reach * ds.d, -ds.d)
             first = scene.ray_intersect_preliminary(shadow_ray, active=facing)
             height = (reach - first.t) * dr.abs(dr.dot(ds.d, si.n))
