@@ -195,7 +195,7 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
 @contextmanager
 def _whole_or_not_at_all(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` if all goes well, and else vanishes."""
-    target = Path(path).resolve()  # a link stays one
+    target = Path(os.path.realpath(path))  # a link stays one; resolve() fails on loops
     mode = None
     if target.exists():
         mode = target.stat().st_mode

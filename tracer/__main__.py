@@ -1,0 +1,216 @@
+"""The command line: `python -m tracer SCENE.xml [SCENE.xml ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import TextIO
+
+from tracer import __version__
+from tracer.image import write_bands
+from tracer.reader import SceneFileError, load_scene, printable
+from tracer.render import render_bands
+from tracer.scene import Floats
+
+__all__ = ["main"]
+
+_EXAMPLES = """\
+examples:
+  tracer scenes/one-sphere.xml          write scenes/one-sphere.xml.png
+  tracer scenes/*.xml -o pictures/      write every picture to a folder
+  tracer room.xml -o room.png --samples 16
+                                        smooth edges, as with 16 samples a pixel
+
+exit status:
+  0  all scenes are rendered
+  1  some scene could not be read, rendered or written; the others are
+  2  wrong usage
+"""
+
+# A bar is shown once a picture turns out to take longer than this, in seconds.
+_SLOW = 1.0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Render scenes to PNG files.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments; those of the process if absent.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if all is done, 1 if some scene could not be read,
+        rendered or written, 130 if interrupted.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 for wrong usage, and 0 for ``--help`` and ``--version``.
+    """
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        outputs = _outputs(arguments.scenes, arguments.output)
+    except ValueError as error:
+        parser.error(printable(str(error)))
+    # Whoever ends the process politely gets the tidying that Ctrl-C gets.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        failures = 0
+        for scene, output in zip(arguments.scenes, outputs, strict=True):
+            fault = _render(scene, output, arguments)
+            if fault is not None:
+                _say(sys.stderr, fault)
+                failures += 1
+        return min(failures, 1)
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="tracer",
+        description="Render scenes; each picture is written beside its file, as SCENE.xml.png.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scenes", nargs="+", metavar="SCENE.xml", help="a scene file")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        help="the picture to write, or a folder for the pictures of several scenes;"
+        " a folder that ends in / is made if it is missing",
+    )
+    parser.add_argument(
+        "--samples",
+        type=_at_least(1),
+        default=1,
+        metavar="N",
+        help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
+    )
+    parser.add_argument(
+        "--threads",
+        type=_at_least(0),
+        default=0,
+        metavar="N",
+        help="threads to render in (default: 0, as many as pay)",
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing but what goes wrong")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    return parser
+
+
+def _at_least(least: int) -> Callable[[str], int]:
+    def whole_number(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
+            raise argparse.ArgumentTypeError(f"must be a whole number from {least}, is {text!r}")
+        return int(text)
+
+    return whole_number
+
+
+def _outputs(scenes: Sequence[str], output: str | None) -> list[Path]:
+    """Where each picture goes; a ValueError says why that is wrong usage."""
+    if output is None:
+        outputs = [Path(f"{scene}.png") for scene in scenes]
+    elif _is_folder(output):
+        outputs = [Path(output, f"{Path(scene).name}.png") for scene in scenes]
+    elif len(scenes) == 1:
+        outputs = [Path(output)]
+    else:
+        raise ValueError(
+            f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
+        )
+    inputs = {os.path.realpath(scene) for scene in scenes}
+    taken: dict[str, str] = {}
+    for scene, path in zip(scenes, outputs, strict=True):
+        real = os.path.realpath(path)
+        if real in inputs:
+            raise ValueError(f"{path}: the picture would replace a scene; choose another with -o")
+        if real in taken:
+            raise ValueError(
+                f"{path}: {taken[real]} and {scene} would both be written there;"
+                " render them one by one"
+            )
+        taken[real] = scene
+    return outputs
+
+
+def _is_folder(path: str) -> bool:
+    return path.endswith(("/", os.sep)) or Path(path).is_dir()
+
+
+def _render(scene_path: str, output: Path, arguments: argparse.Namespace) -> str | None:
+    """Render one scene; return what went wrong, if anything did."""
+    start = perf_counter()
+    shown = printable(str(output))
+    try:
+        scene = load_scene(scene_path)
+    except SceneFileError as error:
+        return str(error)
+    except MemoryError:
+        return f"{printable(scene_path)}: not enough memory to read it; split the scene"
+    try:
+        if arguments.output is not None and _is_folder(arguments.output):
+            output.parent.mkdir(parents=True, exist_ok=True)
+        bands = render_bands(scene, arguments.samples, threads=arguments.threads or None)
+        if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
+            bands = _with_progress(bands, scene.height, shown)
+        write_bands(output, scene.width, scene.height, bands)
+    except MemoryError:
+        return (
+            f"{printable(scene_path)}: not enough memory for {scene.width} x {scene.height} pixels;"
+            " make the image smaller"
+        )
+    except OSError as error:
+        return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
+    if not arguments.quiet:
+        seconds = perf_counter() - start
+        _say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
+    return None
+
+
+def _with_progress(bands: Iterator[Floats], rows: int, name: str) -> Iterator[Floats]:
+    """The same bands; shows a bar as soon as the picture turns out to take long."""
+    start = perf_counter()
+    bar = None
+    done = 0
+    try:
+        for band in bands:
+            yield band
+            done += len(band)
+            seconds = perf_counter() - start
+            if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
+                from tqdm import tqdm  # takes longer to import than a small picture to render
+
+                bar = tqdm(desc=name, total=rows, unit="row", leave=False)
+            if bar is not None:
+                bar.update(done - bar.n)
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _say(stream: TextIO | None, text: str) -> None:
+    """Print a line at once; to no one if no one listens any more."""
+    if stream is None:
+        return
+    encoding = stream.encoding or "utf-8"
+    try:
+        print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
+    except BrokenPipeError:
+        # The interpreter would meet the same error when it flushes the stream at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
