@@ -1,0 +1,170 @@
+"""The oracle against answers worked by hand, then the tracer against the oracle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import Oracle, Verdict, radiance
+from random_scenes import KINDS, random_scene
+
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
+
+# Far more than the tracer's rounding, of a few hundred epsilon in the same
+# measure, and little enough to leave out few pixels.
+TIE = 1e-12
+
+# The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60.
+RADIANCE = 1e-8
+
+
+def look(
+    eye: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    light: tuple[float, float, float],
+    *surfaces: Sphere | Box,
+) -> Verdict:
+    """The verdict on one ray and one light."""
+    camera = Camera(view_point=eye, view_dir=direction, view_up=(0.48, 0.6, 0.64))
+    scene = Scene(
+        camera=camera,
+        width=1,
+        height=1,
+        lights=(PointLight(position=light),),
+        surfaces=Surfaces.of(surfaces),
+    )
+    return Oracle(scene).judge(0.5, 0.5)
+
+
+BALL = Sphere()
+CUBE = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
+FLOOR = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
+DOWN = (0.0, -1.0, 0.0)
+
+
+class TestByHand:
+    """Each answer follows from the drawing in the comment."""
+
+    def test_nearest_first(self) -> None:
+        # Ball in front of a wall: the ball is seen, at n = (0, 0, 1), lit from (3, 0, 5)
+        # along (3, 0, 4) / 5.
+        wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
+        verdict = look((0, 0, 7), (0, 0, -1), (3, 0, 5), wall, BALL)
+        assert verdict == Verdict((0.8,) * 3, 1, (True,), verdict.margin)
+        assert verdict.margin > 1e-2
+
+    def test_nothing(self) -> None:
+        verdict = look((0, 0, 7), (0, 0, 1), (3, 0, 5), BALL, CUBE)
+        assert (verdict.surface, verdict.radiance) == (None, (0, 0, 0))
+
+    def test_highlight(self) -> None:
+        # v = (0, 1, 0), l = (0.96, 0.28, 0): n.h = cos(acos(0.28) / 2) = 0.8, squared 0.64.
+        floor = replace(FLOOR, shader=Phong(diffuse=(1, 0, 0), specular=(0, 1, 0), exponent=2))
+        verdict = look((0, 5, 0), DOWN, (0.96 * 25, -1 + 0.28 * 25, 0), floor)
+        assert verdict.radiance == pytest.approx((0.28, 0.64, 0), rel=1e-15)
+
+    @pytest.mark.parametrize(
+        ("light", "lit"),
+        [((1, -5, 0), True), ((0, -5, 0), True), ((-1, -5, 0), False)],
+    )
+    def test_box_touching_a_ball(self, light: tuple[float, float, float], lit: bool) -> None:
+        # The box's upper right edge touches the ball's lowest point, the origin, where
+        # n = (0, -1, 0).  Segments to the right or along the face x = 0 pass the box.
+        ball = Sphere(center=(0, 0.5, 0), radius=0.5)
+        box = Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
+        verdict = look((1, -1, 0), (-1, 1, 0), light, ball, box)
+        assert (verdict.surface, verdict.lit) == (0, (lit,))
+
+    @pytest.mark.parametrize(
+        ("light", "lit"),
+        [((5, -1, 0), True), ((5, 0, 0), True), ((5, 1, 0), False)],
+    )
+    def test_ball_touching_a_box(self, light: tuple[float, float, float], lit: bool) -> None:
+        # The same, listed the other way round: the box's face x = 0 is seen, and only
+        # segments that rise enter the ball.
+        ball = Sphere(center=(0, 0.5, 0), radius=0.5)
+        box = Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
+        verdict = look((1, -1, 0), (-1, 1, 0), light, box, ball)
+        assert (verdict.surface, verdict.lit) == (0, (lit,))
+
+    def test_inside(self) -> None:
+        # Eye and light in the ball: n = -d, and l = (0, 0, -1) turned by the light's place.
+        inside = look((0, 0, 0), (0, 0, -1), (0.75, 0, 0), BALL)
+        assert inside.radiance == pytest.approx((0.8,) * 3, rel=1e-15)
+        assert look((0, 0, 0), (0, 0, -1), (0, 0, 5), BALL).lit == (False,)
+        assert look((0, 0, 0), (0, 0, -1), (0, 0, 1), BALL).lit == (False,)
+
+    def test_twins(self) -> None:
+        # A twin changes nothing: outside, inside, box or ball.
+        for twin in (BALL, CUBE):
+            for eye, light in (((0, 0, 7), (3, 0, 5)), ((0, 0, 0), (0.75, 0, 0))):
+                once = look(eye, (0, 0, -1), light, twin)
+                twice = look(eye, (0, 0, -1), light, twin, twin)
+                assert twice == replace(once, margin=twice.margin)
+                assert once.lit == (True,)
+
+    def test_face_in_the_ray(self) -> None:
+        # Camera rays in a face meet the box; segments to a light in one pass it.
+        assert look((0, 1, 7), (0, 0, -1), (0, 1, 7), CUBE).lit == (True,)
+        wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
+        assert look((0, 1, -1.5), (0, 0, -1), (0, 1, 7), wall, CUBE).lit == (True,)
+        assert look((0, 0.99, -1.5), (0, 0, -1), (0, 0.99, 7), wall, CUBE).lit == (False,)
+
+    def test_margin(self) -> None:
+        # A ray that passes the ball at 1e-9: 1e-9 of lengths 7 + 1 + 7.
+        verdict = look((1 + 1e-9, 0, 7), (0, 0, -1), (3, 0, 5), BALL)
+        assert verdict.surface is None
+        assert verdict.margin == pytest.approx(1e-9 / 15, rel=1e-3)
+
+
+def disagreements(scene: Scene) -> tuple[list[str], int, int]:
+    """Where tracer and oracle differ, how many pixels are ties, and how many are not."""
+    image, wrong, ties, judged = render(scene), [], 0, 0
+    for i, row in enumerate(Oracle(scene).picture()):
+        for j, verdict in enumerate(row):
+            error = np.abs(image[i, j] - verdict.radiance).max()
+            if verdict.margin < TIE:
+                ties += 1
+            else:
+                judged += 1
+            if not np.isfinite(image[i, j]).all() or (
+                verdict.margin >= TIE and not error <= RADIANCE
+            ):
+                wrong.append(f"row {i}, column {j}: {image[i, j]} is not {verdict}")
+    return wrong, ties, judged
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tracer_agrees(kind: str) -> None:
+    ties = judged = 0
+    for seed in range(8):
+        scene = random_scene(kind, seed)
+        wrong, tied, sure = disagreements(scene)
+        assert not wrong, f"{kind}, seed {seed}:\n" + "\n".join(wrong)
+        ties += tied
+        judged += sure
+    # Or the test would say nothing.
+    assert ties < 0.05 * judged
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(kind=st.sampled_from(list(KINDS)), seed=st.integers(1000, 2**32))
+def test_tracer_agrees_on_any(kind: str, seed: int) -> None:
+    wrong, _, _ = disagreements(random_scene(kind, seed, width=5, height=4))
+    assert not wrong, "\n".join(wrong)
+
+
+def test_radiance_between_pixels() -> None:
+    # The shader's colour, where the ball is seen through the corner of a pixel.
+    shader = Lambertian(diffuse=(0.5, 0.25, 1))
+    scene = Scene(
+        camera=Camera(view_point=(0, 0, 7)),
+        width=2,
+        height=2,
+        lights=(PointLight(position=(0, 0, 9)),),
+        surfaces=Surfaces.of([Sphere(shader=shader)]),
+    )
+    assert radiance(scene, 1, 1) == (0.5, 0.25, 1)
