@@ -1,0 +1,252 @@
+"""All scenes, the tracer's pictures beside Mitsuba's: ``python -m reference.report``.
+
+Writes one HTML page that holds everything it shows: it opens from a file, and
+asks neither a server nor the network for anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import html
+import io
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from tqdm import tqdm
+
+from converters.check import MAX_DIFFERENCE, CheckResult, check
+from reference.compare import amplified
+from reference.machine import BUILD, describe
+from tracer.image import quantise
+from tracer.reader import SceneFileError
+
+__all__ = ["main", "page"]
+
+HERE = Path(__file__).resolve().parent
+SCENES = HERE.parent / "scenes"
+CHARTS = {
+    "Accuracy against time": HERE / "speed-accuracy.svg",
+    "Where methods fail": HERE / "stability.svg",
+}
+
+_MASKED = 0.3
+
+
+def page(
+    results: Sequence[CheckResult],
+    comments: dict[str, str],
+    charts: Iterable[tuple[str, bytes]] = (),
+) -> str:
+    """The report as HTML.
+
+    Parameters
+    ----------
+    results : sequence of CheckResult
+        One for each scene.
+    comments : dict
+        What each scene shows, by its name.
+    charts : iterable of (str, bytes)
+        Title and SVG of each.
+    """
+    template = (HERE / "report-template.html").read_text(encoding="utf-8")
+    parts = {
+        "<!-- summary -->": _summary(results),
+        "<!-- table -->": _table(results),
+        "<!-- scenes -->": "\n".join(_scene(r, comments.get(r.name, "")) for r in results),
+        "<!-- charts -->": "\n".join(_chart(title, svg) for title, svg in charts),
+    }
+    for marker, part in parts.items():
+        template = template.replace(marker, part)
+    return template
+
+
+def _summary(results: Sequence[CheckResult]) -> str:
+    agree = sum(not result.faults for result in results)
+    variants = ", ".join(sorted({result.variant for result in results}))
+    verdict = (
+        '<strong class="good">All agree.</strong>'
+        if agree == len(results)
+        else f'<strong class="bad">{agree} agree.</strong>'
+    )
+    return (
+        f"<p>{len(results)} scenes, sampled at the pixels' centres by both renderers and compared"
+        f" in linear light: away from edges they may differ by {MAX_DIFFERENCE:g}. {verdict}</p>\n"
+        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(describe())}</p>'
+    )
+
+
+def _table(results: Sequence[CheckResult]) -> str:
+    head = "".join(
+        f'<th scope="col">{title}</th>'
+        for title in (
+            "scene",
+            "verdict",
+            "SSIM",
+            "largest difference",
+            "masked",
+            "tracer",
+            "Mitsuba",
+        )
+    )
+    rows = "\n".join(
+        f'<tr><td><a href="#{_name(r)}">{_name(r)}</a></td><td>{_verdict(r)}</td>'
+        f"<td>{r.figures.ssim:.6f}</td><td>{r.figures.max:.1e}</td>"
+        f"<td>{r.mask.mean():.2%}</td><td>{_time(r.tracer_seconds)}</td>"
+        f"<td>{_time(r.mitsuba_seconds)}</td></tr>"
+        for r in results
+    )
+    return (
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n'
+        f"<tbody>\n{rows}\n</tbody></table></div>"
+    )
+
+
+def _scene(result: CheckResult, comment: str) -> str:
+    """One row: the two pictures, their difference, the controls and the figures."""
+    height, width = result.mask.shape
+    name, f = _name(result), result.figures
+    difference, gain = _difference(result)
+    values = {
+        "SSIM": f"{f.ssim:.6f}",
+        "largest difference": f"{f.max:.2e}",
+        "99.9th percentile": f"{f.p999:.2e}",
+        "RMSE": f"{f.rmse:.2e}",
+        "median": f"{f.median:.2e}",
+        "over 1e-3": f"{f.over}",
+        "masked": f"{f.masked} pixels",
+        "tracer": _time(result.tracer_seconds),
+        f"Mitsuba {result.variant}": _time(result.mitsuba_seconds),
+    }
+    notes = [f"Out of tolerance: {fault}." for fault in result.faults]
+    if result.reasons:
+        notes.append(
+            f"Mitsuba errs on this scene ({', '.join(result.reasons)}): the oracle judged the"
+            f" {result.judged} pixels that differ."
+        )
+    shown = f"difference × {gain:g}" if gain else "no difference"
+    return f"""
+<section class="scene" id="{name}" data-width="{width}" data-height="{height}">
+<div class="head"><h2>{name}</h2><span>{_verdict(result)}</span>
+<span class="soft">{width} × {height}</span></div>
+<p class="soft">{html.escape(comment)}</p>
+<div class="pictures">
+<figure>
+<div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
+ aria-label="{name}: tracer and Mitsuba" aria-keyshortcuts="+ - 0 F">
+<div class="layer tracer">{_image(result.tracer, f"{name} by the tracer")}</div>
+<div class="layer mitsuba">{_image(result.mitsuba, f"{name} by Mitsuba")}</div>
+<div class="seam"></div>
+</div>
+<figcaption><span>tracer</span><span>Mitsuba</span></figcaption>
+</figure>
+<figure>
+<div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
+ aria-label="{name}: {shown}" aria-keyshortcuts="+ - 0 F">
+<div class="layer">{_picture(difference, f"{name}: {shown}")}</div>
+</div>
+<figcaption><span>{shown}</span></figcaption>
+</figure>
+</div>
+<div class="controls">
+<label>tracer <input type="range" min="0" max="100" value="50" aria-label="{name}: how much is the\
+ tracer's"> Mitsuba</label>
+<button type="button" class="flicker" aria-pressed="false">Flicker</button>
+<span><button type="button" class="out" aria-label="Zoom out">−</button>
+<button type="button" class="in" aria-label="Zoom in">+</button>
+<button type="button" class="all">All</button> <span class="scale">1×</span></span>
+<span class="readout" role="status"></span>
+</div>
+<dl>{"".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in values.items())}</dl>
+{"".join(f'<p class="bad">{html.escape(note)}</p>' for note in notes[: len(result.faults)])}
+{"".join(f'<p class="soft">{html.escape(note)}</p>' for note in notes[len(result.faults) :])}
+</section>"""
+
+
+def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], float]:
+    """The difference as 8-bit codes, amplified; masked pixels in grey."""
+    kept = np.where(result.mask[:, :, None], result.tracer, result.reference)
+    image, gain = amplified(result.tracer, kept)
+    image[result.mask] = _MASKED
+    return np.round(255 * image).astype(np.uint8), gain
+
+
+def _chart(title: str, svg: bytes) -> str:
+    source = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
+    title = html.escape(title)
+    return f'<section class="chart"><h2>{title}</h2><img src="{source}" alt="{title}"></section>'
+
+
+def _name(result: CheckResult) -> str:
+    return html.escape(result.name, quote=True)
+
+
+def _verdict(result: CheckResult) -> str:
+    return (
+        '<span class="bad">✗ differs</span>'
+        if result.faults
+        else '<span class="good">✓ agrees</span>'
+    )
+
+
+def _time(seconds: float) -> str:
+    return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
+
+
+def _image(light: NDArray[np.float64], alt: str) -> str:
+    return _picture(quantise(light), alt)
+
+
+def _picture(codes: NDArray[np.uint8], alt: str) -> str:
+    data = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(codes)).save(data, format="PNG", optimize=True)
+    source = f"data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"
+    return f'<img src="{source}" alt="{html.escape(alt, quote=True)}" draggable="false">'
+
+
+def _comment(path: Path) -> str:
+    """The comment at the head of a scene file, on one line."""
+    found = re.search(r"<!--(.*?)-->", path.read_text(encoding="utf-8", errors="replace"), re.S)
+    return " ".join(found.group(1).split()) if found else ""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns 1 where a scene cannot be read or a tolerance is broken."""
+    parser = argparse.ArgumentParser(
+        prog="python -m reference.report",
+        description="Render scenes with the tracer and with Mitsuba, and write one HTML page that"
+        " shows both, the difference, the figures and the times.",
+        epilog="Exit status: 0 if all agree, 1 if not, 2 for wrong usage.",
+    )
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=BUILD / "report.html", help="(%(default)s)"
+    )
+    parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
+    options = parser.parse_args(arguments)
+    paths = sorted(options.scenes or SCENES.glob("*.xml"))
+    results = []
+    for path in tqdm(paths, unit="scene", disable=None):
+        try:
+            results.append(check(path, options.variant))
+        except SceneFileError as error:
+            print(error, file=sys.stderr)
+    charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
+    text = page(results, {path.stem: _comment(path) for path in paths}, charts)
+    try:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        options.output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        print(f"{options.output}: cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
+    print(options.output)
+    return int(len(results) < len(paths) or any(result.faults for result in results))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""Draw the README's pictures: ``python -m reference.sheet``.
+
+Writes ``sheet.png``, a picture of every scene of ``scenes/``, and
+``sunflower.png``, one of them in large, into this folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+import tracer
+from tracer.image import quantise
+
+__all__ = ["SCENES", "main", "sheet"]
+
+HERE = Path(__file__).resolve().parent
+SCENES = HERE.parent / "scenes"
+
+_SAMPLES = 16
+# A row holds five square pictures or three wide ones.
+_WIDTH, _GAP, _LABEL = 960, 12, 22
+_PAPER, _INK = (255, 255, 255), (60, 60, 60)
+
+
+def sheet(paths: Iterable[Path]) -> Image.Image:
+    """All scenes on one sheet, each over its name: square ones first, then wide ones."""
+    scenes = [(path.stem, tracer.load_scene(path)) for path in sorted(paths)]
+    rows: list[list[Image.Image]] = []
+    for per_row in (5, 3):
+        width = (_WIDTH - (per_row - 1) * _GAP) // per_row
+        tiles = [
+            _tile(name, scene, width)
+            for name, scene in scenes
+            if (scene.width == scene.height) == (per_row == 5)
+        ]
+        rows += [tiles[k : k + per_row] for k in range(0, len(tiles), per_row)]
+    height = sum(row[0].height + _GAP for row in rows) - _GAP
+    image = Image.new("RGB", (_WIDTH, height), _PAPER)
+    top = 0
+    for row in rows:
+        for k, tile in enumerate(row):
+            image.paste(tile, (k * (tile.width + _GAP), top))
+        top += row[0].height + _GAP
+    return image
+
+
+def _tile(name: str, scene: tracer.Scene, width: int) -> Image.Image:
+    picture = _drawn(scene, width)
+    tile = Image.new("RGB", (width, picture.height + _LABEL), _PAPER)
+    tile.paste(picture)
+    font = ImageFont.load_default(size=13)
+    ImageDraw.Draw(tile).text((0, picture.height + 3), name, fill=_INK, font=font)
+    return tile
+
+
+def _drawn(scene: tracer.Scene, width: int) -> Image.Image:
+    """The scene at another size, anti-aliased."""
+    height = round(scene.height * width / scene.width)
+    sized = dataclasses.replace(scene, width=width, height=height)
+    return Image.fromarray(np.ascontiguousarray(quantise(tracer.render(sized, _SAMPLES))))
+
+
+def main() -> None:
+    """Draw the README's pictures."""
+    argparse.ArgumentParser(prog="python -m reference.sheet", description=__doc__).parse_args()
+    sunflower = _drawn(tracer.load_scene(SCENES / "sunflower.xml"), _WIDTH)
+    for name, image in (("sheet.png", sheet(SCENES.glob("*.xml"))), ("sunflower.png", sunflower)):
+        image.save(HERE / name, optimize=True)
+        print(HERE / name)
+
+
+if __name__ == "__main__":
+    main()
