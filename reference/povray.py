@@ -1,0 +1,60 @@
+"""A scene for POV-Ray, to measure it beside the tracer.
+
+The same geometry, camera and lights (POV-Ray's do not fall off either) and the
+same Blinn-Phong lobe; only a coloured highlight comes out in its mean grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tracer.camera import raster_of
+from tracer.scene import Floats, Phong, Scene, Shader
+
+__all__ = ["to_pov"]
+
+
+def _xyz(values: Sequence[float] | Floats) -> str:
+    return "<" + ", ".join(repr(float(value)) for value in values) + ">"
+
+
+def _texture(shader: Shader) -> str:
+    lobe = ""
+    if isinstance(shader, Phong) and any(shader.specular):
+        lobe = f" specular {sum(shader.specular) / 3!r} roughness {1 / max(shader.exponent, 1)!r}"
+    return (
+        f"texture {{ pigment {{ rgb {_xyz(shader.diffuse)} }}"
+        f" finish {{ ambient 0 diffuse 1{lobe} }} }}"
+    )
+
+
+def to_pov(scene: Scene, exposure: float = 1.0) -> str:
+    """The scene description that POV-Ray 3.7 reads, its lights times `exposure`."""
+    raster = raster_of(scene.camera, scene.width, scene.height)
+    u, v, w = raster.axes
+    ahead = raster.shift_u * u + raster.shift_v * v + raster.depth * w
+    lines = [
+        "#version 3.7;",
+        "global_settings { assumed_gamma 1 }",
+        "background { rgb 0 }",
+        f"camera {{ location {_xyz(raster.eye)} direction {_xyz(ahead)}"
+        f" right {_xyz(raster.step_u * raster.width * u)}"
+        f" up {_xyz(-raster.step_v * raster.height * v)} }}",
+        *(
+            f"light_source {{ {_xyz(light.position)} rgb {exposure!r} * {_xyz(light.intensity)} }}"
+            for light in scene.lights
+        ),
+        *(f"#declare S{k} = {_texture(shader)}" for k, shader in enumerate(scene.surfaces.shaders)),
+    ]
+    s = scene.surfaces
+    lines += [
+        f"sphere {{ {_xyz(center)}, {radius!r} texture {{ S{shader} }} }}"
+        for center, radius, shader in zip(
+            s.center, s.radius.tolist(), s.sphere_shader.tolist(), strict=True
+        )
+    ]
+    lines += [
+        f"box {{ {_xyz(low)}, {_xyz(high)} texture {{ S{shader} }} }}"
+        for low, high, shader in zip(s.min_pt, s.max_pt, s.box_shader.tolist(), strict=True)
+    ]
+    return "\n".join([*lines, ""])
