@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.groups import Bools
-from tracer.lighting import Lighting, shade
+from tracer.camera import Raster
+from tracer.groups import Bools, dot
+from tracer.lighting import UNDECIDED, Lighting, shade
 from tracer.pencil import Spans
 from tracer.scene import Floats, Ints
-from tracer.visibility import Samples, View, grid, visible
+from tracer.visibility import Hits, Samples, View, grid, visible
 
 __all__ = ["antialiased"]
 
@@ -34,13 +35,16 @@ def antialiased(view: View, lighting: Lighting, top: int, bottom: int, per_side:
     # A pixel more on every side: each pixel is compared with its neighbours.
     samples = grid(top - 1, bottom + 1, -1, width + 1)
     shape = (rows + 2, width + 2)
-    radiance, key = _traced(view, lighting, samples)
+    close = np.zeros(samples.x.size, dtype=np.bool_)
+    radiance, key = _traced(view, lighting, samples, close)
     radiance = radiance.reshape(*shape, 3)
     image = radiance[1:-1, 1:-1]
     around = radiance[:-2, 1:-1] + radiance[2:, 1:-1] + radiance[1:-1, :-2] + radiance[1:-1, 2:]
     # The mean over a pixel is the centre's value plus a 24th of the Laplacian.
     curvature = (around - 4 * image) / 24
-    marked = _differ(key.reshape(shape)) | (np.abs(curvature).max(axis=2) > _CURVATURE / per_side)
+    marked = _differ(key.reshape(shape)) | (key == UNDECIDED).reshape(shape)[1:-1, 1:-1]
+    marked |= close.reshape(shape)[1:-1, 1:-1]
+    marked |= np.abs(curvature).max(axis=2) > _CURVATURE / per_side
     for spans in _spans(view, top, bottom, per_side):
         marked |= _crossed(spans, rows, width, per_side)
     image = image + curvature
@@ -50,14 +54,30 @@ def antialiased(view: View, lighting: Lighting, top: int, bottom: int, per_side:
     return image
 
 
-def _traced(view: View, lighting: Lighting, samples: Samples) -> tuple[Floats, Ints]:
-    """Radiance (n, 3) and key (n,) of samples; -1 where they see nothing."""
+def _traced(
+    view: View, lighting: Lighting, samples: Samples, close: Bools | None = None
+) -> tuple[Floats, Ints]:
+    """Radiance (n, 3) and key (n,) of samples; -1 where they see nothing.
+
+    With `close` the samples stand for pixels: it is set where two surfaces may
+    change places in a pixel, and keys are `UNDECIDED` where shadows may.
+    """
     radiance, key = np.zeros((samples.x.size, 3)), np.full(samples.x.size, -1)
-    for hits in visible(view, samples):
-        values, key[hits.sample] = shade(lighting, hits)
+    for hits in visible(view, samples, close):
+        footprint = None if close is None else _footprint(view.raster, hits)
+        values, key[hits.sample] = shade(lighting, hits, footprint)
         for k in range(3):
             radiance[hits.sample, k] = values[k]
     return radiance, key
+
+
+def _footprint(raster: Raster, hits: Hits) -> Floats:
+    """Radius (n,) on the surface, around each point, of what its pixel sees."""
+    length = np.sqrt(dot(hits.direction, hits.direction))
+    cosine = np.abs(dot(hits.n, hits.direction)) / length
+    # Nearly edge-on, outlines mark the pixel anyway.
+    half = 0.5 * float(np.hypot(raster.step_u, raster.step_v))
+    return hits.t * half / np.maximum(cosine, 0.02)
 
 
 def _differ(key: Ints) -> Bools:

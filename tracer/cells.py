@@ -26,7 +26,7 @@ __all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
 _SLACK = 1e-9
 
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
-_SIDE_LEAST, _SIDE_MOST = 64, 1024
+_SIDE_LEAST, _SIDE_MOST = 32, 1024
 
 NONE, MANY = -1, -2
 

@@ -11,10 +11,13 @@ from tracer.groups import Bools, Triple, dot, pick, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
-from tracer.shadow import LightPencil, Occluders, light_pencil, occluders_of
+from tracer.shadow import LightPencil, Occluders, Points, light_pencil, occluders_of
 from tracer.visibility import Hits
 
-__all__ = ["Lighting", "lighting_of", "shade"]
+__all__ = ["UNDECIDED", "Lighting", "lighting_of", "shade"]
+
+
+UNDECIDED = -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +54,14 @@ def lighting_of(scene: Scene, raster: Raster, eye_inside: Bools, seen: Bools) ->
     )
 
 
-def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
+def shade(lighting: Lighting, hits: Hits, footprint: Floats | None = None) -> tuple[Triple, Ints]:
     """Radiance towards the eye, and a key of what was decided on the way.
+
+    Parameters
+    ----------
+    footprint : (n,), optional
+        Radius around each point in which nothing must change: where a shadow's
+        edge comes as near as that, the key is `UNDECIDED`.
 
     Returns
     -------
@@ -66,6 +75,7 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
     shader = lighting.shader[hits.owner]
     radiance = np.zeros(count), np.zeros(count), np.zeros(count)
     key = np.full(count, hits.owner * 4 + hits.face)
+    undecided = np.zeros(count, dtype=np.bool_)
     length = np.sqrt(dot(hits.direction, hits.direction))
     reach = hits.t * length + sum(np.abs(x) for x in hits.p)
     for light, intensity in lighting.lights:
@@ -83,14 +93,12 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
             continue
         lit = where(facing)
         to_light = pick(to_light, lit)
-        blocked = light.blocked(
-            occluders,
-            pick(hits.p, lit),
-            to_light,
-            select(hits.owner, lit),
-            reach[lit],
-            hits.plane,
-        )
+        points = Points(pick(hits.p, lit), to_light, select(hits.owner, lit), reach[lit])
+        if footprint is None:
+            blocked = light.blocked(occluders, points, hits.plane)
+        else:
+            blocked, grazed = light.grazed(occluders, points, footprint[lit])
+            undecided[lit] |= grazed
         if blocked.any():
             free = np.flatnonzero(~blocked)
             lit = free if isinstance(lit, slice) else lit[free]
@@ -101,7 +109,7 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
         material = select(shader, lit)
         for k in range(3):
             radiance[k][lit] += (intensity[k] * materials.diffuse[k][material]) * cosine
-        glossy = np.asarray(materials.glossy[material])
+        glossy = materials.glossy[material]
         if glossy.any():
             at = where(np.broadcast_to(glossy, cosine.shape))
             shiny = at if isinstance(lit, slice) else lit[at]
@@ -114,4 +122,5 @@ def shade(lighting: Lighting, hits: Hits) -> tuple[Triple, Ints]:
             )
             for k in range(3):
                 radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
+    key[undecided] = UNDECIDED
     return radiance, key

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.groups import Triple, dot, each
+from tracer.groups import Bools, Triple, dot, each
 from tracer.scene import Floats, Phong, Shader
 
 __all__ = ["Materials", "highlight"]
@@ -35,7 +35,7 @@ class Materials:
         phong = [s if isinstance(s, Phong) else Phong() for s in shaders]
         self.specular = np.array([s.specular for s in phong]).reshape(count, 3).T
         self.exponent = np.array([s.exponent for s in phong])
-        self.glossy = (self.specular > 0).any(axis=0)
+        self.glossy: Bools = np.asarray((self.specular > 0).any(axis=0))
 
 
 def highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floats:

@@ -28,7 +28,7 @@ from tracer.pencil import box_corners, silhouette_planes
 from tracer.planar import Plane, shade_intervals
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["LightPencil", "Occluders", "light_pencil", "occluders_of"]
+__all__ = ["LightPencil", "Occluders", "Points", "light_pencil", "occluders_of"]
 
 # Intervals on a plane's rows pay when they are this many times fewer than samples.
 _PLANE_WORTH = 8
@@ -58,6 +58,27 @@ class Occluders:
 
 
 @dataclass(frozen=True, slots=True)
+class Points:
+    """Points that may be lit.
+
+    Attributes
+    ----------
+    p, to_light : three each
+        The points, and from there to the light.
+    own
+        The object each point lies on.
+    reach : (n,)
+        Length that a point's rounding error scales with: its distances from
+        the origin and from the eye.
+    """
+
+    p: Triple
+    to_light: Triple
+    own: Index
+    reach: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class LightPencil:
     """What a light may be kept from, and by what.
 
@@ -77,66 +98,85 @@ class LightPencil:
     silhouettes: Triple
     cells: Cells
 
-    def blocked(
-        self,
-        occluders: Occluders,
-        p: Triple,
-        to_light: Triple,
-        own: Index,
-        reach: Floats,
-        plane: Plane | None = None,
-    ) -> Bools:
+    def blocked(self, occluders: Occluders, points: Points, plane: Plane | None = None) -> Bools:
         """Whether another object than their own keeps points from the light.
 
-        Parameters
-        ----------
-        p, to_light
-            The points, and from there to the light.
-        own
-            The object each point lies on.
-        reach
-            Length that a point's rounding error scales with: its distances
-            from the origin and from the eye.
-        plane
-            The plane on which all the points lie, if they do.
+        `plane`: on which all the points lie, if they do.
         """
-        result = np.zeros(reach.size, dtype=np.bool_)
-        asked = ~self.cells.safe[own]
-        if not asked.any():
-            return result
-        if plane and len(occluders.surfaces) * plane.g.size * _PLANE_WORTH <= reach.size:
-            others = np.delete(np.arange(len(occluders.surfaces)), own)
+        result = np.zeros(points.reach.size, dtype=np.bool_)
+        rows = 0 if plane is None else plane.g.size
+        if plane and len(occluders.surfaces) * rows * _PLANE_WORTH <= points.reach.size:
+            if self.cells.safe[points.own]:
+                return result
             shade = shade_intervals(
                 occluders.raster,
                 plane,
                 self.position,
                 occluders.surfaces,
-                others,
+                np.delete(np.arange(len(occluders.surfaces)), points.own),
                 self.silhouettes,
             )
             result |= shade.certain
             point, other = shade.sample, shade.occluder
         else:
-            distance, cell = self.cells.locate(to_light)
-            # Most cells hold nothing, or the object itself.
-            sole = self.cells.sole[cell]
-            point = np.flatnonzero(asked & (sole != NONE) & (sole != own))
-            owner, other = self.cells.objects(cell[point])
-            point = point[owner]
-            keep = (other != select(own, point)) & (self.cells.near[other] <= distance[point])
-            point, other = point[keep], other[keep]
-        tried = self._pairs(occluders, pick(p, point), pick(to_light, point), reach[point], other)
-        result[point[tried]] = True
+            point, other = self._candidates(points)
+        result[point[self._blocks(occluders, points, point, other)]] = True
         return result
 
-    def _pairs(
-        self, occluders: Occluders, p: Triple, to_light: Triple, reach: Floats, other: Ints
+    def grazed(
+        self, occluders: Occluders, points: Points, footprint: Floats
+    ) -> tuple[Bools, Bools]:
+        """`blocked`, and whether that may change within a distance of each point.
+
+        An object that blocks when it is larger by the footprint (n,), and does
+        not when smaller by that, has the edge of its shadow there.
+        """
+        blocked = np.zeros(points.reach.size, dtype=np.bool_)
+        grazed = np.zeros(points.reach.size, dtype=np.bool_)
+        point, other = self._candidates(points)
+        blocked[point[self._blocks(occluders, points, point, other)]] = True
+        change = footprint[point]
+        may = np.flatnonzero(self._blocks(occluders, points, point, other, change))
+        point, other, change = point[may], other[may], change[may]
+        doubtful = ~self._blocks(occluders, points, point, other, -change)
+        grazed[point[doubtful]] = True
+        return blocked, grazed
+
+    def _candidates(self, points: Points) -> tuple[Ints, Ints]:
+        """Pairs (point, object) that the cells do not rule out."""
+        asked = ~self.cells.safe[points.own]
+        if not asked.any():
+            none = np.zeros(0, dtype=np.intp)
+            return none, none
+        distance, cell = self.cells.locate(points.to_light)
+        # Most cells hold nothing, or the object itself.
+        sole = self.cells.sole[cell]
+        point = np.flatnonzero(asked & (sole != NONE) & (sole != points.own))
+        owner, other = self.cells.objects(cell[point])
+        point = point[owner]
+        keep = other != select(points.own, point)
+        keep &= self.cells.near[other] <= distance[point]
+        return point[keep], other[keep]
+
+    def _blocks(
+        self,
+        occluders: Occluders,
+        points: Points,
+        point: Ints,
+        other: Ints,
+        larger: Floats | None = None,
     ) -> Bools:
-        """Whether objects keep points from the light, pair by pair."""
+        """Whether objects keep points from the light, pair by pair.
+
+        `larger` (pairs,) is added to the objects' sizes on all sides.
+        """
         surfaces = occluders.surfaces
+        p, to_light = pick(points.p, point), pick(points.to_light, point)
         side = self.side[other]
+        reach = points.reach[point]
         reach = np.where(side == ON, np.maximum(reach, np.abs(self.position).sum()), reach)
         tolerance = SURFACE_TOLERANCE * (reach + occluders.size[other])
+        larger = np.zeros(other.size) if larger is None else larger
         result = np.empty(other.size, dtype=np.bool_)
         spheres = len(surfaces.radius)
 
@@ -146,13 +186,14 @@ class LightPencil:
         result[at] = sphere_blocks(
             pick(to_light, at),
             each(np.subtract, (center[:, 0], center[:, 1], center[:, 2]), pick(p, at)),
-            surfaces.radius[ball],
+            np.maximum(surfaces.radius[ball] + larger[at], 0),
             tolerance[at],
             side[at],
             occluders.eye_inside[ball],
         )
         at = np.flatnonzero(other >= spheres)
-        low, high = surfaces.min_pt[other[at] - spheres], surfaces.max_pt[other[at] - spheres]
+        low = surfaces.min_pt[other[at] - spheres] - larger[at, None]
+        high = surfaces.max_pt[other[at] - spheres] + larger[at, None]
         result[at] = box_blocks(
             pick(p, at),
             (self.position[0], self.position[1], self.position[2]),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, select, spread
+from tracer.groups import Bools, Index, Triple, dot, select, spread
 from tracer.intersection import box_hit, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.planar import Plane
@@ -18,6 +18,9 @@ __all__ = ["Hits", "Samples", "View", "grid", "visible"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
+
+# Surfaces may cross within a pixel if their distance is less than so many pixels' size.
+_CLOSE = 8.0
 
 # From so many samples on, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 1024
@@ -123,8 +126,12 @@ class Hits:
     plane: Plane | None = None
 
 
-def visible(view: View, samples: Samples) -> list[Hits]:
-    """Nearest surface at each sample; of exactly equal ones the first in the file."""
+def visible(view: View, samples: Samples, close: Bools | None = None) -> list[Hits]:
+    """Nearest surface at each sample; of exactly equal ones the first in the file.
+
+    `close` (n,), if given, is set where a second surface lies so near behind
+    the first that they may change places within a pixel.
+    """
     groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.x.size, np.finfo(np.float64).max)
@@ -133,6 +140,12 @@ def visible(view: View, samples: Samples) -> list[Hits]:
             nearest[group.sample] = np.minimum(nearest[group.sample], group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
+    if close is not None:
+        for group in groups:
+            first = nearest[group.sample]
+            step = _CLOSE * max(view.raster.step_u, view.raster.step_v)
+            gap = (group.t - first) * np.sqrt(dot(group.direction, group.direction))
+            close[group.sample[(gap > 0) & (gap < step * first)]] = True
     groups = [group.where(group.t == nearest[group.sample]) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     if sum(group.t.size for group in groups) > seen:
