@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -43,6 +42,7 @@ Task: TypeAlias = Callable[[int], object]
 
 SCENES = HERE.parent / "scenes"
 _FEW = ("one-sphere", "four-spheres", "sticks-perspective")
+_FASTER = ("faster than exact by", "faster than stock by")
 _SMALL, _LARGE = (300, 300), (2560, 1440)
 
 
@@ -60,6 +60,8 @@ class Timing:
         return cls(median(seconds), min(seconds), max(seconds))
 
     def __str__(self) -> str:
+        if self.low == self.high:
+            return _ms(self.median)
         return f"{_ms(self.median)} ({_ms(self.low)}–{_ms(self.high)})"
 
 
@@ -137,9 +139,14 @@ def _mitsuba_task(loaded: Any) -> Task:
     return task
 
 
-def _ratio(of: Timing, *rivals_: Timing) -> str:
-    """How many times faster than the fastest of others."""
-    return f"{min(r.median for r in rivals_) / of.median:.2g}×"
+def _ratio(of: Timing, rival: Timing) -> str:
+    """How many times faster than another."""
+    return f"{rival.median / of.median:.2g}×"
+
+
+def _ratios(found: dict[str, Timing]) -> tuple[str, str]:
+    ours = found["tracer"]
+    return _ratio(ours, found["Mitsuba exact"]), _ratio(ours, found["Mitsuba stock"])
 
 
 # --- The tables --------------------------------------------------------------------------
@@ -148,7 +155,7 @@ def _ratio(of: Timing, *rivals_: Timing) -> str:
 def whole_process(rounds: int, quick: bool) -> Table:
     """XML to PNG, from the shell."""
     variant = use().variant
-    header = ["scene", "tracer", "Mitsuba exact", "Mitsuba stock", "faster by"]
+    header = ["scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_FASTER]
     pov = rivals.povray_installed()
     if pov:
         header.insert(4, "POV-Ray")
@@ -158,13 +165,14 @@ def whole_process(rounds: int, quick: bool) -> Table:
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            paths = {kind: BUILD / f"{name}.{kind}" for kind in ("xml", "exact", "stock", "pov")}
-            for kind, text in (
-                ("xml", to_xml(scene)),
-                ("exact", exact(scene)),
-                ("stock", stock(scene, 1)),
-                ("pov", to_pov(scene)),
-            ):
+            texts = {
+                "tracer.xml": to_xml(scene),
+                "exact.xml": exact(scene),
+                "stock.xml": stock(scene, 1),
+                "pov": to_pov(scene),
+            }
+            paths = {kind: BUILD / f"{name}.{kind}" for kind in texts}
+            for kind, text in texts.items():
                 paths[kind].write_text(text)
             png = str(BUILD / "out.png")
 
@@ -173,18 +181,17 @@ def whole_process(rounds: int, quick: bool) -> Table:
                 _run(*command)
                 return lambda _: _run(*command)
 
-            ours = (python, "-m", "tracer", "--quiet", "-o", png, str(paths["xml"]))
+            ours = (python, "-m", "tracer", "--quiet", "-o", png, str(paths["tracer.xml"]))
             tasks: dict[str, Task] = {
                 "tracer": lambda _, ours=ours: _run(*ours),  # type: ignore[misc]
-                "Mitsuba exact": mitsuba(paths["exact"]),
-                "Mitsuba stock": mitsuba(paths["stock"]),
+                "Mitsuba exact": mitsuba(paths["exact.xml"]),
+                "Mitsuba stock": mitsuba(paths["stock.xml"]),
             }
             if pov:
                 theirs = rivals.povray_command(scene, paths["pov"], Path(png))
                 tasks["POV-Ray"] = lambda _, theirs=theirs: _run(*theirs)  # type: ignore[misc]
             found = interleaved(tasks, rounds)
-            ratio = _ratio(found["tracer"], found["Mitsuba exact"], found["Mitsuba stock"])
-            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), ratio))
+            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *_ratios(found)))
     return Table(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell: median (fastest–slowest) of {rounds}. Mitsuba {variant}"
@@ -211,14 +218,13 @@ def warm(rounds: int, quick: bool) -> Table:
                 },
                 rounds,
             )
-            ratio = _ratio(*found.values())
-            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), ratio))
+            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *_ratios(found)))
     return Table(
         "Warm: rendering alone",
         f"Milliseconds in process, one sample a pixel: median (fastest–slowest) of {rounds}."
-        f" Mitsuba {variant}, scene and kernels ready; its stock plugins draw a similar picture,"
-        " with one light a sample.",
-        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", "faster by"),
+        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's plugins; stock: a"
+        " similar one by its own, compiled ones, with one light a sample.",
+        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_FASTER),
         rows,
     )
 
@@ -236,7 +242,7 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         start = perf_counter()
         shapes = mi.load_string(text)
         np.array(mi.render(shapes))
-        first = perf_counter() - start
+        first = Timing.of([perf_counter() - start])
         found = interleaved(
             {
                 "tracer": _tracer_task(scene, rounds),
@@ -250,11 +256,11 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
             (
                 f"{count:,}",
                 found["tracer"],
-                Timing(first, first, first),
+                first,
                 found["shapes"],
                 found["merged"],
-                f"{first / found['tracer'].median:.2g}×",
-                f"{found['tracer'].median / found['merged'].median:.2g}×",
+                _ratio(found["tracer"], first),
+                _ratio(found["merged"], found["tracer"]),
             )
         )
         del shapes
@@ -331,24 +337,29 @@ def loading(rounds: int, quick: bool) -> Table:
     found = interleaved(
         {"tracer": lambda _: load_scene(path), "etree": lambda _: ET.parse(path)}, rounds
     )
-    ratio = found["tracer"].median / found["etree"].median
+    ratio = _ratio(found["etree"], found["tracer"])
     return Table(
         "Loading",
         "Milliseconds to read and validate a scene file, and for `xml.etree` only to parse it.",
         ("objects", "tracer", "xml.etree", "ratio"),
-        [(f"{count:,}", found["tracer"], found["etree"], f"{ratio:.2f}")],
+        [(f"{count:,}", found["tracer"], found["etree"], ratio)],
     )
+
+
+# A process starts out with its parent's peak memory: a small one must be in between.
+_WATCH = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
 
 
 def _peak(*command: str) -> float:
     """Peak resident memory of a process, MB."""
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command)
+    watch = [sys.executable, "-c", _WATCH, *command]
+    peak = int(subprocess.run(watch, check=True, capture_output=True).stdout)
     # Linux counts kilobytes, macOS bytes.
-    return usage.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 def memory(rounds: int, quick: bool) -> Table:
@@ -388,7 +399,7 @@ def limit(rounds: int, quick: bool) -> Table:
                 "shade": lambda _, loops=loops: loops.shade(),  # type: ignore[misc]
             }
             found = interleaved(tasks, rounds)
-            ratio = f"{found['tracer'].median / found['shade'].median:.1f}"
+            ratio = _ratio(found["shade"], found["tracer"])
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), ratio))
     return Table(
         "How near the limit",

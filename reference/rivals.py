@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 MITSUBA_PROCESS = """
+import sys
 import mitsuba as mi
 variant, source, target = sys.argv[1:]
 mi.set_variant(variant)
