@@ -13,9 +13,8 @@ import stat
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
-from pathlib import Path
 from typing import IO
 
 import numpy as np
@@ -195,21 +194,23 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
 @contextmanager
 def _whole_or_not_at_all(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` if all goes well, and else vanishes."""
-    target = Path(os.path.realpath(path))  # a link stays one; resolve() fails on loops
+    target = os.path.realpath(path)  # a link stays one
     mode = None
-    if target.exists():
-        mode = target.stat().st_mode
+    if os.path.exists(target):
+        mode = os.stat(target).st_mode
         if not stat.S_ISREG(mode):
-            raise OSError(errno.EINVAL, "not a regular file", str(path))
+            raise OSError(errno.EINVAL, "not a regular file", target)
         if not os.access(target, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    beside = target.with_name(f".{os.getpid()}-{os.urandom(4).hex()}.part")
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), target)
+    name = f".{os.getpid()}-{os.urandom(4).hex()}.part"
+    beside = os.path.join(os.path.dirname(target), name)
     try:
-        with beside.open("xb") as file:
+        with open(beside, "xb") as file:
             yield file
         if mode is not None:
-            beside.chmod(stat.S_IMODE(mode))
-        beside.replace(target)
+            os.chmod(beside, stat.S_IMODE(mode))
+        os.replace(beside, target)
     except BaseException:
-        beside.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            os.unlink(beside)
         raise

@@ -273,7 +273,7 @@ class _Reader:
     def opened(self, path: str | os.PathLike[str]) -> IO[bytes]:
         """Open a regular file: a pipe or a device may block, or never end."""
         try:
-            status = os.stat(path)  # noqa: PTH116 - works on str and Path alike
+            status = os.stat(path)
         except ValueError:
             self.give_up(None, "no path has a NUL in it; check the path")
         if stat.S_ISDIR(status.st_mode):
@@ -284,7 +284,7 @@ class _Reader:
             self.give_up(None, "is empty; a scene file holds <scene> ... </scene>")
         if status.st_size > MAX_BYTES:
             self.give_up(None, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
-        return open(path, "rb")  # noqa: PTH123
+        return open(path, "rb")
 
     # The parser's events
 
