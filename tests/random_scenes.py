@@ -7,16 +7,13 @@ that they do touch exactly; the rest is drawn without such care.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
+from probe import Surface, Vector
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, Surfaces
 
 __all__ = ["KINDS", "random_scene"]
-
-Vector = tuple[float, float, float]
-Surface = Sphere | Box
 
 
 def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
@@ -25,7 +22,13 @@ def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scen
     surfaces, target, reach = KINDS[kind](rng)
     camera = _camera(rng, target, reach)
     lights = [_light(rng, camera, surfaces, reach) for _ in range(rng.integers(1, 4))]
-    return Scene(camera=camera, width=width, height=height, lights=tuple(lights), surfaces=surfaces)
+    return Scene(
+        camera=camera,
+        width=width,
+        height=height,
+        lights=tuple(lights),
+        surfaces=Surfaces.of(surfaces),
+    )
 
 
 def _camera(rng: np.random.Generator, target: Vector, reach: float) -> Camera:
@@ -173,22 +176,6 @@ def _far(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
     return _some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4)
 
 
-def _tiny(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
-    """Another kind, all of it 10^-6 as large."""
-    surfaces, target, reach = _scattered(rng)
-    shrunk = [
-        replace(s, center=_vector(np.array(s.center) * 1e-6), radius=s.radius * 1e-6)
-        if isinstance(s, Sphere)
-        else replace(
-            s,
-            min_pt=_vector(np.array(s.min_pt) * 1e-6),
-            max_pt=_vector(np.array(s.max_pt) * 1e-6),
-        )
-        for s in surfaces
-    ]
-    return shrunk, target, reach * 1e-6
-
-
 Kind = Callable[[np.random.Generator], tuple[list[Surface], Vector, float]]
 KINDS: dict[str, Kind] = {
     "scattered": _scattered,
@@ -198,5 +185,4 @@ KINDS: dict[str, Kind] = {
     "enormous": _enormous,
     "rooms": _rooms,
     "far": _far,
-    "tiny": _tiny,
 }

@@ -1,7 +1,7 @@
 """The cases where ray tracers fail, each with its exact answer worked out.
 
 Every case goes through a whole render.  A picture of one pixel has one ray,
-along `view_dir`; a light of pure red, green or blue shows its n.l alone.
+along `view_dir`; lights of pure red, green and blue show their n.l apart.
 Tolerances are roundings: EPS times the lengths that are rounded, over the
 length that they are measured against.
 """
@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from probe import EPS, Surface, Vector, colored, look, moved
 from random_scenes import KINDS, random_scene
 
 from tracer import (
@@ -28,69 +29,10 @@ from tracer import (
     Surfaces,
     render,
 )
-from tracer.scene import Floats
-
-EPS = float(np.finfo(np.float64).eps)
-RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
-Vector = tuple[float, float, float]
-Surface = Sphere | Box
 
 BALL = Sphere()
 CUBE = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
 FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
-
-
-def look(
-    eye: Vector, direction: Vector, lights: list[PointLight] | Vector, *surfaces: Surface
-) -> Floats:
-    """Radiance (3,) along one ray; a bare position is that of one white light."""
-    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
-    if isinstance(lights, tuple):
-        lights = [PointLight(position=lights)]
-    scene = Scene(
-        camera=Camera(view_point=eye, view_dir=direction, view_up=up),
-        width=1,
-        height=1,
-        lights=tuple(lights),
-        surfaces=Surfaces.of(surfaces),
-    )
-    image: Floats = render(scene)[0, 0]
-    return image
-
-
-def colored(*positions: Vector) -> list[PointLight]:
-    """A red, a green and a blue light."""
-    return [
-        PointLight(position=p, intensity=c)
-        for p, c in zip(positions, (RED, GREEN, BLUE), strict=False)
-    ]
-
-
-def scaled(scene: Scene, s: float) -> Scene:
-    """The whole scene s times as large; the picture stays the same."""
-
-    def times(v: Vector) -> Vector:
-        return v[0] * s, v[1] * s, v[2] * s
-
-    camera = scene.camera
-    return replace(
-        scene,
-        camera=replace(
-            camera,
-            view_point=times(camera.view_point),
-            proj_distance=camera.proj_distance * s,
-            view_width=camera.view_width * s,
-            view_height=camera.view_height * s,
-        ),
-        lights=tuple(replace(light, position=times(light.position)) for light in scene.lights),
-        surfaces=Surfaces.of(
-            replace(o, center=times(o.center), radius=o.radius * s)
-            if isinstance(o, Sphere)
-            else replace(o, min_pt=times(o.min_pt), max_pt=times(o.max_pt))
-            for o in scene.surfaces[:]
-        ),
-    )
 
 
 def test_01_unit_sphere_from_1e8() -> None:
@@ -147,7 +89,7 @@ def test_05_huge_ground_sphere() -> None:
 @pytest.mark.parametrize("power", [-40, 40])
 def test_06_scaled_by_a_power_of_two(power: int) -> None:
     scene = random_scene("touching", 3)
-    assert np.array_equal(render(scaled(scene, 2.0**power)), render(scene))
+    assert np.array_equal(render(moved(scene, 2.0**power)), render(scene))
 
 
 def test_07_shifted_by_two_to_the_twenty() -> None:
@@ -243,9 +185,9 @@ def test_13_shadow_at_the_contact(scale: float) -> None:
         lights=(PointLight(position=(4, 5, -3)),),
         surfaces=Surfaces.of([floor, CUBE]),
     )
-    assert not render(scaled(scene, scale)).any()
+    assert not render(moved(scene, scale)).any()
     # Without the cube: l = (4.5, 6, -3) / sqrt(65.25).
-    alone = scaled(replace(scene, surfaces=Surfaces.of([floor])), scale)
+    alone = moved(replace(scene, surfaces=Surfaces.of([floor])), scale)
     assert render(alone) == pytest.approx(np.full((1, 1, 3), 6 / math.sqrt(65.25)), abs=4 * EPS)
 
 
@@ -292,7 +234,7 @@ def test_17_light_on_a_sphere(center: Vector, radius: float) -> None:
     wall = Box(min_pt=(3, -9, -9), max_pt=(4, 9, 9))
     for offset in (1, 1e-3, 1e-9):
         for side in (-1, 1):
-            eye = (2, top[1] + side * offset, center[2])
+            eye = (2.0, top[1] + side * offset, center[2])
             seen = look(eye, (1, 0, 0), top, ball, wall)
             expected = (3 - top[0]) / math.hypot(3 - top[0], offset) if side > 0 else 0.0
             assert seen == pytest.approx(expected, abs=4 * EPS if side > 0 else 0.0)

@@ -1,0 +1,70 @@
+"""Renders of one ray, and scenes moved and scaled, for tests in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
+from tracer.scene import Floats
+
+__all__ = ["EPS", "Surface", "Vector", "colored", "look", "moved"]
+
+Vector = tuple[float, float, float]
+Surface = Sphere | Box
+
+EPS = float(np.finfo(np.float64).eps)
+
+
+def look(
+    eye: Vector, direction: Vector, lights: list[PointLight] | Vector, *surfaces: Surface
+) -> Floats:
+    """Radiance (3,) along one ray; a bare position is that of one white light."""
+    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
+    if isinstance(lights, tuple):
+        lights = [PointLight(position=lights)]
+    scene = Scene(
+        camera=Camera(view_point=eye, view_dir=direction, view_up=up),
+        width=1,
+        height=1,
+        lights=tuple(lights),
+        surfaces=Surfaces.of(surfaces),
+    )
+    pixel: Floats = render(scene)[0, 0]
+    return pixel
+
+
+def colored(*positions: Vector) -> list[PointLight]:
+    """A red, a green and a blue light: each shows in its own channel."""
+    colors = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return [
+        PointLight(position=position, intensity=color)
+        for position, color in zip(positions, colors, strict=False)
+    ]
+
+
+def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
+    """The whole scene scaled, then shifted: the picture stays the same."""
+
+    def point(v: Vector) -> Vector:
+        return v[0] * scale + shift[0], v[1] * scale + shift[1], v[2] * scale + shift[2]
+
+    camera = scene.camera
+    return replace(
+        scene,
+        camera=replace(
+            camera,
+            view_point=point(camera.view_point),
+            proj_distance=camera.proj_distance * scale,
+            view_width=camera.view_width * scale,
+            view_height=camera.view_height * scale,
+        ),
+        lights=tuple(replace(light, position=point(light.position)) for light in scene.lights),
+        surfaces=Surfaces.of(
+            replace(surface, center=point(surface.center), radius=surface.radius * scale)
+            if isinstance(surface, Sphere)
+            else replace(surface, min_pt=point(surface.min_pt), max_pt=point(surface.max_pt))
+            for surface in scene.surfaces[:]
+        ),
+    )
