@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from reference.diagnosis import GAMMA, Floats, diagnose, linear
+from tracer.image import quantise
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -143,12 +144,12 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
         _PAPER,
     )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
-    for k, (image, title) in enumerate(
-        zip((_displayed(a), _displayed(b), shown), titles, strict=True)
-    ):
+    panels = (quantise(a), quantise(b), np.round(255 * shown).astype(np.uint8))
+    for k, (codes, title) in enumerate(zip(panels, titles, strict=True)):
         left = _MARGIN + k * (panel_width + _MARGIN)
-        panel = Image.fromarray(np.round(255 * image).astype(np.uint8))
-        panel = panel.resize((panel_width, panel_height), Image.Resampling.NEAREST)
+        panel = Image.fromarray(np.ascontiguousarray(codes)).resize(
+            (panel_width, panel_height), Image.Resampling.NEAREST
+        )
         sheet.paste(panel, (left, _MARGIN + _LABEL))
         draw.text((left, _MARGIN), title, fill=_INK, font=font)
     if gain:
@@ -165,19 +166,20 @@ def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
     image : (h, w, 3)
         In 0 ... 1: orange where A is brighter, blue where it is darker.
     gain : float
-        1, 2 or 5 times a power of ten, such that the largest difference is
-        nearly full; 0 if there is none.
+        1, 2 or 5 times a power of ten, such that all but a thousandth of the
+        pixels' differences fit; 0 if there is none.
     """
     difference = a - b
     strongest = np.abs(difference).argmax(axis=2)[:, :, None]
     signed = np.take_along_axis(difference, strongest, axis=2)
-    largest = float(np.abs(signed).max())
-    if largest == 0:
+    size = np.abs(signed)
+    full = float(np.percentile(size, 99.9)) or float(size.max())
+    if full == 0:
         return np.zeros(a.shape), 0.0
-    power = 10.0 ** np.floor(np.log10(1 / largest))
-    gain = max(k * power for k in (1, 2, 5) if k * power * largest <= 1)
-    bright, dark = np.maximum(signed, 0) * _BRIGHTER, np.maximum(-signed, 0) * _DARKER
-    return gain * (bright + dark), gain
+    power = 10.0 ** np.floor(np.log10(1 / full))
+    gain = max(k * power for k in (1, 2, 5) if k * power * full <= 1)
+    bright, dark = np.clip(gain * signed, 0, 1), np.clip(-gain * signed, 0, 1)
+    return bright * _BRIGHTER + dark * _DARKER, gain
 
 
 def _displayed(image: Floats) -> Floats:

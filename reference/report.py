@@ -71,7 +71,7 @@ def _summary(results: Sequence[CheckResult]) -> str:
     variants = ", ".join(sorted({result.variant for result in results}))
     verdict = (
         '<strong class="good">All agree.</strong>'
-        if agree == len(results)
+        if agree == len(results) > 0
         else f'<strong class="bad">{agree} agree.</strong>'
     )
     return (
@@ -90,8 +90,8 @@ def _table(results: Sequence[CheckResult]) -> str:
             "SSIM",
             "largest difference",
             "masked",
-            "tracer",
-            "Mitsuba",
+            "tracer\u2019s time",
+            "Mitsuba\u2019s",
         )
     )
     rows = "\n".join(
@@ -120,8 +120,8 @@ def _scene(result: CheckResult, comment: str) -> str:
         "median": f"{f.median:.2e}",
         "over 1e-3": f"{f.over}",
         "masked": f"{f.masked} pixels",
-        "tracer": _time(result.tracer_seconds),
-        f"Mitsuba {result.variant}": _time(result.mitsuba_seconds),
+        "tracer\u2019s time": _time(result.tracer_seconds),
+        f"Mitsuba\u2019s ({result.variant})": _time(result.mitsuba_seconds),
     }
     notes = [f"Out of tolerance: {fault}." for fault in result.faults]
     if result.reasons:

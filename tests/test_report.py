@@ -1,0 +1,411 @@
+"""The report page: what it holds, and how it works in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from converters.check import CheckResult
+from reference.compare import figures
+from reference.diagnosis import linear
+from reference.report import main, page
+
+ROOT = Path(__file__).resolve().parent.parent
+WIDTH, HEIGHT = 8, 6
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+in_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+
+
+def colours(blue: int) -> NDArray[np.uint8]:
+    """Every pixel in a colour of its own: 10 + 30 column, 10 + 40 row, `blue`."""
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    return np.dstack([10 + 30 * column, 10 + 40 * row, np.full_like(row, blue)]).astype(np.uint8)
+
+
+TRACER, MITSUBA = colours(blue=40), colours(blue=200)
+
+
+def result(name: str = "pair") -> CheckResult:
+    """A made-up comparison of two pictures that differ in blue, one pixel of it masked."""
+    a, b = linear(TRACER), linear(MITSUBA)
+    mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
+    mask[5, 7] = True
+    return CheckResult(
+        name=name,
+        tracer=a,
+        mitsuba=b,
+        reference=b,
+        mask=mask,
+        figures=figures(a, b, mask),
+        variant="scalar_rgb",
+        reasons=(),
+        judged=0,
+        tracer_seconds=0.0123,
+        mitsuba_seconds=4.5,
+    )
+
+
+CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle r="4"/></svg>'
+
+
+def test_page_holds_everything() -> None:
+    text = page([result("one"), result("two")], {"one": "Shows <one> & more."}, [("Chart", CHART)])
+    assert "<!--" not in text
+    for figure in ("12.3 ms", "4.50 s", "Shows &lt;one&gt; &amp; more.", "scalar_rgb", "1 pixels"):
+        assert figure in text
+    assert text.count('<section class="scene"') == 2
+    assert base64.b64encode(CHART).decode() in text
+    assert "0 agree." in text
+    # Whatever it refers to is in it.
+    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
+    assert len(sources) == 2 * 4 + 1
+    assert all(source.startswith(("data:image/", "#")) for source in sources)
+
+
+def test_pictures_are_exact() -> None:
+    text = page([result()], {})
+    pictures = [
+        np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+        for data in re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    ]
+    np.testing.assert_array_equal(pictures[0], TRACER)
+    np.testing.assert_array_equal(pictures[1], MITSUBA)
+    difference = pictures[2]
+    # linear(40) - linear(200) = -0.57 times 1, in the blue of "darker"; grey where masked.
+    np.testing.assert_array_equal(
+        difference[0, 0], np.round(255 * 0.5695 * np.array([0.34, 0.71, 0.91]))
+    )
+    assert difference[5, 7].tolist() == [76, 76, 76]
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = ROOT / "scenes" / "one-sphere.xml", tmp_path / "bad.xml"
+    bad.write_text("<scene/>")
+    output = tmp_path / "new" / "report.html"
+    arguments = ["--variant", "scalar_rgb", "-o", str(output)]
+    assert main([str(good), *arguments]) == 0
+    assert capsys.readouterr().out == f"{output}\n"
+    assert "The unit sphere, lit from the upper right" in output.read_text(encoding="utf-8")
+    assert "All agree." in output.read_text(encoding="utf-8")
+    assert main([str(bad), *arguments]) == 1
+    assert f"{bad}:" in capsys.readouterr().err
+
+
+class Browser:
+    """Chromium on the DevTools protocol, by a pair of pipes."""
+
+    def __init__(self, profile: Path) -> None:
+        read_theirs, self._write = os.pipe()
+        self._read, write_theirs = os.pipe()
+        assert CHROMIUM is not None
+        flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+        flags += ["--disable-sync", "--no-first-run", "--hide-scrollbars"]
+        flags += [
+            "--window-size=1280,1000",
+            "--remote-debugging-pipe",
+            f"--user-data-dir={profile}",
+        ]
+        # The protocol is read from descriptor 3 and written to 4.
+        start = (
+            "import fcntl, os, sys\n"
+            "ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]\n"
+            "os.dup2(ends[0], 3), os.dup2(ends[1], 4)\n"
+            "os.execv(sys.argv[3], sys.argv[3:])"
+        )
+        ends = (read_theirs, write_theirs)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", start, *map(str, ends), CHROMIUM, *flags, "about:blank"],
+            pass_fds=ends,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(read_theirs)
+        os.close(write_theirs)
+        self._buffer = b""
+        self._numbers = itertools.count(1)
+        self._session: str | None = None
+        self.events: list[dict[str, Any]] = []
+        targets = self.call("Target.getTargets")["targetInfos"]
+        target = next(t["targetId"] for t in targets if t["type"] == "page")
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        number = next(self._numbers)
+        message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._receive()
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return dict(answer["result"])
+            self.events.append(answer)
+
+    def _receive(self) -> dict[str, Any]:
+        while b"\0" not in self._buffer:
+            data = os.read(self._read, 1 << 20)
+            assert data, "the browser has gone"
+            self._buffer += data
+        message, _, self._buffer = self._buffer.partition(b"\0")
+        return dict(json.loads(message))
+
+    def open(self, path: Path) -> None:
+        self.events.clear()
+        self.call("Page.navigate", url=path.as_uri())
+        while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
+            self.events.append(self._receive())
+
+    def evaluate(self, expression: str) -> Any:
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def box(self, selector: str, index: int = 0) -> tuple[float, float, float, float]:
+        """Left, top, width and height of an element, scrolled into view."""
+        left, top, width, height = self.evaluate(
+            f"(() => {{ const e = document.querySelectorAll({json.dumps(selector)})[{index}];"
+            "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+            "return [r.left, r.top, r.width, r.height]; })()"
+        )
+        return left, top, width, height
+
+    def shot(self, index: int = 0) -> NDArray[np.uint8]:
+        """Colours (HEIGHT, WIDTH, 3) in the middles of a panel's pixels, as they are unzoomed."""
+        left, top, width, height = self.box(".panel", index)
+        scroll = self.evaluate("window.scrollY")
+        clip = {"x": left, "y": top + scroll, "width": width, "height": height, "scale": 1}
+        data = self.call("Page.captureScreenshot", format="png", clip=clip)["data"]
+        with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+            shown = np.asarray(image.convert("RGB"))
+        rows = ((np.arange(HEIGHT) + 0.5) / HEIGHT * shown.shape[0]).astype(int)
+        columns = ((np.arange(WIDTH) + 0.5) / WIDTH * shown.shape[1]).astype(int)
+        return shown[rows][:, columns]
+
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+        left, top, width, height = self.box(selector)
+        x, y = left + at[0] * width, top + at[1] * height
+        for kind in ("mousePressed", "mouseReleased"):
+            self.mouse(kind, x, y, button="left", buttons=1, clickCount=1)
+
+    def key(self, key: str, code: int = 0) -> None:
+        more: dict[str, Any] = {"key": key, "code": key, "windowsVirtualKeyCode": code}
+        text = {"text": key} if len(key) == 1 else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **more, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **more)
+
+    def text(self, selector: str) -> str:
+        return str(self.evaluate(f"document.querySelector({json.dumps(selector)}).textContent"))
+
+    def close(self) -> None:
+        os.close(self._write)
+        os.close(self._read)
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    chromium = Browser(tmp_path_factory.mktemp("profile"))
+    yield chromium
+    chromium.close()
+
+
+@pytest.fixture
+def opened(browser: Browser, tmp_path: Path) -> Browser:
+    path = tmp_path / "report.html"
+    path.write_text(page([result()], {}, [("Chart", CHART)]), encoding="utf-8")
+    browser.open(path)
+    return browser
+
+
+def focus(browser: Browser, selector: str) -> None:
+    browser.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
+
+
+HOME, END, RIGHT = 36, 35, 39
+
+
+@in_browser
+def test_opens_alone(opened: Browser) -> None:
+    """No request but for the file itself, no message on the console, every picture there."""
+    opened.evaluate("1")
+    requests = [
+        event["params"]["request"]["url"]
+        for event in opened.events
+        if event.get("method") == "Network.requestWillBeSent"
+    ]
+    assert {url.partition(":")[0] for url in requests} <= {"file", "data"}
+    told = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
+    assert [event for event in opened.events if event.get("method") in told] == []
+    assert opened.evaluate("[...document.images].map(i => i.naturalWidth)") == [8, 8, 8, 20]
+
+
+@in_browser
+def test_slider(opened: Browser) -> None:
+    """In the middle half of each; at its ends all of one.  By keyboard alone."""
+    middle = opened.shot()
+    np.testing.assert_array_equal(middle[:, :4], TRACER[:, :4])
+    np.testing.assert_array_equal(middle[:, 4:], MITSUBA[:, 4:])
+    focus(opened, "input")
+    opened.key("End", END)
+    np.testing.assert_array_equal(opened.shot(), TRACER)
+    opened.key("Home", HOME)
+    np.testing.assert_array_equal(opened.shot(), MITSUBA)
+
+
+@in_browser
+def test_slider_follows_the_mouse(opened: Browser) -> None:
+    opened.click("input", (0.75, 0.5))
+    shown = opened.shot()
+    np.testing.assert_array_equal(shown[:, :5], TRACER[:, :5])
+    np.testing.assert_array_equal(shown[:, 7:], MITSUBA[:, 7:])
+
+
+def seen_for(browser: Browser, seconds: float) -> list[int]:
+    """Blues of the first and last column, over some time: each picture has one of its own."""
+    seen = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        shown = browser.shot()
+        assert len({*shown[:, :, 2].ravel().tolist()}) == 1
+        seen.append(int(shown[0, 0, 2]))
+        time.sleep(0.05)
+    return seen
+
+
+@in_browser
+@pytest.mark.parametrize("way", ["button", "key"])
+def test_flicker(opened: Browser, way: str) -> None:
+    """Each picture whole, in turn; slower than three flashes a second; it stops when told."""
+
+    def toggle() -> None:
+        if way == "button":
+            opened.click(".flicker")
+        else:
+            focus(opened, ".panel")
+            opened.key("f")
+
+    toggle()
+    assert opened.evaluate("document.querySelector('.flicker').ariaPressed") == "true"
+    seen = seen_for(opened, 2.0)
+    changes = sum(a != b for a, b in itertools.pairwise(seen))
+    assert set(seen) == {40, 200}
+    assert 2 <= changes <= 4
+    toggle()
+    assert opened.evaluate("document.querySelector('.flicker').ariaPressed") == "false"
+    np.testing.assert_array_equal(opened.shot()[:, :4], TRACER[:, :4])
+    np.testing.assert_array_equal(opened.shot()[:, 4:], MITSUBA[:, 4:])
+
+
+@in_browser
+def test_flicker_without_motion(opened: Browser) -> None:
+    """Who wants no motion sees the other picture at each press, and nothing moves by itself."""
+    still = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    opened.call("Emulation.setEmulatedMedia", features=still)
+    for blue in (40, 200, 40):
+        opened.click(".flicker")
+        assert set(seen_for(opened, 0.8)) == {blue}
+    opened.call("Emulation.setEmulatedMedia", features=[])
+
+
+@in_browser
+def test_click_zooms_to_the_pixel(opened: Browser) -> None:
+    """Each click doubles, about the place clicked: (5.5, 2.5) pixels stays where it is."""
+    focus(opened, "input")
+    opened.key("End", END)
+    at = (5.5 / WIDTH, 2.5 / HEIGHT)
+    for times in (2, 4, 8, 16):
+        opened.click(".panel", at)
+        assert opened.text(".scale") == f"{times}×"
+    shown = opened.shot()
+    # At 16 times the panel shows half a pixel in width: one colour, that of column 5, row 2.
+    assert {*map(tuple, shown.reshape(-1, 3).tolist())} == {tuple(TRACER[2, 5].tolist())}
+    assert opened.text(".readout") == (
+        "column 5, row 2: tracer 160 90 40, Mitsuba 160 90 200, off by 160"
+    )
+    # The difference has moved along with it.
+    assert len({*map(tuple, opened.shot(1).reshape(-1, 3).tolist())}) == 1
+
+
+@in_browser
+def test_zoom_and_move_by_keyboard(opened: Browser) -> None:
+    focus(opened, "input")
+    opened.key("End", END)
+    focus(opened, ".panel")
+    opened.key("+")
+    # Twice as large about the centre: columns 2 ... 5, rows 1.5 ... 4.5.
+    shown = opened.shot()
+    np.testing.assert_array_equal(shown[0, :, 0], TRACER[0, [2, 2, 3, 3, 4, 4, 5, 5], 0])
+    for _ in range(12):
+        opened.key("ArrowRight", RIGHT)
+    # It stops at the picture's border: columns 4 ... 7.
+    np.testing.assert_array_equal(opened.shot()[0, :, 0], TRACER[0, [4, 4, 5, 5, 6, 6, 7, 7], 0])
+    opened.key("-")
+    np.testing.assert_array_equal(opened.shot(), TRACER)
+
+
+@in_browser
+def test_drag_moves(opened: Browser) -> None:
+    focus(opened, "input")
+    opened.key("End", END)
+    opened.click(".in")
+    left, top, width, height = opened.box(".panel")
+    x, y = left + width / 2, top + height / 2
+    opened.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
+    for step in (0.25, 0.5):
+        opened.mouse("mouseMoved", x - step * width, y, button="left", buttons=1)
+    opened.mouse("mouseReleased", x - width / 2, y, button="left", clickCount=1)
+    # Half a panel to the left is a quarter of the picture at twice its size.
+    assert opened.text(".scale") == "2×"
+    np.testing.assert_array_equal(opened.shot()[0, :, 0], TRACER[0, [4, 4, 5, 5, 6, 6, 7, 7], 0])
+    opened.click(".all")
+    assert opened.text(".scale") == "1×"
+    np.testing.assert_array_equal(opened.shot(), TRACER)
+
+
+@in_browser
+def test_all_is_reached_by_tab(opened: Browser) -> None:
+    reached = []
+    for _ in range(8):
+        opened.key("Tab", 9)
+        reached.append(
+            opened.evaluate("(e => e.ariaLabel || e.textContent.trim())(document.activeElement)")
+        )
+    assert reached == [
+        "pair",
+        "pair: tracer and Mitsuba",
+        "pair: difference × 1",
+        "pair: how much is the tracer's",
+        "Flicker",
+        "Zoom out",
+        "Zoom in",
+        "All",
+    ]
