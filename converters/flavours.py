@@ -141,8 +141,8 @@ Written by converters.to_mitsuba, in the exact flavour.
 
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
 plugins. Load it after "import converters.plugins"; the mitsuba command does not know them.
-Where the scene file has p, this one has (p - ({center})) * {scale}: the picture is the same, and
-float32 comes closest to it.
+The scene is moved and scaled so that float32 hurts least, which changes no picture: where the
+scene file has p, this one has {scale:.6g} (p - c), c = ({center}).
 """
 
 
@@ -215,7 +215,7 @@ def exact(scene: Scene, samples: int = 1) -> str:
         ),
         *_shapes(scene, place, names),
     ]
-    center = ", ".join(repr(float(x)) for x in place.center)
+    center = ", ".join(f"{x:.6g}" for x in place.center)
     return _document(_EXACT.format(center=center, scale=place.scale), parts)
 
 
@@ -228,10 +228,10 @@ The geometry and the camera are exact. Approximate are
 - highlights: Blinn-Phong's (n.h)^p is stood in for by a Beckmann lobe of the same height and
   width, which brightens towards the silhouettes;
 - several lights: of each sample Mitsuba picks one at random, which leaves some noise.
-{film}Reflectances are divided by {gain:g}, and lights multiplied, as Mitsuba allows none above 1.
+{film}Mitsuba allows no reflectance above 1: all are divided by {gain:g}, lights multiplied.
 """
 
-_SQUARE = """- the film: pixels must be square, so it has {width} x {height} of them, of the same window,
+_SQUARE = """- the film: pixels must be square, so it shows the same window in {width} x {height} of them,
   not {width} x {given}.
 """
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from converters.flavours import exact, stock
 from tracer.image import write_png
-from tracer.reader import SceneFileError, load_scene
+from tracer.reader import SceneFileError, load_scene, printable
 
 __all__ = ["main"]
 
@@ -31,22 +31,68 @@ _Work = Callable[[Path, Path, argparse.Namespace], bool]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 0, or 1 where a scene failed or a tolerance is broken."""
+    """Run the command line.
+
+    Returns
+    -------
+    int
+        0; 1 where a scene could not be read or written, or a tolerance is broken.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 for wrong usage, and 0 for ``--help``.
+    """
     parser = _parser()
     options = parser.parse_args(arguments)
-    output: Path | None = options.output
-    to_folder = output is not None and (len(options.scenes) > 1 or output.is_dir())
-    if to_folder and output is not None and not output.is_dir():
-        parser.error(f"--output {output} must be a folder that exists, for several scenes")
-    if options.samples is not None and options.samples < 1:
-        parser.error("--samples must be at least 1")
     work, suffix = _work(options)
-    done = []
-    for scene in options.scenes:
-        beside = scene.with_name(f"{scene.stem}{suffix}")
-        target = beside if output is None else output / beside.name if to_folder else output
-        done.append(_guarded(work, scene, target, options))
+    try:
+        targets = _targets(options.scenes, options.output, suffix)
+    except ValueError as error:
+        parser.error(printable(str(error)))
+    if options.check and options.samples is not None:
+        parser.error("--check compares at the centres of the pixels; it takes no --samples")
+    if options.render or options.check:
+        try:
+            _say_variant(options.variant)
+        except ImportError as error:
+            print(f"Mitsuba cannot run: {error}", file=sys.stderr)
+            return 1
+    pairs = zip(options.scenes, targets, strict=True)
+    try:
+        done = [_guarded(work, scene, target, options) for scene, target in pairs]
+    except KeyboardInterrupt:
+        return 130
     return 0 if all(done) else 1
+
+
+def _say_variant(variant: str | None) -> None:
+    from converters.variant import use
+
+    choice = use(variant)
+    print(f"Mitsuba variant {choice.variant}: {choice.reason}")
+
+
+def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Path]:
+    """Where each result goes; a ValueError says why that is wrong usage."""
+    beside = [scene.with_name(f"{scene.stem}{suffix}") for scene in scenes]
+    if output is None:
+        targets = beside
+    elif output.endswith(("/", os.sep)) or Path(output).is_dir():
+        targets = [Path(output, path.name) for path in beside]
+    elif len(scenes) == 1:
+        targets = [Path(output)]
+    else:
+        raise ValueError(
+            f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
+        )
+    inputs = {scene.resolve() for scene in scenes}
+    for target in targets:
+        if target.resolve() in inputs:
+            raise ValueError(f"{target}: this would replace a scene; choose another with -o")
+    if len({target.resolve() for target in targets}) < len(targets):
+        raise ValueError("two scenes of one name would be written to one file; do them one by one")
+    return targets
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -57,12 +103,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.xml")
     parser.add_argument(
-        "-o", "--output", type=Path, help="a file for one scene, a folder for several"
+        "-o",
+        "--output",
+        metavar="PATH",
+        help="the file to write, or a folder for those of several scenes;"
+        " a folder that ends in / is made if it is missing",
     )
     parser.add_argument(
         "--exact", action="store_true", help="name this project's plugins: the same picture"
     )
-    parser.add_argument("--samples", type=int, metavar="N", help="samples a pixel")
+    parser.add_argument(
+        "--samples",
+        type=_at_least_one,
+        metavar="N",
+        help="samples a pixel (default: 64 in the stock flavour, the pixel's centre in the exact)",
+    )
     parser.add_argument(
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
     )
@@ -72,6 +127,12 @@ def _parser() -> argparse.ArgumentParser:
         "--check", action="store_true", help="compare the tracer with Mitsuba, exact flavour"
     )
     return parser
+
+
+def _at_least_one(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= 1):
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1, is {text!r}")
+    return int(text)
 
 
 def _work(options: argparse.Namespace) -> tuple[_Work, str]:
@@ -85,13 +146,16 @@ def _work(options: argparse.Namespace) -> tuple[_Work, str]:
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
     """Do one scene; what goes wrong with it is one line a fault, and spares the others."""
     try:
+        if options.output is not None and options.output.endswith(("/", os.sep)):
+            target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
     except SceneFileError as error:
-        print(error, file=sys.stderr)
+        fault = str(error)
     except OSError as error:
-        print(f"{target}: cannot be written: {error.strerror or error}", file=sys.stderr)
+        fault = printable(f"{target}: cannot be written: {error.strerror or error}")
     except ImportError as error:
-        print(f"{scene}: {error}", file=sys.stderr)
+        fault = printable(f"{scene}: {error}")
+    print(fault, file=sys.stderr)
     return False
 
 
@@ -112,14 +176,12 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.check import render_mitsuba, write_exr
-    from converters.variant import use
 
     scene = load_scene(path)
-    choice = use(options.variant)
-    image = render_mitsuba(scene, options.samples or 1, choice.variant)
+    image = render_mitsuba(scene, options.samples or 1, options.variant)
     write_png(target, image)
     write_exr(target.with_suffix(".exr"), image)
-    print(f"{target} and .exr: {scene.width} x {scene.height}, {choice.variant} ({choice.reason})")
+    print(f"{target} and .exr: {scene.width} x {scene.height}")
     return True
 
 

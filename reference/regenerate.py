@@ -1,0 +1,116 @@
+"""Mitsuba's pictures of every scene: ``python -m reference.regenerate``.
+
+Writes ``reference/mitsuba/NAME.exr``, linear RGB, and a manifest that tells how each was made.
+They are small (`WIDTH` pixels wide, of the window that the scene file asks for), at one sample a
+pixel, through its centre, in the exact flavour of the converter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import json
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from converters.check import render_mitsuba, write_exr
+from converters.variant import use
+from tracer.reader import load_scene
+from tracer.scene import Floats, Scene
+
+__all__ = ["FOLDER", "SCENES", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
+
+_ROOT = Path(__file__).resolve().parent.parent
+SCENES = _ROOT / "scenes"
+FOLDER = _ROOT / "reference" / "mitsuba"
+WIDTH = 160
+
+# Steps of the stored radiance, 4e-6: far below every tolerance, and the files compress.
+_STEP = 2.0**-18
+
+
+def load_small(path: Path) -> Scene:
+    """A scene file, its picture made `WIDTH` pixels wide."""
+    scene = load_scene(path)
+    return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
+
+
+def scene_hash(path: Path) -> str:
+    """SHA-256 of a scene file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def manifest(folder: Path = FOLDER) -> dict[str, Any]:
+    """How the stored pictures were made.
+
+    Raises
+    ------
+    OSError
+        If there is none.
+    """
+    loaded: dict[str, Any] = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    return loaded
+
+
+def stored(name: str, folder: Path = FOLDER) -> Floats:
+    """The stored picture of a scene, (h, w, 3), linear.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    """
+    path = folder / f"{name}.exr"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing; python -m reference.regenerate makes it")
+    mi = importlib.import_module("mitsuba")
+    if mi.variant() is None:
+        use()
+    return np.array(mi.Bitmap(str(path)), dtype=np.float64)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Render every scene again; returns 0."""
+    parser = argparse.ArgumentParser(
+        prog="python -m reference.regenerate",
+        description="Render every scene with Mitsuba, and store the pictures and how they were made.",
+    )
+    parser.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
+    parser.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
+    options = parser.parse_args(arguments)
+    choice = use(options.variant)
+    options.output.mkdir(parents=True, exist_ok=True)
+    paths = sorted(SCENES.glob("*.xml"))
+    for path in paths:
+        image = render_mitsuba(load_small(path), variant=choice.variant)
+        write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
+        print(f"{path.stem}.exr")
+    for old in set(options.output.glob("*.exr")) - {
+        options.output / f"{path.stem}.exr" for path in paths
+    }:
+        old.unlink()
+    made = {
+        "command": "python -m reference.regenerate",
+        "mitsuba": version("mitsuba"),
+        "drjit": version("drjit"),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "variant": choice.variant,
+        "samples": 1,
+        "width": WIDTH,
+        "scenes": {path.stem: scene_hash(path) for path in paths},
+    }
+    (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
