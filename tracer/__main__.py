@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from time import perf_counter
 from typing import NoReturn, TextIO
 
@@ -60,8 +61,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         outputs = _outputs(arguments.scenes, arguments.output)
     except ValueError as error:
         parser.error(printable(str(error)))
-    # Whoever ends the process politely gets the tidying that Ctrl-C gets.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         failures = 0
         for scene, output in zip(arguments.scenes, outputs, strict=True):
@@ -79,7 +78,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="tracer",
         description="Render scenes; each picture is written beside its file, as SCENE.xml.png.",
         epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        # Looking up the terminal's width would import the whole of shutil.
+        formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
     parser.add_argument("scenes", nargs="+", metavar="SCENE.xml", help="a scene file")
     parser.add_argument(
@@ -172,6 +172,8 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
         )
     except OSError as error:
         return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
+    except ValueError as error:
+        return f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
     if not arguments.quiet:
         seconds = perf_counter() - start
         _say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
@@ -213,6 +215,8 @@ def _say(stream: TextIO | None, text: str) -> None:
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
+    # Being terminated is to leave nothing half-written either.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     # All that is written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())

@@ -26,14 +26,16 @@ _CHUNK = 1 << 15
 _CURVATURE = 4e-3
 
 
-def antialiased(view: View, lighting: Lighting, top: int, bottom: int, per_side: int) -> Floats:
-    """Radiance (bottom - top, width, 3) of pixel rows, averaged over each pixel.
+def antialiased(
+    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, per_side: int
+) -> Floats:
+    """Radiance (bottom - top, right - left, 3), averaged over each pixel of a rectangle.
 
     At least as accurate as `per_side` x `per_side` samples in every pixel.
     """
-    width, rows = view.raster.width, bottom - top
+    width, rows = right - left, bottom - top
     # A pixel more on every side: each pixel is compared with its neighbours.
-    samples = grid(top - 1, bottom + 1, -1, width + 1)
+    samples = grid(top - 1, bottom + 1, left - 1, right + 1)
     shape = (rows + 2, width + 2)
     close = np.zeros(samples.x.size, dtype=np.bool_)
     radiance, key = _traced(view, lighting, samples, close)
@@ -46,11 +48,11 @@ def antialiased(view: View, lighting: Lighting, top: int, bottom: int, per_side:
     marked |= close.reshape(shape)[1:-1, 1:-1]
     marked |= np.abs(curvature).max(axis=2) > _CURVATURE / per_side
     for spans in _spans(view, top, bottom, per_side):
-        marked |= _crossed(spans, rows, width, per_side)
+        marked |= _crossed(spans, rows, left, width, per_side)
     image = image + curvature
     row, column = np.nonzero(marked)
     if row.size:
-        image[row, column] = _sampled(view, lighting, row, column, top, per_side)
+        image[row, column] = _sampled(view, lighting, top + row, left + column, per_side)
     return image
 
 
@@ -96,7 +98,7 @@ def _spans(view: View, top: int, bottom: int, per_side: int) -> tuple[Spans, Spa
     return view.outlines.sphere_spans(y), view.outlines.box_spans(y)
 
 
-def _crossed(spans: Spans, rows: int, width: int, per_side: int) -> Bools:
+def _crossed(spans: Spans, rows: int, first_column: int, width: int, per_side: int) -> Bools:
     """Which pixels an outline crosses, by the spans in each row of the sampling grid.
 
     Between the leftmost and the rightmost place at which an object begins (or
@@ -119,41 +121,39 @@ def _crossed(spans: Spans, rows: int, width: int, per_side: int) -> Bools:
     # +1 where crossed pixels begin and -1 after they end: a running sum marks them.
     edge = np.zeros((rows, width + 3), dtype=np.intp)
     for begin, end in ((left_min, left_max), (right_min, right_max)):
-        np.add.at(edge, (row, _pixel(begin, width)), 1)
-        np.add.at(edge, (row, _pixel(end, width) + 1), -1)
+        np.add.at(edge, (row, _pixel(begin - first_column, width)), 1)
+        np.add.at(edge, (row, _pixel(end - first_column, width) + 1), -1)
     crossed: Bools = edge.cumsum(axis=1)[:, 1 : width + 1] > 0
     return crossed
 
 
 def _pixel(x: Floats, width: int) -> Ints:
-    """Column + 1 of the pixel at x; 0 and width + 1 are off the picture."""
+    """Column + 1 of the pixel at x; 0 and width + 1 are outside."""
     column: Ints = np.clip(np.floor(x).astype(np.intp) + 1, 0, width + 1)
     return column
 
 
-def _sampled(
-    view: View, lighting: Lighting, row: Ints, column: Ints, top: int, per_side: int
-) -> Floats:
-    """Mean radiance (n, 3) of a grid of samples in each of some pixels."""
-    total = np.zeros((row.size, 3))
+def _sampled(view: View, lighting: Lighting, row: Ints, column: Ints, per_side: int) -> Floats:
+    """Mean radiance (n, 3) of a grid of samples in each of some pixels.
+
+    `row` and `column` (n,) are in reading order.
+    """
+    mean = np.empty((row.size, 3))
     steps = (np.arange(per_side) + 0.5) / per_side
-    # Whole rows of pixels at a time, as many as fit a chunk.
-    begin = 0
-    while begin < row.size:
-        end = int(np.searchsorted(row, row[min(begin + _CHUNK // per_side**2, row.size - 1)]))
-        end = int(np.searchsorted(row, row[begin], side="right")) if end <= begin else end
-        pixel_rows, inverse = np.unique(row[begin:end], return_inverse=True)
-        pixels = np.arange(begin, end)
-        y = (top + pixel_rows[:, None] + steps).ravel()
-        # Each pixel row comes per_side times, its samples from left to right.
-        sub = (inverse[:, None] * per_side + np.arange(per_side)).ravel()
-        owner = np.repeat(pixels, per_side)
-        order = np.argsort(sub, kind="stable")
-        sub, owner = sub[order], owner[order]
-        samples = Samples(y, np.repeat(sub, per_side), (column[owner][:, None] + steps).ravel())
+    chunk = max(1, _CHUNK // per_side**2)
+    for begin in range(0, row.size, chunk):
+        end = min(begin + chunk, row.size)
+        new_row = np.diff(row[begin:end], prepend=-1) != 0
+        y = (row[begin:end][new_row][:, None] + steps).ravel()
+        # Each pixel crosses per_side rows of samples: sort these by row, then by column.
+        pixel_row = np.cumsum(new_row) - 1
+        across = (pixel_row[:, None] * per_side + np.arange(per_side)).ravel()
+        order = np.argsort(across, kind="stable")
+        pixel = order // per_side
+        x = (column[begin:end][pixel][:, None] + steps).ravel()
+        samples = Samples(y, np.repeat(across[order], per_side), x)
         radiance = _traced(view, lighting, samples)[0]
-        pixel = np.repeat(owner, per_side) - begin
         for k in range(3):
-            total[begin:end, k] = np.bincount(pixel, radiance[:, k], minlength=end - begin)
-        begin = end
-    return total / per_side**2
+            sums = np.bincount(np.repeat(pixel, per_side), radiance[:, k], minlength=end - begin)
+            mean[begin:end, k] = sums / per_side**2
+    return mean

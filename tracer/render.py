@@ -99,18 +99,32 @@ def render_bands(
     @_QUIET
     def band(top: int) -> Floats:
         bottom = min(top + step, scene.height)
-        if per_side > 1:
-            return antialiased(view, lighting, top, bottom, per_side)
-        radiance = np.zeros(((bottom - top) * scene.width, 3))
-        for hits in visible(view, grid(top, bottom, 0, scene.width)):
-            for k, values in enumerate(shade(lighting, hits)[0]):
-                radiance[hits.sample, k] = values
-        return radiance.reshape(bottom - top, scene.width, 3)
+        # Rows longer than a band are cut; others stay whole.
+        parts = []
+        for left in range(0, scene.width, band_pixels):
+            right = min(left + band_pixels, scene.width)
+            if per_side > 1:
+                parts.append(antialiased(view, lighting, top, bottom, left, right, per_side))
+            else:
+                parts.append(_centres(view, lighting, top, bottom, left, right))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     if threads == 1:
         yield from map(band, tops)
     else:
         yield from _ordered(band, tops, threads)
+
+
+def _centres(
+    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int
+) -> Floats:
+    """Radiance (bottom - top, right - left, 3) at the centres of pixels."""
+    samples = grid(top, bottom, left, right)
+    radiance = np.zeros((samples.x.size, 3))
+    for hits in visible(view, samples):
+        for k, values in enumerate(shade(lighting, hits)[0]):
+            radiance[hits.sample, k] = values
+    return radiance.reshape(bottom - top, right - left, 3)
 
 
 def _ordered(work: Callable[[int], Floats], tasks: Iterable[int], threads: int) -> Iterator[Floats]:

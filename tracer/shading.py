@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each
+from tracer.groups import Bools, Triple, dot, each, scaled
 from tracer.scene import Floats, Phong, Shader
 
 __all__ = ["Materials", "highlight"]
+
+# Squared length of the sum of two unit vectors that cancel, up to rounding.
+_OPPOSITE = 1e-24
 
 
 class Materials:
@@ -45,10 +48,13 @@ def highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Float
     (n.h)^p = exp(p log1p(-a / 2)) keeps the digits that n.h itself has lost.
     """
     h = each(np.add, light, view)
-    scale = 1 / np.sqrt(dot(h, h))
-    e = each(lambda a, b: a - b * scale, n, h)
+    square = dot(h, h)
+    e = each(np.subtract, n, scaled(h, 1 / np.sqrt(square)))
     loss = -0.5 * dot(e, e)
     # log1p by way of log (Kahan): log(u) (u - 1)^-1 is smooth where u - 1 is inexact.
     u = 1 + loss
     log1p = np.where(u == 1, loss, np.log(u) * (loss / (u - 1)))
-    return np.where(exponent == 0, 1.0, np.exp(exponent * log1p))
+    # A zero exponent is a highlight everywhere, whatever the logarithm.
+    power = np.where(exponent == 0, 1.0, np.exp(exponent * log1p))
+    # Light straight from behind touches the surface at most: h is only rounding there.
+    return np.where(square > _OPPOSITE, power, 0.0)
