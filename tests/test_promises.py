@@ -1,0 +1,153 @@
+"""What float64 promises, each promise held at its boundary, with the oracle as judge.
+
+Normals are seen through radiance: white Lambertian objects, a light in each
+channel, so that a channel's error is that of the normal.  Impact parameters
+stay below 0.99 radii, as they do in the promises: nearer the limb the normal
+of *any* rounded ray errs by 1 / cosine.  The worst of many random pixels is
+held to the promise; that it comes near it is held too, where rounding is
+what makes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracle import Oracle, Verdict
+from probe import Vector, colored, moved
+from random_scenes import random_scene
+
+from tracer import Camera, PointLight, Scene, Sphere, Surfaces, render
+
+
+def errors(scene: Scene) -> list[tuple[float, Verdict]]:
+    """Per pixel the largest error, and the oracle's verdict."""
+    image = render(scene)
+    return [
+        (float(np.abs(image[i, j] - verdict.radiance).max()), verdict)
+        for i, row in enumerate(Oracle(scene).picture())
+        for j, verdict in enumerate(row)
+    ]
+
+
+def balls(
+    rng: np.random.Generator, distance: float, radius: float, offset: float, count: int
+) -> Iterator[Scene]:
+    """Balls that fill a picture of 5 x 5, seen from random directions."""
+    for _ in range(count):
+        direction, center = unit(rng), unit(rng) * offset
+        eye = center - direction * distance
+        lights = [center + unit(rng) * 3 * radius - direction * 4 * radius for _ in range(3)]
+        # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most.
+        size = 1.4 * radius * 5 / 4
+        yield Scene(
+            camera=Camera(
+                view_point=vector(eye),
+                view_dir=vector(direction),
+                view_up=vector(unit(rng)),
+                proj_distance=distance,
+                view_width=size,
+                view_height=size,
+            ),
+            width=5,
+            height=5,
+            lights=tuple(colored(*(vector(light) for light in lights))),
+            surfaces=Surfaces.of([Sphere(center=vector(center), radius=radius)]),
+        )
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def vector(v: np.ndarray) -> Vector:
+    x, y, z = v.tolist()
+    return x, y, z
+
+
+def worst(scenes: Iterator[Scene]) -> float:
+    """Largest error over scenes; every pixel must show the one object."""
+    largest = 0.0
+    for scene in scenes:
+        for error, verdict in errors(scene):
+            assert verdict.surface == 0
+            largest = max(largest, error)
+    return largest
+
+
+@pytest.mark.parametrize(
+    ("ratio", "promise"), [(1e2, 1e-12), (1e4, 1e-10), (1e6, 1e-9), (1e8, 2e-7)]
+)
+@pytest.mark.parametrize("radius", [1.0, 1e-3, 1e5])
+def test_distance_over_radius(ratio: float, promise: float, radius: float) -> None:
+    rng = np.random.default_rng(int(ratio))
+    assert worst(balls(rng, ratio * radius, radius, 0.0, 12)) <= promise
+
+
+@pytest.mark.parametrize(("ratio", "promise"), [(1e6, 1e-9), (1e8, 2e-7)])
+@pytest.mark.parametrize("radius", [1.0, 1e-3, 1e5])
+def test_offset_over_radius(ratio: float, promise: float, radius: float) -> None:
+    rng = np.random.default_rng(int(ratio) + 1)
+    assert worst(balls(rng, 6 * radius, radius, ratio * radius, 12)) <= promise
+
+
+@pytest.mark.parametrize(("ratio", "promise"), [(1e4, 3e-9), (1e6, 3e-9), (1e8, 3e-9)])
+@pytest.mark.parametrize("height", [1.0, 1e-3])
+def test_ground_radius_over_height(ratio: float, promise: float, height: float) -> None:
+    # The eye is at this height over the ground, and looks at it from 20 to 70 degrees above;
+    # the lights are as far from what it sees as the radius is, so the normal alone counts.
+    rng = np.random.default_rng(int(ratio) + 2)
+    radius = ratio * height
+
+    def scenes() -> Iterator[Scene]:
+        for _ in range(12):
+            slope, turn = math.radians(rng.uniform(20, 70)), rng.uniform(0, 2 * math.pi)
+            flat = math.cos(slope)
+            yield Scene(
+                camera=Camera(
+                    view_point=(0, height, 0),
+                    view_dir=(flat * math.cos(turn), -math.sin(slope), flat * math.sin(turn)),
+                    proj_distance=1,
+                    view_width=0.3,
+                    view_height=0.3,
+                ),
+                width=5,
+                height=5,
+                lights=tuple(colored(*(vector(unit(rng) * radius) for _ in range(3)))),
+                surfaces=Surfaces.of([Sphere(center=(0, -radius, 0), radius=radius)]),
+            )
+
+    assert worst(scenes()) <= promise
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1e-4, 1e4, 1e8])
+def test_whole_scene_scaled(scale: float) -> None:
+    # Decimal scales round the scene; the oracle judges the rounded one.
+    rng = np.random.default_rng(4)
+    scenes = (moved(scene, scale) for scene in balls(rng, 6.0, 1.0, 0.0, 12))
+    assert worst(scenes) <= 7e-14
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("offset", [0.0, 1e4, 1e6])
+def test_visibility_decisions(scale: float, offset: float) -> None:
+    # Outside of ties (margin: a few hundred roundings of the lengths involved) the tracer
+    # sees the object that the oracle sees, lit by the lights that it says.  Each of the
+    # three lights has its own channel, and each object its own share of it.
+    ties = decided = 0
+    for seed in range(4):
+        for kind in ("scattered", "touching", "enormous"):
+            scene = moved(random_scene(kind, seed), scale, (offset * scale,) * 3)
+            lights = [PointLight(position=light.position) for light in scene.lights]
+            scene = replace(scene, lights=tuple(colored(*(light.position for light in lights))))
+            for error, verdict in errors(scene):
+                if verdict.margin < 1e-12:
+                    ties += 1
+                else:
+                    decided += 1
+                    assert error < 1e-5, (kind, seed, verdict)
+    assert ties < 0.02 * decided
