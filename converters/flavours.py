@@ -231,7 +231,7 @@ The geometry and the camera are exact. Approximate are
 {film}Mitsuba allows no reflectance above 1: all are divided by {gain:g}, lights multiplied.
 """
 
-_SQUARE = """- the film: pixels must be square, so it shows the same window in {width} x {height} of them,
+_SQUARE = """- the film: pixels must be square, so {width} x {height} of them show the same window,
   not {width} x {given}.
 """
 

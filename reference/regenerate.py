@@ -33,8 +33,8 @@ SCENES = _ROOT / "scenes"
 FOLDER = _ROOT / "reference" / "mitsuba"
 WIDTH = 160
 
-# Steps of the stored radiance, 4e-6: far below every tolerance, and the files compress.
-_STEP = 2.0**-18
+# Steps of the stored radiance, 1e-6: below every tolerance, and the files compress.
+_STEP = 2.0**-20
 
 
 def load_small(path: Path) -> Scene:
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Render every scene again; returns 0."""
     parser = argparse.ArgumentParser(
         prog="python -m reference.regenerate",
-        description="Render every scene with Mitsuba, and store the pictures and how they were made.",
+        description="Render every scene with Mitsuba; store the pictures and how they were made.",
     )
     parser.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
