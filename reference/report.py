@@ -118,8 +118,8 @@ def _scene(result: CheckResult, comment: str) -> str:
         "99.9th percentile": f"{f.p999:.2e}",
         "RMSE": f"{f.rmse:.2e}",
         "median": f"{f.median:.2e}",
-        "over 1e-3": f"{f.over}",
-        "masked": f"{f.masked} pixels",
+        "pixels over 1e-3": f"{f.over}",
+        "masked pixels": f"{f.masked}",
         "tracer\u2019s time": _time(result.tracer_seconds),
         f"Mitsuba\u2019s ({result.variant})": _time(result.mitsuba_seconds),
     }
@@ -129,7 +129,7 @@ def _scene(result: CheckResult, comment: str) -> str:
             f"Mitsuba errs on this scene ({', '.join(result.reasons)}): the oracle judged the"
             f" {result.judged} pixels that differ."
         )
-    shown = f"difference × {gain:g}" if gain else "no difference"
+    shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return f"""
 <section class="scene" id="{name}" data-width="{width}" data-height="{height}">
 <div class="head"><h2>{name}</h2><span>{_verdict(result)}</span>

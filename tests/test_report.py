@@ -69,7 +69,13 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 def test_page_holds_everything() -> None:
     text = page([result("one"), result("two")], {"one": "Shows <one> & more."}, [("Chart", CHART)])
     assert "<!--" not in text
-    for figure in ("12.3 ms", "4.50 s", "Shows &lt;one&gt; &amp; more.", "scalar_rgb", "1 pixels"):
+    for figure in (
+        "12.3 ms",
+        "4.50 s",
+        "Shows &lt;one&gt; &amp; more.",
+        "scalar_rgb",
+        "<dt>masked pixels</dt><dd>1</dd>",
+    ):
         assert figure in text
     assert text.count('<section class="scene"') == 2
     assert base64.b64encode(CHART).decode() in text

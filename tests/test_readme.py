@@ -1,0 +1,58 @@
+"""The README keeps its word."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from reference import sheet
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
+
+
+def test_first_two_commands() -> None:
+    """One line each: what `.ci/run` takes from here and runs in a clean checkout."""
+    render, test = (block.rstrip("\n") for block in blocks("sh")[:2])
+    assert "\n" not in render + test
+    assert render.endswith(" -m tracer scenes/one-sphere.xml")
+    assert "pip install" in render
+    assert test.endswith(" -m pytest -q")
+    assert "'.[test]'" in test
+
+
+def test_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(block, space)
+    assert (tmp_path / "four-spheres.png").exists()
+
+
+def test_links_lead_somewhere() -> None:
+    links = re.findall(r"\]\(([^)]+)\)", README)
+    local = [link for link in links if not link.startswith("https://")]
+    assert local
+    assert [link for link in local if not (ROOT / link).exists()] == []
+
+
+def test_commands_exist() -> None:
+    modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", README))
+    assert len(modules) >= 5
+    files = [ROOT / module.replace(".", "/") for module in modules]
+    assert [file for file in files if not (file.with_suffix(".py").exists() or file.is_dir())] == []
+
+
+def test_sheet_shows_every_scene() -> None:
+    """Five square scenes and nine wide ones make a row and three."""
+    image = sheet.sheet(sheet.SCENES.glob("*.xml"))
+    square = (960 - 4 * 12) // 5 + 22
+    wide = round(180 * ((960 - 2 * 12) // 3) / 320) + 22
+    assert image.size == (960, square + 3 * wide + 3 * 12)

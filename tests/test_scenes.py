@@ -1,0 +1,68 @@
+"""The scenes of this project: readable, commented, reproducible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tracer
+from reference.generate import many_objects, sunflower
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+PATHS = sorted(SCENES.glob("*.xml"))
+
+
+def test_there_are_a_dozen() -> None:
+    assert len(PATHS) >= 12
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+def test_says_what_it_shows_and_shows_something(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<!-- ")
+    assert text.index("-->") > 40
+    image = tracer.render(tracer.load_scene(path))
+    seen = image.any(axis=2)
+    # Neither an empty picture nor one that is burnt out.
+    assert seen.mean() > 0.1
+    assert (image[seen].min(axis=1) > 1).mean() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "make"), [("many-objects", many_objects), ("sunflower", sunflower)]
+)
+def test_is_what_is_generated(name: str, make: Callable[[], str]) -> None:
+    assert (SCENES / f"{name}.xml").read_text(encoding="utf-8") == make()
+
+
+def test_seed_and_count(tmp_path: Path) -> None:
+    path = tmp_path / "few.xml"
+    path.write_text(many_objects(count=30, seed=7), encoding="utf-8")
+    surfaces = tracer.load_scene(path).surfaces
+    assert (len(surfaces.min_pt), len(surfaces.radius)) == (10, 20)
+    assert many_objects(30, seed=7) != many_objects(30, seed=8)
+
+
+STICKS = ("sticks-perspective", "sticks-axonometric", "sticks-orthographic", "sticks-shifted")
+
+
+@pytest.mark.parametrize("name", STICKS)
+def test_cubes_of_sticks_differ_in_camera_and_lights_only(name: str) -> None:
+    scene, first = (tracer.load_scene(SCENES / f"{n}.xml") for n in (name, STICKS[0]))
+    assert len(scene.surfaces) == 21
+    assert list(scene.surfaces) == list(first.surfaces)
+    assert len(scene.lights) == 3
+    assert [light.position for light in scene.lights].count(scene.camera.view_point) == 1
+
+
+def test_touching_scene_touches_exactly() -> None:
+    """Coordinates are dyadic, so contacts and coincidences are exact."""
+    surfaces = tracer.load_scene(SCENES / "touching.xml").surfaces
+    balls = np.column_stack([surfaces.center, surfaces.radius])
+    assert len(np.unique(balls, axis=0)) == len(balls) - 1
+    assert (surfaces.min_pt == surfaces.max_pt).any(axis=1).sum() == 1
+    apart = np.linalg.norm(surfaces.center[:, None] - surfaces.center, axis=2)
+    assert (apart == surfaces.radius[:, None] + surfaces.radius).sum() == 4
