@@ -1,0 +1,215 @@
+"""What a scene file means: every default and every convention of the format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
+
+EMPTY = "<camera/><image>4 3</image>"
+
+
+@pytest.fixture
+def scene_of(tmp_path):
+    """Read a scene, given what stands between <scene> and </scene>."""
+
+    def read(content: str) -> Scene:
+        path = tmp_path / "scene.xml"
+        path.write_text(f"<scene>{content}</scene>", encoding="utf-8")
+        return load_scene(path)
+
+    return read
+
+
+def test_defaults(scene_of):
+    scene = scene_of(
+        EMPTY
+        + "<light><position>1 2 3</position></light>"
+        + '<surface type="Sphere"/>'
+        + '<surface type="Sphere"><shader type="Phong"/></surface>'
+        + '<surface type="Box"><minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt></surface>'
+    )
+    assert (scene.width, scene.height) == (4, 3)
+    assert scene.camera == Camera(
+        view_point=(0, 0, 0),
+        view_dir=(0, 0, -1),
+        view_up=(0, 1, 0),
+        proj_normal=None,
+        proj_distance=1,
+        view_width=1,
+        view_height=1,
+    )
+    assert scene.lights == (PointLight(position=(1, 2, 3), intensity=(1, 1, 1)),)
+    white = Lambertian(diffuse=(1, 1, 1))
+    plain = Phong(diffuse=(1, 1, 1), specular=(0, 0, 0), exponent=1)
+    assert list(scene.surfaces) == [
+        Sphere(center=(0, 0, 0), radius=1, shader=white),
+        Sphere(center=(0, 0, 0), radius=1, shader=plain),
+        Box(min_pt=(-1, -2, -3), max_pt=(1, 2, 3), shader=white),
+    ]
+
+
+def test_everything_given(scene_of):
+    scene = scene_of("""
+      <surface type="Sphere">
+        <radius>.5</radius> <center>1 2 3</center>
+        <shader type="Phong">
+          <exponent>20</exponent>
+          <specularColor>.1 .2 .3</specularColor>
+          <diffuseColor>.4 .5 .6</diffuseColor>
+        </shader>
+      </surface>
+      <image>640 480</image>
+      <light><intensity>.7 .8 .9</intensity><position>-1 -2 -3</position></light>
+      <camera>
+        <viewPoint>1 2 3</viewPoint> <viewDir>4 5 6</viewDir> <viewUp>0 0 1</viewUp>
+        <projNormal>1 1 1</projNormal> <projDistance>7</projDistance>
+        <viewWidth>.75</viewWidth> <viewHeight>.76</viewHeight>
+      </camera>""")
+    assert scene == Scene(
+        camera=Camera(
+            view_point=(1, 2, 3),
+            view_dir=(4, 5, 6),
+            view_up=(0, 0, 1),
+            proj_normal=(1, 1, 1),
+            proj_distance=7,
+            view_width=0.75,
+            view_height=0.76,
+        ),
+        width=640,
+        height=480,
+        lights=(PointLight(position=(-1, -2, -3), intensity=(0.7, 0.8, 0.9)),),
+        surfaces=scene.surfaces,
+    )
+    shader = Phong(diffuse=(0.4, 0.5, 0.6), specular=(0.1, 0.2, 0.3), exponent=20)
+    assert list(scene.surfaces) == [Sphere(center=(1, 2, 3), radius=0.5, shader=shader)]
+
+
+@pytest.mark.parametrize("tag", ["color", "intensity"])
+def test_a_light_has_a_color_or_an_intensity(scene_of, tag):
+    scene = scene_of(f"{EMPTY}<light><position>0 0 0</position><{tag}>1 2 3</{tag}></light>")
+    assert scene.lights[0].intensity == (1, 2, 3)
+
+
+def test_shaders_are_named_nested_or_referred_to_before_they_are_defined(scene_of):
+    scene = scene_of(
+        EMPTY
+        + '<surface type="Sphere"><shader ref="late"/></surface>'
+        + '<surface type="Sphere"><shader ref="nested"/></surface>'
+        + '<surface type="Sphere"><shader name="nested" type="Phong"/></surface>'
+        + '<shader type="Lambertian" name="late"><diffuseColor>0 1 0</diffuseColor></shader>'
+        + '<surface type="Sphere"><shader ref="late"/></surface>'
+    )
+    green = Lambertian(diffuse=(0, 1, 0))
+    assert [surface.shader for surface in scene.surfaces] == [green, Phong(), Phong(), green]
+
+
+def test_a_shader_is_kept_once_however_often_it_is_used(scene_of):
+    scene = scene_of(
+        f'{EMPTY}<shader name="a" type="Phong"/>'
+        + '<surface type="Sphere"><shader ref="a"/></surface>' * 50
+        + '<surface type="Sphere"/>' * 50
+    )
+    assert len(scene.surfaces.shaders) == 2
+
+
+def test_surfaces_keep_the_order_of_the_file(scene_of):
+    ball = '<surface type="Sphere"/>'
+    brick = '<surface type="Box"><minPt>0 0 0</minPt><maxPt>1 1 1</maxPt></surface>'
+    scene = scene_of(EMPTY + ball + brick + ball + brick + brick)
+    assert [type(surface) for surface in scene.surfaces] == [Sphere, Box, Sphere, Box, Box]
+    assert scene.surfaces.sphere_index.tolist() == [0, 2]
+    assert scene.surfaces.box_index.tolist() == [1, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1 2 3", (1, 2, 3)),
+        ("\n 1\t2\r\n\n3 ", (1, 2, 3)),
+        (".5 1e-3 -2", (0.5, 1e-3, -2)),
+        ("+1. -0 1E+2", (1, 0, 100)),
+        ("1<!-- x --> 2 <!-- \n --> 3", (1, 2, 3)),
+        ("<![CDATA[1 2]]> 3", (1, 2, 3)),
+        ("&#49; 2 3", (1, 2, 3)),
+        ("0.1 1e-400 1.7976931348623157e308", (0.1, 0, np.finfo(float).max)),
+        (f"{'0' * 5000}1 2 {'3' * 300}", (1, 2, float("3" * 300))),
+    ],
+)
+def test_numbers(scene_of, text, value):
+    assert (
+        scene_of(f"{EMPTY}<light><position>{text}</position></light>").lights[0].position == value
+    )
+
+
+def test_a_scene_may_be_empty(scene_of):
+    scene = scene_of(EMPTY)
+    assert scene.lights == ()
+    assert len(scene.surfaces) == 0
+
+
+def test_largest_picture(scene_of):
+    scene = scene_of("<camera/><image>16384 16384</image>")
+    assert scene.width * scene.height == 2**28
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-15", "koi8-r"])
+def test_encodings(tmp_path, encoding):
+    path = tmp_path / "scene.xml"
+    declared = encoding.removesuffix("-sig")
+    path.write_text(
+        f'<?xml version="1.0" encoding="{declared}"?>\n<scene>{EMPTY}</scene>', encoding=encoding
+    )
+    assert load_scene(path).width == 4
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        "<!-- before -->{}<!-- after -->\n",
+        '<?xml version="1.0"?>\n<?hint at all?>\n{}',
+        '<!DOCTYPE scene SYSTEM "scene.dtd">{}',
+    ],
+)
+def test_what_may_stand_around_the_scene(tmp_path, around):
+    path = tmp_path / "scene.xml"
+    path.write_text(around.format(f"<scene>{EMPTY}</scene>"))
+    assert load_scene(str(path)).height == 3
+
+
+def test_a_token_may_lie_across_the_pieces_that_are_read(scene_of):
+    """However a file is cut into pieces of 64 KiB, it means the same."""
+    sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>'
+    for shift in range(0, len(sphere), 7):
+        scene = scene_of(EMPTY + " " * shift + sphere * 2000)
+        assert (scene.surfaces.center == (1, 2, 3)).all()
+        assert (scene.surfaces.radius == 4).all()
+        assert len(scene.surfaces) == 2000
+
+
+def test_a_hundred_thousand_surfaces_take_little_memory(tmp_path):
+    """The reader holds arrays, not a tree: fewer bytes than the file has."""
+    import tracemalloc
+
+    sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>\n'
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<scene>{EMPTY}{sphere * 20_000}</scene>")
+    load_scene(path)
+    tracemalloc.start()
+    scene = load_scene(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(scene.surfaces) == 20_000
+    # 32 bytes of numbers, 8 each of shader and place, 16 of line numbers; arrays grow in
+    # steps and are copied once into the scene: under 2 x 64 bytes a surface, and the buffers.
+    assert peak < 20_000 * 128 + 2**20
+
+
+def test_scenes_of_the_project_are_read():
+    paths = sorted((Path(__file__).parents[1] / "scenes").glob("*.xml"))
+    assert len(paths) >= 12
+    for path in paths:
+        assert load_scene(path).width > 0
