@@ -42,13 +42,15 @@ class Choice:
     reason: str
 
 
-def choose(kernel: str = _KERNEL) -> Choice:
+def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """The fastest variant that works here.
 
     Parameters
     ----------
     kernel : str
         Python code that the child process runs; it must end with status 0 where LLVM works.
+    timeout : float
+        Seconds after which the child is ended.
     """
     # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
     with tempfile.TemporaryDirectory() as home:
@@ -58,7 +60,7 @@ def choose(kernel: str = _KERNEL) -> Choice:
                 env=os.environ | {"HOME": home},
                 capture_output=True,
                 text=True,
-                timeout=60,
+                timeout=timeout,
             )
         except subprocess.TimeoutExpired:
             return Choice(SCALAR, "the libLLVM found here hangs")

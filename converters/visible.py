@@ -10,10 +10,10 @@ from itertools import product
 
 import numpy as np
 
-from tracer.camera import raster_of
+from tracer.camera import Raster, raster_of
 from tracer.scene import Floats, Scene, Surfaces
 
-__all__ = ["bounds", "visible_points"]
+__all__ = ["bounds", "nearest", "raster_direction", "visible_points"]
 
 
 def bounds(surfaces: Surfaces) -> Floats:
@@ -29,16 +29,26 @@ def visible_points(scene: Scene, grid: int = 12) -> Floats:
     raster = raster_of(scene.camera, grid, grid)
     found = []
     for column, row in product(np.arange(grid) + 0.5, repeat=2):
-        direction = np.array([raster.across(column), raster.down(row), raster.depth]) @ raster.axes
-        direction /= np.linalg.norm(direction)
-        t = _nearest(scene.surfaces, raster.eye, direction)
-        if np.isfinite(t):
+        direction = raster_direction(raster, column, row)
+        t, _ = nearest(scene.surfaces, raster.eye, direction)
+        if t < np.inf:
             found.append(raster.eye + t * direction)
     return np.array(found).reshape(-1, 3)
 
 
-def _nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> float:
-    """Distance to the first surface along one ray; infinite if there is none."""
+def raster_direction(raster: Raster, column: float, row: float) -> Floats:
+    """Unit direction (3,) of the ray through a point of the picture, in pixels."""
+    across = raster.shift_u + (column - raster.width / 2) * raster.step_u
+    down = raster.shift_v + (row - raster.height / 2) * raster.step_v
+    direction: Floats = np.array([across, down, raster.depth]) @ raster.axes
+    return direction / np.linalg.norm(direction)
+
+
+def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[float, int]:
+    """Distance to the first surface along one ray, and its place in the file.
+
+    Infinite, and some place, where there is none.
+    """
     to_center = surfaces.center - origin
     along = to_center @ direction
     aside = to_center - along[:, None] * direction
@@ -47,6 +57,10 @@ def _nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         slabs = (np.stack([surfaces.min_pt, surfaces.max_pt]) - origin) / direction
     enter, leave = slabs.min(axis=0).max(axis=1), slabs.max(axis=0).min(axis=1)
-    leave = np.where(enter <= leave, leave, np.nan)
-    t = np.concatenate([along - half, along + half, enter, leave])
-    return float(np.min(t, initial=np.inf, where=t > 0))
+    slab_hits = np.where(enter <= leave, np.stack([enter, leave]), np.nan)
+    ahead = np.concatenate([np.stack([along - half, along + half]), slab_hits], axis=1)
+    t = np.where(ahead > 0, ahead, np.inf).min(axis=0)
+    if not len(t):
+        return np.inf, 0
+    first = int(t.argmin())
+    return float(t[first]), int(np.concatenate([surfaces.sphere_index, surfaces.box_index])[first])

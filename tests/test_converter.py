@@ -1,0 +1,284 @@
+"""The converter: its command line, and that Mitsuba reads what it writes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from converters.check import check_scene, render_mitsuba
+from converters.flavours import exact, normalisation, stock
+from converters.to_mitsuba import main
+from converters.variant import SCALAR, use
+from converters.visible import bounds, visible_points
+from reference.compare import figures
+from reference.regenerate import load_small
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENES = sorted((ROOT / "scenes").glob("*.xml"))
+ONE_SPHERE = ROOT / "scenes" / "one-sphere.xml"
+
+
+def scene_of(*surfaces: Sphere | Box, **camera: object) -> Scene:
+    """Surfaces before a camera at (0, 0, 5), with a light beside it."""
+    return Scene(
+        camera=Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera),  # type: ignore[arg-type]
+        width=24,
+        height=24,
+        lights=(PointLight(position=(3, 4, 5)),),
+        surfaces=surfaces,
+    )
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The converter as a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "converters.to_mitsuba", *arguments],
+        cwd=ROOT,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+# The command line.
+
+
+@pytest.mark.parametrize("flavour", [[], ["--exact"]])
+def test_writes_beside_the_scene(tmp_path: Path, flavour: list[str]) -> None:
+    scene = tmp_path / "ball.xml"
+    scene.write_bytes(ONE_SPHERE.read_bytes())
+    assert main([*flavour, str(scene)]) == 0
+    written = tmp_path / "ball.mitsuba.xml"
+    assert ET.parse(written).getroot().tag == "scene"
+    assert sorted(tmp_path.iterdir()) == [written, scene]
+
+
+def test_writes_several_to_a_folder_that_is_made(tmp_path: Path) -> None:
+    assert main([str(SCENES[0]), str(SCENES[1]), "-o", f"{tmp_path}/made/"]) == 0
+    names = {path.name for path in (tmp_path / "made").iterdir()}
+    assert names == {f"{path.stem}.mitsuba.xml" for path in SCENES[:2]}
+
+
+def test_a_bad_scene_is_told_and_spares_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.xml"
+    bad.write_text("<scene><camera/><image>8 8</image><light/></scene>")
+    assert main([str(bad), str(ONE_SPHERE), "-o", f"{tmp_path}/"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"{bad}:1: light: ")
+    assert (tmp_path / "one-sphere.mitsuba.xml").exists()
+    assert not (tmp_path / "bad.mitsuba.xml").exists()
+
+
+def test_what_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "missing" / "x.xml"
+    assert main([str(ONE_SPHERE), "-o", str(target)]) == 1
+    assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.xml", "b.xml", "-o", "c.xml"], "several scenes need a folder"),
+        (["a/x.xml", "b/x.xml", "-o", "/tmp"], "two scenes of one name"),
+        (["a.xml", "-o", "a.xml"], "would replace a scene"),
+        (["a.xml", "--samples", "0"], "must be a whole number from 1, is '0'"),
+        (["a.xml", "--check", "--samples", "4"], "it takes no --samples"),
+        (["a.xml", "--check", "--render"], "not allowed with"),
+        ([], "the following arguments are required: SCENE.xml"),
+    ],
+)
+def test_wrong_usage_ends_with_status_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    assert message in capsys.readouterr().err
+
+
+def test_converting_needs_no_mitsuba(tmp_path: Path) -> None:
+    (tmp_path / "mitsuba.py").write_text("raise ImportError('not installed')")
+    done = run(str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    done = run("--render", str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stderr) == (1, "Mitsuba cannot run: not installed\n")
+
+
+def test_render_writes_a_png_and_an_exr(tmp_path: Path) -> None:
+    scene = tmp_path / "small.xml"
+    text = ONE_SPHERE.read_text(encoding="utf-8")
+    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
+    assert main(["--render", "--samples", "4", "--variant", SCALAR, str(scene)]) == 0
+    mi = importlib.import_module("mitsuba")
+    exr = np.array(mi.Bitmap(str(tmp_path / "small.mitsuba.exr")))
+    shown = np.asarray(Image.open(tmp_path / "small.mitsuba.png"))
+    assert exr.shape == shown.shape == (30, 40, 3)
+    np.testing.assert_array_equal(shown, np.round(255 * np.clip(exr, 0, 1) ** (1 / 2.2)))
+    use()
+
+
+def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
+    done = run("--check", str(ONE_SPHERE), "-o", f"{tmp_path}/", DRJIT_LIBLLVM_PATH="/nonexistent")
+    assert done.returncode == 0, done.stderr
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
+    assert "one-sphere: agrees" in done.stdout
+    with Image.open(tmp_path / "one-sphere.check.png") as picture:
+        assert picture.width > 3 * 300
+
+
+# What Mitsuba makes of it.
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_plain_mitsuba_reads_the_stock_flavour(path: Path) -> None:
+    """In a process without the plugins; and the picture is like the exact one."""
+    scene = replace(load_small(path), width=48, height=27)
+    loaded = importlib.import_module("mitsuba")
+    use(SCALAR)
+    image = np.array(loaded.render(loaded.load_string(stock(scene, 1))))
+    use()
+    square = round(48 * scene.camera.view_height / scene.camera.view_width)
+    assert image.shape == (square, 48, 3)
+    assert np.isfinite(image).all()
+    assert image.max() > 0.05
+
+
+def test_the_mitsuba_command_reads_the_stock_flavour(tmp_path: Path) -> None:
+    scene = replace(load_scene(ONE_SPHERE), width=16, height=16)
+    (tmp_path / "x.xml").write_text(stock(scene, 1), encoding="utf-8")
+    command = Path(sys.executable).with_name("mitsuba")
+    subprocess.run(
+        [command, "-m", SCALAR, "x.xml"], cwd=tmp_path, check=True, capture_output=True, timeout=60
+    )
+    assert (tmp_path / "x.exr").exists()
+
+
+@pytest.mark.parametrize("variant_first", [True, False])
+def test_load_file_reads_the_exact_flavour_after_one_import(
+    tmp_path: Path, variant_first: bool
+) -> None:
+    """With a variant set before the plugins are imported, or after, or both."""
+    (tmp_path / "x.xml").write_text(exact(replace(load_scene(ONE_SPHERE), width=8, height=8)))
+    set_variant, plugins = f"mi.set_variant({SCALAR!r})", "import converters.plugins"
+    lines = [set_variant, plugins] if variant_first else [plugins, set_variant]
+    code = "\n".join(
+        ["import mitsuba as mi", *lines, "scene = mi.load_file('x.xml')",
+         "assert mi.TensorXf(mi.render(scene)).array.__len__() == 192"]
+    )  # fmt: skip
+    subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+
+
+def test_stock_matte_picture_is_exact_at_the_distance_that_counts() -> None:
+    """A small matte ball far from its light: fall-off hardly varies over it."""
+    scene = scene_of(Sphere(radius=0.5, shader=Lambertian(diffuse=(0.9, 0.5, 0.1))))
+    scene = replace(scene, lights=(PointLight(position=(300, 400, 500), intensity=(0.7,) * 3),))
+    mi = importlib.import_module("mitsuba")
+    use()
+    approximate = np.array(mi.render(mi.load_string(stock(scene, 256))), dtype=np.float64)
+    # Over a hit at 707 units the distance varies by 1 in 700, its square by 1 in 350; and
+    # 256 samples blur what the exact picture takes at the pixel's centre, so look inside.
+    inside = np.s_[10:14, 10:14]
+    np.testing.assert_allclose(
+        approximate[inside], render_mitsuba(scene)[inside], rtol=5e-3, atol=1e-3
+    )
+
+
+def test_stock_highlight_has_the_right_height() -> None:
+    """Eye and light in one direction: n = h = v at the centre, where the lobe is exact."""
+    shader = Phong(diffuse=(0, 0, 0), specular=(0.6, 0.6, 0.6), exponent=40)
+    scene = replace(scene_of(Sphere(radius=0.5, shader=shader)), width=101, height=101)
+    scene = replace(scene, lights=(PointLight(position=(0, 0, 500)),))
+    mi = importlib.import_module("mitsuba")
+    use()
+    approximate = np.array(mi.render(mi.load_string(stock(scene, 16))), dtype=np.float64)
+    # Over the central pixel, .015 wide, the normal turns by up to .02: (cos .02)^40 = .992.
+    assert approximate[50, 50, 0] == pytest.approx(0.6, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "surfaces",
+    [
+        pytest.param((Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0)),), id="flat box"),
+        pytest.param((), id="nothing"),
+        pytest.param((Sphere(radius=0.3), Sphere(radius=0.3)), id="twice the same"),
+        pytest.param(
+            (Sphere(radius=0.3, shader=Phong(exponent=0, specular=(2, 0, 0))),), id="bright"
+        ),
+    ],
+)
+def test_odd_scenes_agree(surfaces: tuple[Sphere | Box, ...]) -> None:
+    result = check_scene(scene_of(*surfaces), "odd")
+    assert result.faults == ()
+
+
+def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
+    """A red plate lies on the face of a white box: float32 cannot tell which is seen."""
+    red = Lambertian(diffuse=(1, 0, 0))
+    result = check_scene(
+        scene_of(
+            Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0), shader=red),
+            Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0)),
+        ),
+        "plate",
+    )
+    assert result.faults == ()
+    assert result.judged > 0
+    assert result.judged_by == "Mitsuba and the oracle"
+    assert "zero-thickness boxes, coincident faces of boxes" in result.report()
+
+
+def test_stronger_lights_than_one_and_many_samples_converge() -> None:
+    """Stratified samples of the same scene come to the tracer's mean."""
+    scene = scene_of(Sphere(radius=0.3))
+    smooth = render_mitsuba(scene, samples=64)
+    assert figures(smooth, render_mitsuba(scene, samples=256)).rmse < 5e-3
+
+
+# Normalisation.
+
+
+def test_normalised_scene_is_centred_and_ten_units_large() -> None:
+    scene = scene_of(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
+    place = normalisation(scene)
+    seen = place(visible_points(scene))
+    np.testing.assert_allclose(seen.min(axis=0) + seen.max(axis=0), 0, atol=1e-9)
+    assert np.ptp(seen, axis=0).max() == pytest.approx(10)
+
+
+def test_bounds_hold_every_surface() -> None:
+    scene = scene_of(Sphere(center=(1, 0, 0), radius=2), Box(min_pt=(0, -5, 0), max_pt=(1, 1, 0.5)))
+    np.testing.assert_array_equal(bounds(scene.surfaces), [[-1, -5, -2], [3, 2, 2]])
+
+
+def test_visible_points_lie_on_the_nearest_surface() -> None:
+    scene = scene_of(Sphere(radius=1), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
+    points = visible_points(scene)
+    on_ball = np.isclose(np.linalg.norm(points, axis=1), 1) & (points[:, 2] > 0)
+    assert (on_ball | np.isclose(points[:, 2], -1)).all()
+    assert on_ball.any()
+
+
+def test_equal_shaders_share_a_bsdf() -> None:
+    scene = scene_of(*(Sphere(center=(x, 0, 0), shader=Phong(exponent=3)) for x in range(5)))
+    root = ET.fromstring(exact(scene))
+    assert len(root.findall("bsdf")) == 1
+    assert len(root.findall("shape")) == 5

@@ -1,0 +1,124 @@
+"""The comparison can fail: it catches each of these mistakes in a tracer, SSIM alone does not.
+
+Each mistake is made by changing the scene or the picture, so that the tracer itself stays as it
+is.  The reference is Mitsuba's stored picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from converters.check import MIN_SSIM, edge_mask, faults
+from converters.visible import nearest, raster_direction
+from reference.compare import figures
+from reference.regenerate import SCENES, load_small, stored
+from tracer import Box, Lambertian, Scene, render
+from tracer.camera import raster_of
+from tracer.scene import Floats
+
+pytestmark = pytest.mark.cross_validation
+
+
+def wrong_gamma(scene: Scene) -> Floats:
+    """Encoded with 1.8 and, like all pictures, shown with 2.2."""
+    image: Floats = np.clip(render(scene), 0, 1) ** (2.2 / 1.8)
+    return image
+
+
+def no_highlight(scene: Scene) -> Floats:
+    """Every shader's diffuse part alone."""
+    matte = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
+    return render(replace(scene, surfaces=matte))
+
+
+def falling_off(scene: Scene) -> Floats:
+    """Lights as strong as they should be at the middle distance, but falling off."""
+    points, _ = visible(scene)
+    image = np.zeros((scene.height, scene.width, 3))
+    for light in scene.lights:
+        distance2 = ((points - light.position) ** 2).sum(axis=2)
+        falloff = np.nanmedian(distance2) / distance2
+        alone = render(replace(scene, lights=(light,)))
+        image += np.where(np.isnan(falloff), 0, falloff)[:, :, None] * alone
+    return image
+
+
+def brighter(scene: Scene) -> Floats:
+    """All of it by 2 %."""
+    return render(scene) * 1.02
+
+
+def half_pixel(scene: Scene) -> Floats:
+    """Samples at the pixels' corners."""
+    return render(scene, offset=(0.5, 0.5))
+
+
+def mirrored(scene: Scene) -> Floats:
+    """Right is left."""
+    return render(scene)[:, ::-1]
+
+
+def no_shadows(scene: Scene) -> Floats:
+    """Each surface as if it were alone in the world."""
+    _, owner = visible(scene)
+    image = np.zeros((scene.height, scene.width, 3))
+    for index, surface in enumerate(scene.surfaces):
+        own = owner == index
+        image[own] = render(replace(scene, surfaces=[surface]))[own]
+    return image
+
+
+def boxes_out(scene: Scene) -> Floats:
+    """Boxes one unit beside where they should be."""
+
+    def moved(box: Box) -> Box:
+        (x0, y0, z0), (x1, y1, z1) = box.min_pt, box.max_pt
+        return replace(box, min_pt=(x0 + 1, y0, z0), max_pt=(x1 + 1, y1, z1))
+
+    surfaces = [moved(s) if isinstance(s, Box) else s for s in scene.surfaces]
+    return render(replace(scene, surfaces=surfaces))
+
+
+def visible(scene: Scene) -> tuple[Floats, Floats]:
+    """What is seen: points (h, w, 3) and the places of their surfaces (h, w); NaN for nothing."""
+    raster = raster_of(scene.camera, scene.width, scene.height)
+    points = np.full((scene.height, scene.width, 3), np.nan)
+    owner = np.full((scene.height, scene.width), np.nan)
+    for row, column in product(range(scene.height), range(scene.width)):
+        direction = raster_direction(raster, column + 0.5, row + 0.5)
+        t, index = nearest(scene.surfaces, raster.eye, direction)
+        if t < np.inf:
+            points[row, column], owner[row, column] = raster.eye + t * direction, index
+    return points, owner
+
+
+# The last column: whether the mistake passes for right by SSIM alone, at the bound used here.
+MUTATIONS = [
+    pytest.param(wrong_gamma, "four-spheres", False, id="wrong gamma"),
+    pytest.param(no_highlight, "four-spheres", False, id="no highlight"),
+    pytest.param(falling_off, "four-spheres", False, id="lights fall off"),
+    pytest.param(brighter, "four-spheres", True, id="2 % brighter"),
+    pytest.param(half_pixel, "four-spheres", False, id="half a pixel out"),
+    pytest.param(mirrored, "four-spheres", False, id="mirrored window"),
+    pytest.param(no_shadows, "four-spheres", False, id="no shadows"),
+    pytest.param(boxes_out, "two-boxes", False, id="boxes one unit out"),
+]
+
+
+@pytest.mark.parametrize(("mutation", "name", "ssim_misses"), MUTATIONS)
+def test_the_comparison_catches(
+    mutation: Callable[[Scene], Floats], name: str, ssim_misses: bool
+) -> None:
+    scene = load_small(SCENES / f"{name}.xml")
+    reference, right = stored(name), render(scene)
+    mask = edge_mask(scene, right)
+    assert faults(figures(right, reference, mask), mask) == ()
+    wrong = figures(mutation(scene), reference, mask)
+    print(mutation.__name__, wrong)
+    assert faults(wrong, mask) != ()
+    assert (wrong.ssim >= MIN_SSIM) == ssim_misses

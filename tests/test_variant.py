@@ -1,0 +1,103 @@
+"""The choice of Mitsuba's variant: no libLLVM whatever may kill this process or mislead it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from converters.variant import LLVM, SCALAR, Choice, choose, use
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Where Debian puts shared libraries; versions 14 to 16 are known not to work, 19 to work.
+LIBRARIES = sorted(Path("/usr/lib").glob("*/libLLVM*.so.*"))
+
+_RENDER = """
+import sys
+from converters.check import render_mitsuba
+from converters.variant import use
+from tracer import load_scene
+from dataclasses import replace
+scene = replace(load_scene("scenes/one-sphere.xml"), width=16, height=16)
+choice = use()
+assert render_mitsuba(scene).max() > 0.1
+print(choice.variant, choice.reason)
+"""
+
+
+def rendered_with(library: str) -> str:
+    """What a process that renders with this libLLVM prints."""
+    child = subprocess.run(
+        [sys.executable, "-c", _RENDER],
+        cwd=ROOT,
+        env=os.environ | {"DRJIT_LIBLLVM_PATH": library},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert child.returncode == 0, child.stderr
+    return child.stdout
+
+
+def test_no_library_leaves_the_scalar_variant() -> None:
+    assert rendered_with("/nonexistent").startswith(f"{SCALAR} no usable libLLVM")
+
+
+def test_a_file_that_is_no_library_leaves_the_scalar_variant(tmp_path: Path) -> None:
+    fake = tmp_path / "libLLVM.so"
+    fake.write_text("not a library")
+    assert rendered_with(str(fake)).startswith(f"{SCALAR} no usable libLLVM")
+
+
+def test_every_library_on_this_machine_renders_in_some_variant() -> None:
+    variants = {str(path): rendered_with(str(path)).split()[0] for path in LIBRARIES}
+    assert set(variants.values()) <= {SCALAR, LLVM}
+    good = [v for path, v in variants.items() if "19" in path]
+    assert all(variant == LLVM for variant in good)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "variant", "reason"),
+    [
+        ("pass", LLVM, "libLLVM works"),
+        ("import os; os.abort()", SCALAR, "the libLLVM found here kills the process with SIGABRT"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", SCALAR,
+         "the libLLVM found here kills the process with SIGSEGV"),
+        ("raise ImportError('not there')", SCALAR, "no usable libLLVM: ImportError: not there"),
+        ("raise SystemExit(3)", SCALAR, "no usable libLLVM: it said nothing"),
+    ],
+)  # fmt: skip
+def test_the_probe_tells_how_its_child_ended(kernel: str, variant: str, reason: str) -> None:
+    assert choose(kernel) == Choice(variant, reason)
+
+
+def test_the_probe_does_not_wait_for_ever() -> None:
+    assert choose("import time; time.sleep(60)", timeout=0.5) == Choice(
+        SCALAR, "the libLLVM found here hangs"
+    )
+
+
+def test_the_probe_runs_once_a_process() -> None:
+    assert use() is use()
+
+
+def test_the_scalar_variant_can_always_be_asked_for() -> None:
+    assert use(SCALAR).variant == SCALAR
+    use()
+
+
+def test_asking_for_a_variant_that_does_not_work_says_why() -> None:
+    child = subprocess.run(
+        [sys.executable, "-c", f"from converters.variant import use; use({LLVM!r})"],
+        cwd=ROOT,
+        env=os.environ | {"DRJIT_LIBLLVM_PATH": "/nonexistent"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert child.returncode == 1
+    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
