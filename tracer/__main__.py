@@ -163,7 +163,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
             os.makedirs(arguments.output, exist_ok=True)
         bands = render_bands(scene, arguments.samples, threads=arguments.threads or None)
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
-            bands = _with_progress(bands, scene.height, shown)
+            bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
     except MemoryError:
         return (
@@ -173,7 +173,9 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     except OSError as error:
         return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
     except ValueError as error:
-        return f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
+        return (
+            f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
+        )
     if not arguments.quiet:
         seconds = perf_counter() - start
         _say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")

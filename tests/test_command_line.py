@@ -1,0 +1,345 @@
+"""The command line, as the process that a user starts."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import tracer
+from tracer import __main__ as command_line
+
+SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
+<light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
+# A picture that takes long enough to do something meanwhile.
+SLOW = SCENE.format(16384, 16384)
+
+
+# The tracer under test, whatever folder the process starts in.
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(tracer.__file__).parents[1])}
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "tracer", *map(str, arguments)]
+
+
+def run(
+    *arguments: object, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(*arguments),
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**ENVIRONMENT, **environment},
+    )
+
+
+@pytest.fixture
+def scene(tmp_path) -> Path:
+    path = tmp_path / "ball.xml"
+    path.write_text(SCENE.format(40, 30))
+    return path
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_picture_is_written_beside_its_scene(scene):
+    done = run(scene)
+    assert re.fullmatch(
+        re.escape(f"{scene}.png") + r": 40 x 30 pixels in \d+\.\d{3} s\n", done.stdout
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+    with Image.open(f"{scene}.png") as picture:
+        expected = tracer.image.quantise(tracer.render(tracer.load_scene(scene)))
+        assert (np.asarray(picture) == expected).all()
+        assert expected.max() > 0
+
+
+def test_quiet(scene):
+    done = run(scene, "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+
+
+def test_relative_paths(scene):
+    done = run("ball.xml", cwd=scene.parent)
+    assert done.stdout.startswith("ball.xml.png: 40 x 30 pixels")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+
+
+def test_output_file(scene):
+    assert run(scene, "-o", scene.parent / "here.png").returncode == 0
+    assert names(scene.parent) == ["ball.xml", "here.png"]
+
+
+@pytest.mark.parametrize("made", [True, False])
+def test_output_folder(scene, made):
+    other = scene.with_name("other.xml")
+    other.write_text(SCENE.format(3, 2))
+    folder = scene.parent / "deep" / "pictures"
+    if made:
+        folder.mkdir(parents=True)
+    done = run(scene, other, f"--output={folder}{'' if made else '/'}")
+    assert done.returncode == 0
+    assert len(done.stdout.splitlines()) == 2
+    assert names(folder) == ["ball.xml.png", "other.xml.png"]
+
+
+def test_samples_and_threads(scene):
+    assert run(scene, "--samples", 4, "--threads", 2).returncode == 0
+    with Image.open(f"{scene}.png") as picture:
+        expected = tracer.image.quantise(tracer.render(tracer.load_scene(scene), samples=4))
+        assert (np.asarray(picture) == expected).all()
+
+
+def test_version():
+    done = run("--version")
+    assert (done.returncode, done.stdout) == (0, f"tracer {tracer.__version__}\n")
+
+
+def test_help():
+    done = run("--help")
+    assert done.returncode == 0
+    assert "tracer scenes/one-sphere.xml" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 88
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ([], "the following arguments are required: SCENE.xml"),
+        (["--frobnicate", "ball.xml"], "unrecognized arguments: --frobnicate"),
+        (
+            ["ball.xml", "--samples", "0"],
+            "argument --samples: must be a whole number from 1, is '0'",
+        ),
+        (
+            ["ball.xml", "--samples", "1_0"],
+            "argument --samples: must be a whole number from 1, is '1_0'",
+        ),
+        (
+            ["ball.xml", "--threads", "-1"],
+            "argument --threads: must be a whole number from 0, is '-1'",
+        ),
+        (["ball.xml", "-o"], "argument -o/--output: expected one argument"),
+        (
+            ["ball.xml", "-o", "ball.xml"],
+            "ball.xml: the picture would replace a scene; choose another with -o",
+        ),
+        (
+            ["ball.xml", "other.xml", "-o", "here.png"],
+            "-o here.png: several scenes need a folder; to have it made, end it in /",
+        ),
+        (
+            ["ball.xml", "ball.xml"],
+            "ball.xml.png: ball.xml and ball.xml would both be written there;"
+            " render them one by one",
+        ),
+        (
+            ["ball.xml", "sub/ball.xml", "-o", "."],
+            "./ball.xml.png: ball.xml and sub/ball.xml would both be written there;"
+            " render them one by one",
+        ),
+    ],
+)
+def test_wrong_usage(scene, arguments, error):
+    done = run(*arguments, cwd=scene.parent)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == f"tracer: error: {error}"
+    assert done.stdout == ""
+    assert names(scene.parent) == ["ball.xml"]
+
+
+def test_what_is_faulty_does_not_keep_the_others_from_being_rendered(scene):
+    faulty = scene.with_name("faulty.xml")
+    faulty.write_text("<scene>\n<camra/>\n</scene>")
+    done = run(faulty, "missing.xml", scene, cwd=scene.parent)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        f"{faulty}:1: scene: has no camera; add <camera> ... </camera>",
+        f"{faulty}:1: scene: has no image; add <image> ... </image>",
+        f"{faulty}:2: camra: unknown in scene; did you mean 'camera'?",
+        "missing.xml: cannot be read: No such file or directory;"
+        " check the path and its permissions",
+    ]
+    assert done.stdout.startswith(f"{scene}.png: ")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png", "faulty.xml"]
+
+
+@pytest.mark.parametrize(
+    ("output", "reason"),
+    [
+        ("missing/ball.png", "No such file or directory"),
+        ("/dev/null", "not a regular file"),
+        ("ball.xml/ball.png", "Not a directory"),
+    ],
+)
+def test_what_cannot_be_written(scene, output, reason):
+    done = run("ball.xml", "-o", output, cwd=scene.parent)
+    assert done.returncode == 1
+    assert done.stderr == f"{output}: cannot be written: {reason}; choose another with -o\n"
+    assert names(scene.parent) == ["ball.xml"]
+    assert Path("/dev/null").is_char_device()
+
+
+def test_too_little_memory(scene, tmp_path):
+    scene.write_text(SCENE.format(2**28, 1))  # one row is one band
+    limited = (
+        "import resource, sys\n"
+        "from tracer.__main__ import main\n"
+        # The modules are loaded: from here on, 64 MB more than there is in use.
+        "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 2**26,) * 2)\n"
+        f"sys.exit(main([{str(scene)!r}, '--threads', '1']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", limited], capture_output=True, text=True, env=ENVIRONMENT
+    )
+    assert done.stderr == (
+        f"{scene}: not enough memory for 268435456 x 1 pixels; make the image smaller\n"
+    )
+    assert done.returncode == 1
+    assert names(tmp_path) == ["ball.xml"]
+
+
+def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
+    """However it came about: a line, and not a traceback."""
+    monkeypatch.setattr(
+        command_line, "render_bands", lambda *_, **__: iter([np.full((30, 40, 3), np.nan)])
+    )
+    assert command_line.main([str(scene)]) == 1
+    assert capsys.readouterr().err.startswith(f"{scene}.png: cannot be written: an image must not")
+    assert names(scene.parent) == ["ball.xml"]
+
+
+def started(scene: Path) -> subprocess.Popen[str]:
+    """A process that is rendering: its picture has been begun."""
+    process = subprocess.Popen(
+        command(scene), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+    )
+    deadline = time.monotonic() + 30
+    while not any(name.endswith(".part") for name in names(scene.parent)):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return process
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_leaves_nothing_half_written(scene, kind):
+    scene.write_text(SLOW)
+    picture = scene.with_name("ball.xml.png")
+    picture.write_bytes(b"precious")
+    process = started(scene)
+    process.send_signal(kind)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (130, "", "")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+    assert picture.read_bytes() == b"precious"
+
+
+def test_no_one_reads_the_output(scene):
+    other = scene.with_name("other.xml")
+    other.write_text(SCENE.format(3, 2))
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            command(scene, other), stdout=write, stderr=subprocess.PIPE, env=ENVIRONMENT
+        )
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png", "other.xml", "other.xml.png"]
+
+
+def test_no_one_reads_the_errors(scene):
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            command("none.xml", scene), stdout=subprocess.PIPE, stderr=write, env=ENVIRONMENT
+        )
+    finally:
+        os.close(write)
+    assert done.returncode == 1
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+
+
+def test_names_that_the_terminal_cannot_show(scene):
+    odd = scene.with_name("b\u00e4ll\n.xml")
+    scene.rename(odd)
+    done = run(odd, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{odd.parent}/b\\xe4ll\\n.xml.png: 40 x 30 pixels in ")
+    assert done.stdout.count("\n") == 1
+
+
+def on_a_terminal(scene: Path, wait_for: str | None = None) -> str:
+    """What a terminal shows on stderr; stops the process once `wait_for` is shown."""
+    terminal, end = pty.openpty()
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", 25, 80, 0, 0))
+    process = subprocess.Popen(command(scene), stdout=subprocess.PIPE, stderr=end, env=ENVIRONMENT)
+    os.close(end)
+    shown = ""
+    try:
+        while text := os.read(terminal, 4096).decode():
+            shown += text
+            if wait_for is not None and wait_for in shown:
+                process.send_signal(signal.SIGINT)
+    except OSError:  # how Linux says that the other end is closed
+        pass
+    finally:
+        process.communicate(timeout=30)
+        os.close(terminal)
+    return shown
+
+
+def test_a_slow_picture_shows_its_progress(scene):
+    scene.write_text(SLOW)
+    shown = on_a_terminal(scene, wait_for="row/s")
+    assert "ball.xml.png" in shown
+    assert "/16384" in shown
+    assert "Traceback" not in shown
+
+
+def test_a_quick_picture_shows_none(scene):
+    assert on_a_terminal(scene) == ""
+
+
+def test_a_slow_picture_shows_none_where_there_is_no_terminal(scene, monkeypatch, capsys):
+    """Slow as the clock has it."""
+    monkeypatch.setattr(command_line, "perf_counter", iter(range(100)).__next__)
+    assert command_line.main([str(scene)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("module", ["tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"])
+def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, module):
+    script = (
+        "import sys, numpy\nbefore = set(sys.modules)\n"
+        "from tracer.__main__ import main\n"
+        f"main([{str(scene)!r}])\nprint(*set(sys.modules) - before)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
+    )
+    loaded = done.stdout.split()
+    assert "tracer.render" in loaded
+    assert module not in loaded
