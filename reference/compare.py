@@ -134,7 +134,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     if a.shape != b.shape:
         raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
     shown, gain = amplified(a, b)
-    titles = (*labels, f"difference × {gain:,.10g}" if gain else "no difference")
+    titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     height, width = a.shape[:2]
     zoom = -(-_PANEL // width)
     panel_width, panel_height = width * zoom, height * zoom

@@ -27,7 +27,9 @@ GAMMA = 2.2
 # A hypothesis may leave so many pixels unexplained for each that differs.
 _EXACT, _SUBPIXEL = 0.02, 0.1
 # Neighbours further apart than this, in codes, have an edge between them.
-_EDGE = 16
+_EDGE = 8
+# A difference ends sharply if, where it ends, it is larger than this part of its maximum.
+_SHARP = 0.22
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +227,7 @@ def _moved(a: Codes, b: Codes) -> _Hypothesis | None:
             "stretched",
             f"A is a pixel {word} than it should be, about its centre: pixel centres lie at"
             " (column + 1/2) / width, not at column / (width - 1).",
-            *_around(b, [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]),
+            *_stretched(b, stretch_x, stretch_y),
         )
     if not shift_x and not shift_y:
         return None
@@ -234,6 +236,18 @@ def _moved(a: Codes, b: Codes) -> _Hypothesis | None:
     if 0.5 in (abs(shift_x), abs(shift_y)):
         text += ": samples belong at the pixels' centres"
     return _Hypothesis("shifted", text + ".", *_around(b, moves))
+
+
+def _stretched(b: Codes, stretch_x: float, stretch_y: float) -> tuple[Floats, Floats]:
+    """Range of the codes if B's left half moves to one side and its right half to the other."""
+    low, high = np.empty(b.shape), np.empty(b.shape)
+    rows, columns = (np.array_split(np.arange(size), 2) for size in b.shape[:2])
+    for down, part in zip((-stretch_y, stretch_y), rows, strict=True):
+        for right, half in zip((-stretch_x, stretch_x), columns, strict=True):
+            moves = [(i, j) for i in {0, int(np.sign(right))} for j in {0, int(np.sign(down))}]
+            place = np.ix_(part, half)
+            low[place], high[place] = (bound[place] for bound in _around(b, moves))
+    return low, high
 
 
 def _between(shift: float) -> set[int]:
@@ -253,7 +267,7 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
     share = np.count_nonzero(differs) / differs.size
     if empty[differs].mean() > 0.9 and np.ptp(a[differs & empty], axis=0).max() <= 2:
         return Diagnosis("background", "A's background is not black.")
-    if (_edges(a) | _edges(b))[differs].mean() > 0.95:
+    if 0.05 < brighter < 0.95 and (_edges(a) | _edges(b))[differs].mean() > 0.95:
         return Diagnosis(
             "edges",
             "Only edges differ: A or B is anti-aliased, or samples lie elsewhere in the pixel.",
@@ -270,7 +284,7 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
             "Everything is lit otherwise, not by one factor: lights that fall off with distance,"
             " or other colours.",
         )
-    sharp = _sharpness(a, b, differs, np.abs(light)) > 0.3
+    sharp = _sharpness(a, b, differs, np.abs(light)) > _SHARP
     if brighter > 0.95:
         if sharp:
             return Diagnosis(
