@@ -13,7 +13,7 @@ import numpy as np
 
 from tracer.camera import Raster
 from tracer.groups import Bools, dot
-from tracer.lighting import UNDECIDED, Lighting, shade
+from tracer.lighting import Keys, Lighting, shade
 from tracer.pencil import Spans
 from tracer.scene import Floats, Ints
 from tracer.visibility import Hits, Samples, View, grid, visible
@@ -37,15 +37,13 @@ def antialiased(
     # A pixel more on every side: each pixel is compared with its neighbours.
     samples = grid(top - 1, bottom + 1, left - 1, right + 1)
     shape = (rows + 2, width + 2)
-    close = np.zeros(samples.x.size, dtype=np.bool_)
-    radiance, key = _traced(view, lighting, samples, close)
+    radiance, key, edge = _pixels(view, lighting, samples)
     radiance = radiance.reshape(*shape, 3)
     image = radiance[1:-1, 1:-1]
     around = radiance[:-2, 1:-1] + radiance[2:, 1:-1] + radiance[1:-1, :-2] + radiance[1:-1, 2:]
     # The mean over a pixel is the centre's value plus a 24th of the Laplacian.
     curvature = (around - 4 * image) / 24
-    marked = _differ(key.reshape(shape)) | (key == UNDECIDED).reshape(shape)[1:-1, 1:-1]
-    marked |= close.reshape(shape)[1:-1, 1:-1]
+    marked = edge.reshape(shape)[1:-1, 1:-1] | _differ(key.reshape(shape))
     marked |= np.abs(curvature).max(axis=2) > _CURVATURE / per_side
     for spans in _spans(view, top, bottom, per_side):
         marked |= _crossed(spans, rows, left, width, per_side)
@@ -56,21 +54,26 @@ def antialiased(
     return image
 
 
-def _traced(
-    view: View, lighting: Lighting, samples: Samples, close: Bools | None = None
-) -> tuple[Floats, Ints]:
-    """Radiance (n, 3) and key (n,) of samples; -1 where they see nothing.
+def _pixels(view: View, lighting: Lighting, samples: Samples) -> tuple[Floats, Ints, Bools]:
+    """Radiance (n, 3) and key (n,) of pixels' centres, and whether pixels hold an edge.
 
-    With `close` the samples stand for pixels: it is set where two surfaces may
-    change places in a pixel, and keys are `UNDECIDED` where shadows may.
+    That is the edge of a shadow, or of one surface where it leaves another;
+    the key is -1 where nothing is seen.
     """
     radiance, key = np.zeros((samples.x.size, 3)), np.full(samples.x.size, -1)
-    for hits in visible(view, samples, close):
-        footprint = None if close is None else _footprint(view.raster, hits)
-        values, key[hits.sample] = shade(lighting, hits, footprint)
-        for k in range(3):
-            radiance[hits.sample, k] = values[k]
-    return radiance, key
+    edge = np.zeros(samples.x.size, dtype=np.bool_)
+    for hits in visible(view, samples, close=edge):
+        count = hits.t.size
+        keys = Keys(
+            _footprint(view.raster, hits),
+            np.empty(count, dtype=np.intp),
+            np.zeros(count, dtype=np.bool_),
+        )
+        for k, values in enumerate(shade(lighting, hits, keys)):
+            radiance[hits.sample, k] = values
+        key[hits.sample] = keys.key
+        edge[hits.sample] |= keys.undecided
+    return radiance, key, edge
 
 
 def _footprint(raster: Raster, hits: Hits) -> Floats:
@@ -152,8 +155,10 @@ def _sampled(view: View, lighting: Lighting, row: Ints, column: Ints, per_side: 
         pixel = order // per_side
         x = (column[begin:end][pixel][:, None] + steps).ravel()
         samples = Samples(y, np.repeat(across[order], per_side), x)
-        radiance = _traced(view, lighting, samples)[0]
-        for k in range(3):
-            sums = np.bincount(np.repeat(pixel, per_side), radiance[:, k], minlength=end - begin)
-            mean[begin:end, k] = sums / per_side**2
+        pixel = np.repeat(pixel, per_side)
+        total = np.zeros((3, end - begin))
+        for hits in visible(view, samples):
+            for k, values in enumerate(shade(lighting, hits)):
+                total[k] += np.bincount(pixel[hits.sample], values, minlength=end - begin)
+        mean[begin:end] = total.T / per_side**2
     return mean

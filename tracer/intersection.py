@@ -68,8 +68,8 @@ def sphere_hit(
     middle = along * s + ahead * hypot
     root = middle + np.sqrt(length2 * half2)
     t = power / root if np.all(power > 0) else np.where(power > 0, power / root, root / length2)
-    # Where there is no root, or only behind the eye, these comparisons are false.
-    t[~((t > 0) & ((middle > 0) | (power <= 0)))] = np.inf
+    # Not a number where there is no root; negative behind the eye.
+    t[~(t > 0)] = np.inf
     return t
 
 

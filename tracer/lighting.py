@@ -14,10 +14,7 @@ from tracer.shading import Materials, highlight
 from tracer.shadow import LightPencil, Occluders, Points, light_pencil, occluders_of
 from tracer.visibility import Hits
 
-__all__ = ["UNDECIDED", "Lighting", "lighting_of", "shade"]
-
-
-UNDECIDED = -2
+__all__ = ["Keys", "Lighting", "lighting_of", "shade"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,32 +51,36 @@ def lighting_of(scene: Scene, raster: Raster, eye_inside: Bools, seen: Bools) ->
     )
 
 
-def shade(lighting: Lighting, hits: Hits, footprint: Floats | None = None) -> tuple[Triple, Ints]:
-    """Radiance towards the eye, and a key of what was decided on the way.
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """What was decided for samples that stand for pixels; filled in by `shade`.
 
-    Parameters
+    Attributes
     ----------
-    footprint : (n,), optional
-        Radius around each point in which nothing must change: where a shadow's
-        edge comes as near as that, the key is `UNDECIDED`.
-
-    Returns
-    -------
-    radiance : three (n,)
-    key : (n,)
+    footprint : (n,)
+        Radius around each point, on its surface, of what the pixel sees.
+    key : (n,) int
         Equal where the same face of the same object is lit by the same lights
         (up to chance collisions, past 50 lights).
+    undecided : (n,)
+        Whether the edge of a shadow comes as near as the footprint.
     """
+
+    footprint: Floats
+    key: Ints
+    undecided: Bools
+
+
+def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
+    """Radiance, three (n,), towards the eye; and `keys`, if asked for."""
     occluders, materials = lighting.occluders, lighting.materials
     count = hits.t.size
     shader = lighting.shader[hits.owner]
+    glossy = np.broadcast_to(materials.glossy[shader], (count,))
     radiance = np.zeros(count), np.zeros(count), np.zeros(count)
-    key = np.full(count, hits.owner * 4 + hits.face)
-    undecided = np.zeros(count, dtype=np.bool_)
-    length = np.sqrt(dot(hits.direction, hits.direction))
-    reach = hits.t * length + sum(np.abs(x) for x in hits.p)
+    if keys:
+        keys.key[:] = hits.owner * 4 + hits.face
     for light, intensity in lighting.lights:
-        key *= 2
         x, y, z = light.position
         to_light: Triple = x - hits.p[0], y - hits.p[1], z - hits.p[2]
         if hits.face < 3:
@@ -89,38 +90,38 @@ def shade(lighting: Lighting, hits: Hits, footprint: Floats | None = None) -> tu
         # Seen from inside, an object keeps out all light that is not inside as well.
         kept_out = occluders.eye_inside[hits.owner] & (light.side[hits.owner] != INSIDE)
         facing = np.broadcast_to((projected > 0) & ~kept_out, (count,))
+        if keys:
+            keys.key[:] *= 2
         if not facing.any():
             continue
         lit = where(facing)
         to_light = pick(to_light, lit)
-        points = Points(pick(hits.p, lit), to_light, select(hits.owner, lit), reach[lit])
-        if footprint is None:
-            blocked = light.blocked(occluders, points, hits.plane)
-        else:
-            blocked, grazed = light.grazed(occluders, points, footprint[lit])
-            undecided[lit] |= grazed
+        points = Points(hits, lit, to_light)
+        blocked = light.blocked(occluders, points, by_rows=keys is None)
+        if keys:
+            keys.undecided[lit] |= light.grazed(occluders, points, keys.footprint[lit])
         if blocked.any():
             free = np.flatnonzero(~blocked)
             lit = free if isinstance(lit, slice) else lit[free]
             to_light = pick(to_light, free)
-        key[lit] += 1
+        if keys:
+            keys.key[lit] += 1
         inverse = 1 / np.sqrt(dot(to_light, to_light))
         cosine = select(projected, lit) * inverse
         material = select(shader, lit)
         for k in range(3):
             radiance[k][lit] += (intensity[k] * materials.diffuse[k][material]) * cosine
-        glossy = materials.glossy[material]
         if glossy.any():
-            at = where(np.broadcast_to(glossy, cosine.shape))
+            at = where(glossy[lit])
             shiny = at if isinstance(lit, slice) else lit[at]
-            material = select(material, at)
+            material = select(shader, shiny)
+            ray = pick(hits.direction, shiny)
             power = highlight(
                 pick(hits.n, shiny),
                 scaled(pick(to_light, at), inverse[at]),
-                scaled(pick(hits.direction, shiny), -1 / length[shiny]),
+                scaled(ray, -1 / np.sqrt(dot(ray, ray))),
                 materials.exponent[material],
             )
             for k in range(3):
                 radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
-    key[undecided] = UNDECIDED
-    return radiance, key
+    return radiance

@@ -122,7 +122,7 @@ def _centres(
     samples = grid(top, bottom, left, right)
     radiance = np.zeros((samples.x.size, 3))
     for hits in visible(view, samples):
-        for k, values in enumerate(shade(lighting, hits)[0]):
+        for k, values in enumerate(shade(lighting, hits)):
             radiance[hits.sample, k] = values
     return radiance.reshape(bottom - top, right - left, 3)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tracer.camera import Raster
 from tracer.cells import NONE, Cells, Extents, list_objects
-from tracer.groups import Bools, Index, Triple, each, pick, select
+from tracer.groups import Bools, Index, Triple, dot, each, pick, select
 from tracer.intersection import (
     INSIDE,
     ON,
@@ -25,8 +25,9 @@ from tracer.intersection import (
     sphere_side,
 )
 from tracer.pencil import box_corners, silhouette_planes
-from tracer.planar import Plane, shade_intervals
+from tracer.planar import shade_intervals
 from tracer.scene import Floats, Ints, Surfaces
+from tracer.visibility import Hits
 
 __all__ = ["LightPencil", "Occluders", "Points", "light_pencil", "occluders_of"]
 
@@ -59,23 +60,40 @@ class Occluders:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points that may be lit.
+    """Those points of some hits that face a light.
 
     Attributes
     ----------
-    p, to_light : three each
-        The points, and from there to the light.
-    own
-        The object each point lies on.
-    reach : (n,)
-        Length that a point's rounding error scales with: its distances from
-        the origin and from the eye.
+    hits : Hits
+    facing
+        Which of them.
+    to_light : three (n,)
+        From these points to the light.
     """
 
-    p: Triple
+    hits: Hits
+    facing: Ints | slice
     to_light: Triple
-    own: Index
-    reach: Floats
+
+    @property
+    def size(self) -> int:
+        """How many."""
+        return self.hits.t.size if isinstance(self.facing, slice) else self.facing.size
+
+    @property
+    def own(self) -> Index:
+        """The object that each lies on."""
+        return select(self.hits.owner, self.facing)
+
+    def take(self, index: Ints) -> tuple[Triple, Triple, Floats]:
+        """Some points, their way to the light, and what their rounding scales with.
+
+        That is, for each, its distances from the origin and from the eye.
+        """
+        of = index if isinstance(self.facing, slice) else self.facing[index]
+        p, ray = pick(self.hits.p, of), pick(self.hits.direction, of)
+        reach = self.hits.t[of] * np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
+        return p, pick(self.to_light, index), reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,22 +116,23 @@ class LightPencil:
     silhouettes: Triple
     cells: Cells
 
-    def blocked(self, occluders: Occluders, points: Points, plane: Plane | None = None) -> Bools:
+    def blocked(self, occluders: Occluders, points: Points, *, by_rows: bool) -> Bools:
         """Whether another object than their own keeps points from the light.
 
-        `plane`: on which all the points lie, if they do.
+        `by_rows`: by intervals of rows, where they all lie on a large plane.
         """
-        result = np.zeros(points.reach.size, dtype=np.bool_)
-        rows = 0 if plane is None else plane.g.size
-        if plane and len(occluders.surfaces) * rows * _PLANE_WORTH <= points.reach.size:
-            if self.cells.safe[points.own]:
+        result = np.zeros(points.size, dtype=np.bool_)
+        plane, count = points.hits.plane, len(occluders.surfaces)
+        if by_rows and plane and count * plane.g.size * _PLANE_WORTH <= result.size:
+            own = points.hits.owner
+            if self.cells.safe[own]:
                 return result
             shade = shade_intervals(
                 occluders.raster,
                 plane,
                 self.position,
                 occluders.surfaces,
-                np.delete(np.arange(len(occluders.surfaces)), points.own),
+                np.delete(np.arange(count), own),
                 self.silhouettes,
             )
             result |= shade.certain
@@ -123,38 +142,34 @@ class LightPencil:
         result[point[self._blocks(occluders, points, point, other)]] = True
         return result
 
-    def grazed(
-        self, occluders: Occluders, points: Points, footprint: Floats
-    ) -> tuple[Bools, Bools]:
-        """`blocked`, and whether that may change within a distance of each point.
+    def grazed(self, occluders: Occluders, points: Points, footprint: Floats) -> Bools:
+        """Whether `blocked` may change within a distance (n,) of each point.
 
-        An object that blocks when it is larger by the footprint (n,), and does
-        not when smaller by that, has the edge of its shadow there.
+        An object that blocks when it is larger by as much, and does not when
+        smaller by as much, has the edge of its shadow there.
         """
-        blocked = np.zeros(points.reach.size, dtype=np.bool_)
-        grazed = np.zeros(points.reach.size, dtype=np.bool_)
+        result = np.zeros(footprint.size, dtype=np.bool_)
         point, other = self._candidates(points)
-        blocked[point[self._blocks(occluders, points, point, other)]] = True
-        change = footprint[point]
-        may = np.flatnonzero(self._blocks(occluders, points, point, other, change))
-        point, other, change = point[may], other[may], change[may]
-        doubtful = ~self._blocks(occluders, points, point, other, -change)
-        grazed[point[doubtful]] = True
-        return blocked, grazed
+        may = self._blocks(occluders, points, point, other, footprint[point])
+        point, other = point[may], other[may]
+        must = self._blocks(occluders, points, point, other, -footprint[point])
+        result[point[~must]] = True
+        return result
 
     def _candidates(self, points: Points) -> tuple[Ints, Ints]:
         """Pairs (point, object) that the cells do not rule out."""
-        asked = ~self.cells.safe[points.own]
+        own = points.own
+        asked = ~self.cells.safe[own]
         if not asked.any():
             none = np.zeros(0, dtype=np.intp)
             return none, none
         distance, cell = self.cells.locate(points.to_light)
         # Most cells hold nothing, or the object itself.
         sole = self.cells.sole[cell]
-        point = np.flatnonzero(asked & (sole != NONE) & (sole != points.own))
+        point = np.flatnonzero(asked & (sole != NONE) & (sole != own))
         owner, other = self.cells.objects(cell[point])
         point = point[owner]
-        keep = other != select(points.own, point)
+        keep = other != select(own, point)
         keep &= self.cells.near[other] <= distance[point]
         return point[keep], other[keep]
 
@@ -171,9 +186,8 @@ class LightPencil:
         `larger` (pairs,) is added to the objects' sizes on all sides.
         """
         surfaces = occluders.surfaces
-        p, to_light = pick(points.p, point), pick(points.to_light, point)
+        p, to_light, reach = points.take(point)
         side = self.side[other]
-        reach = points.reach[point]
         reach = np.where(side == ON, np.maximum(reach, np.abs(self.position).sum()), reach)
         tolerance = SURFACE_TOLERANCE * (reach + occluders.size[other])
         larger = np.zeros(other.size) if larger is None else larger
