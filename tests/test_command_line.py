@@ -282,6 +282,15 @@ def test_no_one_reads_the_errors(scene):
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
+def test_no_room_for_the_output(scene):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command(scene), stdout=full, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True
+        )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+
+
 def test_names_that_the_terminal_cannot_show(scene):
     odd = scene.with_name("b\u00e4ll\n.xml")
     scene.rename(odd)

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from time import perf_counter
 from typing import NoReturn, TextIO
@@ -204,22 +205,19 @@ def _with_progress(bands: Iterator[Floats], rows: int, name: str) -> Iterator[Fl
 
 
 def _say(stream: TextIO | None, text: str) -> None:
-    """Print a line at once; to no one if no one listens any more."""
+    """Print a line at once, if anyone listens: the pictures matter more."""
     if stream is None:
         return
     encoding = stream.encoding or "utf-8"
-    try:
+    with suppress(OSError):
         print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
-    except BrokenPipeError:
-        # The interpreter would meet the same error when it flushes the stream at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
     # Being terminated is to leave nothing half-written either.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # All that is written is flushed.  Taking NumPy's modules down one by one would add a
+    # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())
 

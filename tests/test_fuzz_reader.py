@@ -1,0 +1,100 @@
+"""Whatever a file holds, reading it gives a scene or says what is wrong, in lines."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tracer import Scene, SceneFileError, load_scene
+
+VALID = b"""<?xml version="1.0" encoding="utf-8"?>
+<!-- everything that the format has -->
+<scene>
+  <camera>
+    <viewPoint>5 4 3</viewPoint> <viewDir>-5 -4 -3</viewDir> <viewUp>0 1 0</viewUp>
+    <projNormal>5 4 3</projNormal> <projDistance>5</projDistance>
+    <viewWidth>2.5</viewWidth> <viewHeight>2.5</viewHeight>
+  </camera>
+  <image>30 20</image>
+  <light><position>0 0 5</position><intensity>1 1 1</intensity></light>
+  <light><position>4 5 -6</position><color>.5 .5 .5</color></light>
+  <shader name="red" type="Phong">
+    <diffuseColor>1 0 0</diffuseColor> <specularColor>1 1 1</specularColor>
+    <exponent>1e2</exponent>
+  </shader>
+  <surface type="Sphere"><shader ref="red"/><center>0 0 0</center><radius>1</radius></surface>
+  <surface type="Box">
+    <shader type="Lambertian"><diffuseColor>0 1 0</diffuseColor></shader>
+    <minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt>
+  </surface>
+</scene>
+"""
+
+# Pieces that make trouble in readers of XML, of numbers, or of this format.
+PIECES = [
+    *(line.strip() for line in VALID.splitlines()),
+    *VALID.replace(b">", b"> ").replace(b"<", b" <").split(),
+    b"<", b">", b"</", b"/>", b"=", b'"', b"'", b"&", b"&amp;", b"&#0;", b"&#x110000;", b"&lol;",
+    b"<!--", b"-->", b"<![CDATA[", b"]]>", b"<?", b"?>", b"<!DOCTYPE scene [", b"]>",
+    b'<!ENTITY lol "&lol;">', b'<!ATTLIST surface type CDATA "Sphere">', b'xmlns="x"', b"a:b",
+    b"nan", b"inf", b"1e999", b"-1e999", b"1e-999", b"0x10", b"1_0", b"-0", b"9" * 400, b"1,5",
+    b"\0", b"\xff", b"\xef\xbb\xbf", b"\xff\xfe", b"\xc2\xa0", b"\xd9\xa3", b"\r", b"\x0b", b"\x85",
+    b'encoding="utf-16"', b'encoding="rot13"', b'encoding="utf-7"', b'encoding="idna"',
+    b'encoding="undefined"', b'encoding="cp037"', b"<a>" * 100, b"<a/>" * 100,
+]  # fmt: skip
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> bytes:
+    """The valid file with a few places cut out, filled in or repeated."""
+    content = VALID
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(content)))
+        end = start + draw(st.sampled_from([0, 0, 1, 2, 5, 20, 100]))
+        filling = draw(
+            st.sampled_from(PIECES) | st.binary(max_size=8) | st.just(content[start:end] * 2)
+        )
+        content = content[:start] + filling + content[end:]
+    return content
+
+
+def read(content: bytes) -> Scene | None:
+    """The scene, or None if the file is refused, as it should be."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "scene.xml")
+        path.write_bytes(content)
+        try:
+            scene = load_scene(path)
+        except SceneFileError as error:
+            lines = str(error).split("\n")
+            assert all(line.startswith(f"{path}:") and line.isprintable() for line in lines)
+            return None
+    assert isinstance(scene, Scene)
+    return scene
+
+
+def test_the_valid_file_is_valid():
+    scene = read(VALID)
+    assert scene is not None
+    assert len(scene.surfaces) == len(scene.lights) == 2
+
+
+@settings(max_examples=600, deadline=None)
+@given(mutated())
+def test_mutated_files(content):
+    read(content)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200) | st.lists(st.sampled_from(PIECES), max_size=20).map(b"".join))
+def test_files_of_anything(content):
+    read(content)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.sampled_from(PIECES), max_size=20).map(b" ".join))
+def test_scenes_of_anything(content):
+    read(b"<scene><camera/><image>4 3</image>" + content + b"</scene>")
