@@ -31,7 +31,7 @@ __all__ = ["main", "page"]
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 CHARTS = {
-    "Accuracy against time": HERE / "speed-accuracy.svg",
+    "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
 
