@@ -16,12 +16,12 @@ import gc
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -35,10 +35,12 @@ from reference.povray import to_pov
 from reference.workloads import CROWDS, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
-__all__ = ["Table", "Timing", "growth_exponent", "interleaved", "main", "tables"]
+__all__ = ["Table", "Timing", "growth_exponent", "interleaved", "main", "run", "tables"]
 
 Task: TypeAlias = Callable[[int], object]
 """Work to be timed, told which round it is."""
+
+Name = TypeVar("Name", bound=Hashable)
 
 SCENES = HERE.parent / "scenes"
 _FEW = ("one-sphere", "four-spheres", "sticks-perspective")
@@ -70,9 +72,9 @@ def _ms(seconds: float) -> str:
     return f"{ms:,.0f}" if ms >= 100 else f"{ms:.1f}"
 
 
-def interleaved(tasks: dict[str, Task], rounds: int) -> dict[str, Timing]:
+def interleaved(tasks: dict[Name, Task], rounds: int) -> dict[Name, Timing]:
     """Time tasks in turns: a round runs each once."""
-    taken: dict[str, list[float]] = {name: [] for name in tasks}
+    taken: dict[Name, list[float]] = {name: [] for name in tasks}
     for k in range(rounds):
         for name, task in tasks.items():
             start = perf_counter()
@@ -117,7 +119,8 @@ def _cell(value: object) -> str:
     return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
-def _run(*command: str) -> None:
+def run(*command: str) -> None:
+    """Run a process to its good end, in silence."""
     subprocess.run(command, check=True, capture_output=True)
 
 
@@ -161,7 +164,7 @@ def whole_process(rounds: int, quick: bool) -> Table:
         header.insert(4, "POV-Ray")
     python = sys.executable
     rows: list[tuple[object, ...]] = []
-    start = interleaved({"numpy": lambda _: _run(python, "-c", "import numpy")}, rounds)["numpy"]
+    start = interleaved({"numpy": lambda _: run(python, "-c", "import numpy")}, rounds)["numpy"]
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
@@ -178,18 +181,18 @@ def whole_process(rounds: int, quick: bool) -> Table:
 
             def mitsuba(source: Path, png: str = png) -> Task:
                 command = (python, "-c", rivals.MITSUBA_PROCESS, variant, str(source), png)
-                _run(*command)
-                return lambda _: _run(*command)
+                run(*command)
+                return lambda _: run(*command)
 
             ours = (python, "-m", "tracer", "--quiet", "-o", png, str(paths["tracer.xml"]))
             tasks: dict[str, Task] = {
-                "tracer": lambda _, ours=ours: _run(*ours),  # type: ignore[misc]
+                "tracer": lambda _, ours=ours: run(*ours),  # type: ignore[misc]
                 "Mitsuba exact": mitsuba(paths["exact.xml"]),
                 "Mitsuba stock": mitsuba(paths["stock.xml"]),
             }
             if pov:
                 theirs = rivals.povray_command(scene, paths["pov"], Path(png))
-                tasks["POV-Ray"] = lambda _, theirs=theirs: _run(*theirs)  # type: ignore[misc]
+                tasks["POV-Ray"] = lambda _, theirs=theirs: run(*theirs)  # type: ignore[misc]
             found = interleaved(tasks, rounds)
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *_ratios(found)))
     return Table(
@@ -222,8 +225,8 @@ def warm(rounds: int, quick: bool) -> Table:
     return Table(
         "Warm: rendering alone",
         f"Milliseconds in process, one sample a pixel: median (fastest–slowest) of {rounds}."
-        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's plugins; stock: a"
-        " similar one by its own, compiled ones, with one light a sample.",
+        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's"
+        " plugins; stock: a similar one by its own, compiled ones, with one light a sample.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_FASTER),
         rows,
     )

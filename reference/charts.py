@@ -53,6 +53,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "d": {"color": "#009e73", "lw": 1.6, "ls": (0, (5, 1.5, 1, 1.5, 1, 1.5)), "marker": "P"},
     "e": {"color": "#56b4e9", "lw": 1.6, "ls": (0, (1.2, 1.2)), "marker": "X", "ms": 5},
     "f": {"color": "#0072b2", "lw": 1.6, "ls": (0, (7, 2)), "marker": "^", "ms": 5},
+    "h": {"color": "#777777", "lw": 1.6, "ls": (0, (4, 1, 1, 1)), "marker": ">", "ms": 5},
     "g": {"color": "#7b5fc4", "lw": 1.6, "ls": (0, (3, 1, 1, 1)), "marker": "<", "ms": 5},
 }
 
@@ -75,9 +76,12 @@ def _spread(wanted: Sequence[float], spacing: float) -> list[float]:
     return [y + (i - (n - 1) / 2) * spacing for y, n in blocks for i in range(n)]
 
 
-def label_ends(axes: Any, ends: Iterable[End], size: float = 9) -> None:
-    """Name curves at the right of the axes, which must have their final limits."""
-    _label(axes, sorted(ends, key=lambda end: (end[1], end[2])), 1, size)
+def label_ends(axes: Any, ends: Iterable[End], size: float = 9, *, margin: bool = True) -> None:
+    """Name curves at the right of the axes, which must have their final limits.
+
+    Without `margin` the names stand close to where the curves end.
+    """
+    _label(axes, sorted(ends, key=lambda end: (end[1], end[2])), 1, size, margin)
 
 
 def label_losses(axes: Any, ends: Iterable[End], size: float = 9) -> None:
@@ -85,17 +89,17 @@ def label_losses(axes: Any, ends: Iterable[End], size: float = 9) -> None:
     ends = sorted(ends)
     for x, y, _, color in ends:
         axes.plot(x, y, "x", color=color, ms=11, mew=3, clip_on=False, zorder=6)
-    _label(axes, ends, 0, size)
+    _label(axes, ends, 0, size, margin=True)
 
 
-def _label(axes: Any, ends: Sequence[End], along: int, size: float) -> None:
+def _label(axes: Any, ends: Sequence[End], along: int, size: float, margin: bool) -> None:
     axes.figure.canvas.draw()
     points = 72 / axes.figure.dpi
     corner = axes.get_window_extent().max * points
     at = [axes.transData.transform(end[:2]) * points for end in ends]
     places = _spread([float(xy[along]) for xy in at], (1.3 if along else 2.6) * size)
     for (x, y, text, color), xy, place in zip(ends, at, places, strict=True):
-        away = (corner[0] + 14 - xy[0], place - xy[1])
+        away = (corner[0] + 14 - xy[0] if margin else 12, place - xy[1])
         if not along:
             away = (place - xy[0] + 3, corner[1] + 9 - xy[1])
         axes.annotate(
@@ -110,6 +114,8 @@ def _label(axes: Any, ends: Sequence[End], along: int, size: float) -> None:
             rotation=0 if along else 28,
             rotation_mode="anchor",
             annotation_clip=False,
+            path_effects=HALO,
+            zorder=7,
             arrowprops={
                 "arrowstyle": "-",
                 "color": color,

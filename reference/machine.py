@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import subprocess
 from datetime import datetime, timezone
 from importlib import metadata
@@ -35,11 +36,11 @@ def _version(package: str) -> str:
 
 def _povray() -> str:
     try:
-        told = subprocess.run(["povray", "--version"], capture_output=True, text=True).stderr
+        told = subprocess.run(["povray", "--version"], capture_output=True, text=True)
     except FileNotFoundError:
         return "no POV-Ray"
-    words = told.split()
-    return f"POV-Ray {words[1]}" if len(words) > 1 else "POV-Ray"
+    found = re.search(r"POV-Ray \d+(\.\d+)*", told.stdout + told.stderr)
+    return found[0] if found else "POV-Ray"
 
 
 def describe() -> str:

@@ -23,6 +23,7 @@ __all__ = [
     "mitsuba_exact",
     "mitsuba_merged",
     "mitsuba_stock",
+    "mitsuba_text",
     "povray",
     "povray_command",
     "povray_installed",
@@ -44,13 +45,20 @@ mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 _POVRAY_WHITE = 4.0
 
 
-def mitsuba_exact(scene: Scene, samples: int = 1, sampler: str = "stratified") -> Any:
-    """The same picture from Mitsuba, by this project's plugins, in the current variant."""
+def mitsuba_text(scene: Scene, samples: int, sampler: str) -> str:
+    """The exact flavour's XML, with one of Mitsuba's samplers."""
+    chosen = f'<sampler type="{sampler}">\n<integer name="sample_count" value="{samples}"/>\n'
+    pattern = re.compile("<sampler .*?(?=</sampler>)", flags=re.DOTALL)
+    return pattern.sub(chosen, exact(scene, samples), count=1)
+
+
+def mitsuba_exact(scene: Scene, samples: int = 1, sampler: str | None = None) -> Any:
+    """The same picture from Mitsuba, by this project's plugins, in the current variant.
+
+    Without a `sampler`, samples are stratified, and a single one is the pixel's centre.
+    """
     _plugins()
-    text = exact(scene, samples)
-    if sampler != "stratified":
-        chosen = f'<sampler type="{sampler}">\n<integer name="sample_count" value="{samples}"/>\n'
-        text = re.sub(r"<sampler .*?</sampler>", f"{chosen}</sampler>", text, flags=re.DOTALL)
+    text = mitsuba_text(scene, samples, sampler) if sampler else exact(scene, samples)
     return mi.load_string(text)
 
 
