@@ -53,7 +53,7 @@ EDGE_SHIFT = 0.003
 """How far a sample moves, in pixels and both ways, to see whether an edge is near."""
 EDGE_CHANGE = 1e-2
 """What change of linear radiance makes an edge."""
-MAX_MASKED = 0.003
+MAX_MASKED = 0.015
 """Largest share of a picture that may be masked."""
 MIN_SSIM = 0.999
 MAX_MEDIAN = 1e-6
