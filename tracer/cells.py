@@ -12,11 +12,10 @@ an object: they leave out only pairs that cannot meet.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, pick, scaled
+from tracer.groups import Bools, Triple, dot, each, scaled
 from tracer.pencil import expand
 from tracer.scene import Floats, Ints, Surfaces
 
@@ -116,7 +115,8 @@ def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouette
     `silhouettes`: three (6, B), planes through the light around every box.
     """
     count = len(surfaces)
-    side = int(np.clip(2 * np.sqrt(count), _SIDE_LEAST, _SIDE_MOST))
+    # A lone object has nothing to be kept apart from.
+    side = int(np.clip(2 * np.sqrt(count), _SIDE_LEAST, _SIDE_MOST)) if count > 1 else 1
     scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
     hits = np.zeros((8, side * side), dtype=np.intp)
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
@@ -146,8 +146,10 @@ def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouette
         owner, place = expand((right[may] - left[may] + 1) * tall)
         over, down = np.divmod(place, tall[owner])
         column, row = left[may][owner] + over, top[may][owner] + down
-        corners = _cell_corners(number, column, row, scale[:, number], origin)
-        touching = ~_apart(corners, objects[may][owner], light, surfaces, silhouettes)
+        grid = _Grid(
+            tuple(1.0 if number >> k & 1 else -1.0 for k in range(3)), scale[:, number], origin
+        )
+        touching = ~_apart(grid, column, row, objects[may][owner], light, surfaces, silhouettes)
         owner, cell = may[owner[touching]], (column * side + row)[touching]
         cells.append(number * side * side + cell)
         listed.append(objects[owner])
@@ -203,24 +205,42 @@ def _reach(octant: _Octant, seen: Ints) -> Floats:
     return reach
 
 
-def _cell_corners(number: int, i: Ints, j: Ints, scale: Floats, origin: Floats) -> list[Triple]:
-    """Directions of the four corners of cells (i, j) of an octant, slightly widened."""
-    x, y, z = (1.0 if number >> k & 1 else -1.0 for k in range(3))
-    corners = []
-    for di, dj in product((-_SLACK, 1 + _SLACK), repeat=2):
-        a, b = (i + di) / scale[0] + origin[0], (j + dj) / scale[1] + origin[1]
-        corners.append((x * a, y * b, z * (1 - a - b)))
-    return corners
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """An octant's cells: column = (u - origin[0]) * scale[0], and so for v and rows.
+
+    The direction at (u, v) is (sign[0] u, sign[1] v, sign[2] (1 - u - v)).
+    """
+
+    sign: tuple[float, ...]
+    scale: Floats
+    origin: Floats
+
+    def direction(self, column: Floats, row: Floats) -> Triple:
+        """Directions to points given in cells."""
+        u, v = column / self.scale[0] + self.origin[0], row / self.scale[1] + self.origin[1]
+        return self.sign[0] * u, self.sign[1] * v, self.sign[2] * (1 - u - v)
+
+    def planes(self, normal: Triple) -> Triple:
+        """Planes as a + b column + c row >= 0."""
+        x, y, z = (n * sign for n, sign in zip(normal, self.sign, strict=True))
+        u, v = self.origin.tolist()
+        return x * u + y * v + z * (1 - u - v), (x - z) / self.scale[0], (y - z) / self.scale[1]
 
 
 def _apart(
-    corners: list[Triple], owner: Ints, light: Floats, surfaces: Surfaces, silhouettes: Triple
+    grid: _Grid,
+    column: Ints,
+    row: Ints,
+    owner: Ints,
+    light: Floats,
+    surfaces: Surfaces,
+    silhouettes: Triple,
 ) -> Bools:
     """Whether a plane through the light lies between cells and objects, pair by pair.
 
-    A cell is the cone between its corners: if they are all on one side of a
-    plane and the object on the other, they do not meet.  Tried are a box's
-    silhouette planes, and a sphere's tangent plane towards the cell.
+    Tried are a box's silhouette planes, and a sphere's tangent plane towards
+    the cell's centre.
     """
     apart = np.zeros(owner.size, dtype=np.bool_)
     spheres = len(surfaces.radius)
@@ -230,17 +250,26 @@ def _apart(
     length = np.sqrt(x * x + y * y + z * z)
     sine = surfaces.radius[owner[at]] / length
     m = scaled((x, y, z), 1 / length)
-    middle = each(np.add, pick(corners[0], at), pick(corners[3], at))
+    middle = grid.direction(column[at].astype(float) + 0.5, row[at].astype(float) + 0.5)
     aside = each(np.subtract, middle, scaled(m, dot(middle, m)))
     turn = np.sqrt((1 - sine * sine) / dot(aside, aside))
-    tangent = each(np.subtract, scaled(aside, turn), scaled(m, sine))
+    tangent = each(np.subtract, scaled(m, sine), scaled(aside, turn))
     # Not a number with the light inside, or the cell straight ahead: not apart.
-    apart[at] = np.all([dot(tangent, pick(c, at)) > _SLACK for c in corners], axis=0)
+    apart[at] = _beyond(grid.planes(tangent), column[at], row[at])
 
     at = np.flatnonzero(owner >= spheres)
-    box = owner[at] - spheres
-    for k in range(6):
-        plane = silhouettes[0][k][box], silhouettes[1][k][box], silhouettes[2][k][box]
-        limit = -_SLACK * sum(each(np.abs, plane))
-        apart[at] |= np.all([dot(plane, pick(c, at)) < limit for c in corners], axis=0)
+    box, column, row = owner[at] - spheres, column[at], row[at]
+    size = sum(each(np.abs, silhouettes))
+    beyond = np.zeros(at.size, dtype=np.bool_)
+    for a, b, c in zip(*grid.planes(each(lambda n: n / size, silhouettes)), strict=True):
+        beyond |= _beyond((a[box], b[box], c[box]), column, row)
+    apart[at] = beyond
     return apart
+
+
+def _beyond(plane: Triple, column: Ints, row: Ints) -> Bools:
+    """Whether all of a cell is on the wrong side of a plane a + b column + c row >= 0."""
+    a, b, c = plane
+    most = a + b * column + c * row + np.maximum(b, 0) + np.maximum(c, 0)
+    beyond: Bools = most < -_SLACK
+    return beyond
