@@ -135,9 +135,11 @@ def visible(view: View, samples: Samples, close: Bools | None = None) -> list[Hi
     groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.x.size, np.finfo(np.float64).max)
-    for group in groups:
+    for i, group in enumerate(groups):
         if isinstance(group.owner, int):
-            nearest[group.sample] = np.minimum(nearest[group.sample], group.t)
+            # No sample meets the same object twice.
+            before = nearest[group.sample] if i else np.finfo(np.float64).max
+            nearest[group.sample] = np.minimum(before, group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
     if close is not None:
