@@ -7,6 +7,7 @@ that they do touch exactly; the rest is drawn without such care.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from probe import Surface, Vector
@@ -16,28 +17,39 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sp
 __all__ = ["KINDS", "random_scene"]
 
 
+class Setting(NamedTuple):
+    """Objects, and where to look at them from: at `target`, so far away."""
+
+    surfaces: list[Surface]
+    target: Vector
+    reach: float
+    flat: float = 1
+    """Factor on the heights of the eye and the lights over the target."""
+
+
 def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
     """A scene of a kind in `KINDS`; the same for the same seed."""
     rng = np.random.default_rng([*kind.encode(), seed])
-    surfaces, target, reach = KINDS[kind](rng)
-    camera = _camera(rng, target, reach)
-    lights = [_light(rng, camera, surfaces, reach) for _ in range(rng.integers(1, 4))]
+    setting = KINDS[kind](rng)
+    camera = _camera(rng, setting)
+    lights = [_light(rng, camera, setting) for _ in range(rng.integers(1, 4))]
     return Scene(
         camera=camera,
         width=width,
         height=height,
         lights=tuple(lights),
-        surfaces=Surfaces.of(surfaces),
+        surfaces=Surfaces.of(setting.surfaces),
     )
 
 
-def _camera(rng: np.random.Generator, target: Vector, reach: float) -> Camera:
+def _camera(rng: np.random.Generator, setting: Setting) -> Camera:
     """Looks at the target, often through a window that is oblique or not square."""
     direction = _direction(rng)
     axis_aligned = rng.random() < 0.25
     if axis_aligned:
         direction = np.eye(3)[rng.integers(3)] * rng.choice([-1, 1])
-    eye = np.array(target) - direction * reach
+    direction[1] *= setting.flat
+    eye = np.array(setting.target) - direction * setting.reach
     up = np.roll(np.abs(direction), 1) if axis_aligned else _direction(rng)
     tilted = direction + 0.5 * _direction(rng) if rng.random() < 0.4 else None
     return Camera(
@@ -46,18 +58,16 @@ def _camera(rng: np.random.Generator, target: Vector, reach: float) -> Camera:
         view_up=_vector(up),
         proj_normal=None if tilted is None else _vector(tilted),
         # From further away through a longer lens.
-        proj_distance=rng.uniform(0.5, 2) * max(1, reach / 3),
+        proj_distance=rng.uniform(0.5, 2) * max(1, setting.reach / 3),
         view_width=rng.uniform(0.3, 3),
         view_height=rng.uniform(0.3, 2),
     )
 
 
-def _light(
-    rng: np.random.Generator, camera: Camera, surfaces: list[Surface], reach: float
-) -> PointLight:
+def _light(rng: np.random.Generator, camera: Camera, setting: Setting) -> PointLight:
     """Anywhere around; sometimes at the eye, in a sphere's centre or on a box's face."""
-    position = rng.normal(size=3) * reach
-    surface = surfaces[rng.integers(len(surfaces))]
+    position = rng.normal(size=3) * setting.reach * (1, setting.flat, 1)
+    surface = setting.surfaces[rng.integers(len(setting.surfaces))]
     where = rng.random()
     if where < 0.1:
         position = np.array(camera.view_point)
@@ -104,11 +114,11 @@ def _some(rng: np.random.Generator, count: int, spread: float) -> list[Surface]:
     return surfaces
 
 
-def _scattered(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
-    return _some(rng, int(rng.integers(1, 9)), 2), (0, 0, 0), rng.uniform(1, 6)
+def _scattered(rng: np.random.Generator) -> Setting:
+    return Setting(_some(rng, int(rng.integers(1, 9)), 2), (0, 0, 0), rng.uniform(1, 6))
 
 
-def _touching(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _touching(rng: np.random.Generator) -> Setting:
     """Boxes and balls standing on each other and on a floor at y = 0."""
     surfaces: list[Surface] = [
         Box(min_pt=(-8, -1, -8), max_pt=(8, 0, 8), shader=_shader(rng)),
@@ -123,10 +133,10 @@ def _touching(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
             Sphere(center=(x + a + r, r, z), radius=r, shader=_shader(rng)),
             Sphere(center=(x, h + 2 * r + h, z), radius=h, shader=_shader(rng)),
         ]
-    return surfaces, (0, 0.5, 0), rng.uniform(2, 6)
+    return Setting(surfaces, (0, 0.5, 0), rng.uniform(2, 6))
 
 
-def _nested(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _nested(rng: np.random.Generator) -> Setting:
     """Each in the next, some touching it from inside; the eye between them."""
     surfaces: list[Surface] = []
     radius = 0.25
@@ -141,17 +151,18 @@ def _nested(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
                 shader=_shader(rng),
             ),
         ]
-    return surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * radius
+    return Setting(surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * radius)
 
 
-def _duplicated(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _duplicated(rng: np.random.Generator) -> Setting:
     """All of another kind, listed twice: the copies shine like the originals."""
     kind = [_scattered, _touching, _nested, _rooms][rng.integers(4)]
-    surfaces, target, reach = kind(rng)
-    return [*surfaces, *(surfaces[i] for i in rng.permutation(len(surfaces)))], target, reach
+    once = kind(rng)
+    again = [once.surfaces[i] for i in rng.permutation(len(once.surfaces))]
+    return once._replace(surfaces=once.surfaces + again)
 
 
-def _enormous(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _enormous(rng: np.random.Generator) -> Setting:
     """Small things on the flank of a huge ball, beside a huge box."""
     radius = float(2 ** rng.integers(10, 24))
     surfaces = [
@@ -159,24 +170,59 @@ def _enormous(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
         Box(min_pt=(-radius, -3, -radius), max_pt=(radius, -2, 0), shader=_shader(rng)),
         *_some(rng, 4, 2),
     ]
-    return surfaces, (0, 1, 0), rng.uniform(1, 6)
+    return Setting(surfaces, (0, 1, 0), rng.uniform(1, 6))
 
 
-def _rooms(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _rooms(rng: np.random.Generator) -> Setting:
     """The eye inside a box or a ball, with things in it, some through its walls."""
     size = float(_dyadic(rng, 2, 4, 1)[0])
     room: Surface = Sphere(radius=2 * size, shader=_shader(rng))
     if rng.random() < 0.5:
         room = Box(min_pt=(-size,) * 3, max_pt=(size,) * 3, shader=_shader(rng))
-    return [room, *_some(rng, 5, size)], (0, 0, 0), size * rng.uniform(0.1, 0.9)
+    return Setting([room, *_some(rng, 5, size)], (0, 0, 0), size * rng.uniform(0.1, 0.9))
 
 
-def _far(rng: np.random.Generator) -> tuple[list[Surface], Vector, float]:
+def _far(rng: np.random.Generator) -> Setting:
     """Seen from up to 10^4 times their size."""
-    return _some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4)
+    return Setting(_some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4))
 
 
-Kind = Callable[[np.random.Generator], tuple[list[Surface], Vector, float]]
+def _grazing(rng: np.random.Generator) -> Setting:
+    """A floor and a wall, with eye and lights as near to the floor as 10^-9."""
+    surfaces: list[Surface] = [
+        Box(min_pt=(-64, -1, -64), max_pt=(64, 0, 64), shader=_shader(rng)),
+        Box(min_pt=(-64, 0, -9), max_pt=(64, 8, -8), shader=_shader(rng)),
+        Sphere(center=(0, -(2.0**16), 0), radius=2.0**16, shader=_shader(rng)),
+        *_some(rng, 5, 2),
+    ]
+    return Setting(surfaces, (0, 0, 0), rng.uniform(2, 8), 10 ** rng.uniform(-9, -1))
+
+
+def _walled(rng: np.random.Generator) -> Setting:
+    """Six slabs around the eye, most lights, and some objects: they cover the whole sky."""
+    surfaces = _some(rng, 4, 1)
+    for axis in range(3):
+        for sign in (-1, 1):
+            low, high = np.full(3, -2.5), np.full(3, 2.5)
+            low[axis], high[axis] = sorted((2 * sign, 2.5 * sign))
+            surfaces.append(Box(min_pt=_vector(low), max_pt=_vector(high), shader=_shader(rng)))
+    return Setting(surfaces, (0, 0, 0), rng.uniform(0.5, 1.9))
+
+
+def _crowd(rng: np.random.Generator) -> Setting:
+    """A thousand small objects, with the eye and the lights amid them."""
+    surfaces: list[Surface] = []
+    for center in rng.uniform(-2, 2, (1000, 3)):
+        size, shader = rng.uniform(0.01, 0.06, 3), _shader(rng)
+        surfaces.append(
+            Sphere(center=_vector(center), radius=float(size[0]), shader=shader)
+            if rng.random() < 0.5
+            else Box(min_pt=_vector(center - size), max_pt=_vector(center + size), shader=shader)
+        )
+    return Setting(surfaces, (0, 0, 0), rng.uniform(0, 4))
+
+
+Kind = Callable[[np.random.Generator], Setting]
 KINDS: dict[str, Kind] = {
     "scattered": _scattered,
     "touching": _touching,
@@ -185,4 +231,7 @@ KINDS: dict[str, Kind] = {
     "enormous": _enormous,
     "rooms": _rooms,
     "far": _far,
+    "grazing": _grazing,
+    "walled": _walled,
+    "crowd": _crowd,
 }

@@ -1,0 +1,149 @@
+"""Culling changes no bit of a picture: all pairs of rays and objects give the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from brute_force import brute_force
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_scenes import KINDS, random_scene
+
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
+
+
+def assert_same(scene: Scene) -> None:
+    """Hold the tracer's picture against that of all pairs."""
+    image, expected = render(scene), brute_force(scene)
+    different = np.argwhere((image != expected).any(axis=2)).tolist()
+    assert not different, (
+        f"{len(different)} pixels differ; at row {different[0][0]}, column {different[0][1]}"
+        f" {image[tuple(different[0])]} is not {expected[tuple(different[0])]}"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+# Objects of many pixels are treated apart from small ones, so pictures of both sizes.
+@pytest.mark.parametrize(("width", "height"), [(23, 31), (160, 120)])
+def test_random_scenes(kind: str, width: int, height: int) -> None:
+    for seed in range(2 if kind == "crowd" else 12):
+        assert_same(random_scene(kind, seed, width, height))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    kind=st.sampled_from([kind for kind in KINDS if kind != "crowd"]),
+    seed=st.integers(1000, 2**32),
+    width=st.integers(1, 200),
+    height=st.integers(1, 100),
+)
+def test_any_scene(kind: str, seed: int, width: int, height: int) -> None:
+    assert_same(random_scene(kind, seed, width, height))
+
+
+CAMERA = Camera(view_point=(0, 1, 6), view_dir=(0, -0.125, -1), view_width=1.5, view_height=1.5)
+FLOOR = Box(min_pt=(-8, -1, -8), max_pt=(8, 0, 8), shader=Lambertian(diffuse=(1, 0.5, 0.25)))
+BALL = Sphere(center=(0, 1, 0))
+CUBE = Box(min_pt=(-1, 0, -1), max_pt=(1, 2, 1))
+
+
+def scene(
+    *surfaces: Sphere | Box,
+    light: tuple[float, float, float] = (3, 5, 4),
+    camera: Camera = CAMERA,
+) -> Scene:
+    return Scene(
+        camera=camera,
+        width=120,
+        height=120,
+        lights=(PointLight(position=light),),
+        surfaces=Surfaces.of(surfaces),
+    )
+
+
+def test_no_objects() -> None:
+    empty = scene()
+    assert_same(empty)
+    assert not render(empty).any()
+
+
+def test_no_lights() -> None:
+    assert_same(replace(scene(FLOOR, BALL), lights=()))
+
+
+@pytest.mark.parametrize("other", [BALL, CUBE])
+@pytest.mark.parametrize(
+    "light",
+    [
+        (0, 1, 0),  # at the centre
+        (0.5, 1.25, 0.25),  # inside
+        (0, 2, 0),  # on the top, or on the ball
+        (0, 0, 0),  # where it touches the floor
+        (1, 1, 0),  # on a side
+        (0, 2 + 1e-12, 0),  # just above
+        (0, 2 - 1e-12, 0),  # just below
+        (0, 5, 0),  # straight over
+        (0, 1e-9, 3),  # grazing the floor
+        (2, -1, 0),  # on the floor's lower face
+        (0, 1e8, 0),
+        (0, 1, 6),  # at the eye
+    ],
+)
+def test_light_at_odd_places(other: Sphere | Box, light: tuple[float, float, float]) -> None:
+    assert_same(scene(FLOOR, other, light=light))
+
+
+@pytest.mark.parametrize("other", [BALL, CUBE])
+@pytest.mark.parametrize(
+    "eye",
+    [
+        (0, 1, 0),  # at the centre
+        (0.5, 1.25, 0.25),  # inside
+        (0, 2, 0),  # on the top, or on the ball
+        (0, 2, 5),  # in the plane of the top
+        (0, 0, 5),  # in the floor's face
+        (0, 1e-9, 5),  # grazing it
+        (0, 1, -5),  # with all of it behind
+        (0, 1, 1 + 1e-9),  # just before it
+        (1e5, 1e5, 1e5),
+    ],
+)
+@pytest.mark.parametrize("oblique", [None, (1, 1, 2)])
+def test_eye_at_odd_places(
+    other: Sphere | Box,
+    eye: tuple[float, float, float],
+    oblique: tuple[float, float, float] | None,
+) -> None:
+    toward = (-eye[0], -eye[1], -eye[2]) if eye[0] > 1 else (0, 0, -1)
+    camera = replace(CAMERA, view_point=eye, view_dir=toward, proj_normal=oblique)
+    camera = replace(camera, view_width=1e-4, view_height=1e-4) if eye[0] > 1 else camera
+    assert_same(scene(FLOOR, other, camera=camera))
+
+
+@pytest.mark.parametrize(
+    "hair",
+    [
+        Box(min_pt=(-2, 1, -1), max_pt=(2, 1, -1)),  # a needle
+        Box(min_pt=(0, 1, 0), max_pt=(0, 1, 0)),  # a point
+        Box(min_pt=(-1, 1, -1), max_pt=(1, 1, 1)),  # a sheet
+        Box(min_pt=(-1, 1, -1), max_pt=(1, 1 + 1e-12, 1)),
+        Sphere(center=(0, 1, 0), radius=1e-12),
+        Sphere(center=(0, 1, 0), radius=0.004),
+        Sphere(center=(0, -(2.0**30), 0), radius=2.0**30 + 0.5),
+        Box(min_pt=(-1e9, 4, -1e9), max_pt=(1e9, 1e9, 1e9)),
+    ],
+)
+@pytest.mark.parametrize("light", [(3, 5, 4), (0, 3, 0), (-2.5, 1, 0)])
+def test_thin_tiny_and_enormous(hair: Sphere | Box, light: tuple[float, float, float]) -> None:
+    assert_same(scene(FLOOR, BALL, hair, light=light))
+    assert_same(scene(hair, FLOOR, light=light))
+
+
+def test_in_one_direction() -> None:
+    # A hundred objects behind each other, as seen by the eye and as seen by the light.
+    row = [Sphere(center=(0.01 * i, 1, -0.05 * i), radius=0.02) for i in range(100)]
+    assert_same(scene(FLOOR, *row, light=(0, 1, 3)))
+    assert_same(scene(FLOOR, *row, light=(-1, 1, 5)))
+    assert_same(scene(*row, light=(0, 1, 6)))
