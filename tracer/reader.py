@@ -18,7 +18,7 @@ import re
 import stat
 from array import array
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from itertools import islice
 from typing import IO, Any, NoReturn, TypeVar
 from xml.parsers import expat
@@ -83,11 +83,9 @@ _SURFACES = {"Sphere": _SPHERE, "Box": _BOX}
 _SCENE = ("camera", "image", "light", "shader", "surface")
 _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
-# float() takes more than decimal numbers: 1_0, nan, infinity, digits of other scripts.
-_NUMERIC = frozenset("0123456789+-.eE \t\r\n")
-
 _UNIT_SPHERE = Sphere()
 _NAN = float("nan")
+_NOTHING: Set[str] = frozenset()
 _CODES = expat.errors.codes
 
 _Made = TypeVar("_Made")
@@ -177,12 +175,20 @@ def _words(text: str) -> list[str]:
     return re.findall("[^ \t\r\n]+", text)
 
 
+def _is_plain(text: str) -> bool:
+    """Whether nothing but decimal numbers in `text` would satisfy float().
+
+    It also takes 1_0, nan, inf and infinity, and the digits and spaces of all scripts.
+    """
+    return text.isascii() and "_" not in text and "n" not in text and "N" not in text
+
+
 def _is_decimal(word: str) -> bool:
     try:
         float(word)
     except ValueError:
         return False
-    return _NUMERIC.issuperset(word)
+    return _is_plain(word)
 
 
 class _GiveUp(Exception):  # noqa: N818 - not an error: the faults are noted already
@@ -198,7 +204,7 @@ class _Element:
         self.tag = tag
         self.attributes = attributes
         self.line = line
-        self.children: list[_Element] = []
+        self.children: list[_Element] | None = None  # most have none: one object less to make
         self.text = ""
 
 
@@ -215,10 +221,10 @@ class _Values:
         self.fields = fields
         self.parameters: dict[str, Any] = {}
         self.elements: dict[str, _Element] = {}
-        self.bad: set[str] = set()
+        self.bad: Set[str] = _NOTHING
 
     def put_nan(self, parameter: str, count: int) -> None:
-        self.bad.add(parameter)
+        self.bad = self.bad | {parameter}
         self.parameters[parameter] = [_NAN] * count if count > 1 else _NAN
 
 
@@ -256,6 +262,7 @@ class _Reader:
         self.white: int | None = None
         self.spheres = _Rows()
         self.boxes = _Rows()
+        self.surface_count = 0
         # (index of a surface, parameter)
         self.bad: set[tuple[int, str]] = set()
 
@@ -295,8 +302,8 @@ class _Reader:
         parser.StartElementHandler = self.start
         parser.EndElementHandler = self.end
         parser.CharacterDataHandler = self.text
-        parser.EntityDeclHandler = self.entity
-        parser.SkippedEntityHandler = self.entity
+        parser.StartDoctypeDeclHandler = self.doctype
+        parser.SkippedEntityHandler = self.skipped
         given = 0
         try:
             while chunk := file.read(_CHUNK):
@@ -340,22 +347,33 @@ class _Reader:
             return f"close <{_short(self.open[-1].tag)}> of line {self.open[-1].line}"
         return "a scene file holds <scene> ... </scene>"
 
-    def entity(self, name: str, *_: object) -> None:
-        self.give_up(
+    def doctype(self, _name: str, _system: object, _public: object, declares: bool) -> None:
+        # Entities may stand for a thousand others each; attributes take quadratic time.
+        if declares:
+            self.give_up(
+                self.parser.CurrentLineNumber,
+                "DOCTYPE: declarations are not allowed; write out what entities stand for",
+            )
+
+    def skipped(self, entity: str, _is_parameter: int) -> None:
+        self.fault(
             self.parser.CurrentLineNumber,
-            f"entity {_quoted(name)}: entities are not allowed; write out what it stands for",
+            f"entity {_quoted(entity)}: is not defined; write out what it stands for",
         )
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         element = _Element(tag, attributes, self.parser.CurrentLineNumber)
         depth = len(self.open)
         if depth > 1:
-            siblings = self.open[-1].children
-            siblings.append(element)
-            if depth == MAX_NESTING or len(siblings) == MAX_NESTING:
+            parent = self.open[-1]
+            if parent.children is None:
+                parent.children = [element]
+            else:
+                parent.children.append(element)
+            if depth == MAX_NESTING or len(parent.children) == MAX_NESTING:
                 self.give_up(
                     element.line,
-                    f"{_short(self.open[-1].tag)}: more than {MAX_NESTING} elements in another",
+                    f"{_short(parent.tag)}: more than {MAX_NESTING} elements in another",
                 )
         elif depth == 0:
             if tag != "scene":
@@ -433,10 +451,13 @@ class _Reader:
         """Take in a shader or a reference to one; return its place."""
         attributes = element.attributes
         if nested and "ref" in attributes:
-            self.no_attributes(element, ("ref",))
-            self.no_children(element)
+            if len(attributes) > 1:
+                self.no_attributes(element, ("ref",))
+            if element.children:
+                self.no_children(element)
             place = self.place(attributes["ref"])
-            self.references.extend((place, element.line))
+            self.references.append(place)
+            self.references.append(element.line)
             return place
         kind = self.type_of(element, _SHADERS, ("type", "name"))
         values = self.values(element, _SHADERS.get(kind, _PHONG))
@@ -465,8 +486,9 @@ class _Reader:
 
     def place(self, name: str) -> int:
         """Where the shader of this name is, or will be, among `shaders`."""
-        place = self.places.setdefault(name, len(self.shaders))
-        if place == len(self.shaders):
+        place = self.places.get(name)
+        if place is None:
+            place = self.places[name] = len(self.shaders)
             self.shaders.append(None)
         return place
 
@@ -492,37 +514,37 @@ class _Reader:
                 place = self.white = len(self.shaders)
                 self.shaders.append(Lambertian())
         rows.shader.append(place)
-        for parameter in (first, second):
-            child = values.elements.get(parameter, element)
-            rows.lines.append(child.line)
-        index = len(self.spheres.index) + len(self.boxes.index)
-        rows.index.append(index)
+        elements = values.elements
+        rows.lines.append(elements.get(first, element).line)
+        rows.lines.append(elements.get(second, element).line)
+        rows.index.append(self.surface_count)
         for parameter in values.bad:
-            self.bad.add((index, parameter))
+            self.bad.add((self.surface_count, parameter))
+        self.surface_count += 1
 
     # What elements have in common
 
     def values(self, element: _Element, fields: _Fields, required: tuple[str, ...] = ()) -> _Values:
         """The parameters that the children of an element give."""
         values = _Values(fields)
-        for child in element.children:
-            field = fields.get(child.tag)
-            if field is None:
+        elements, parameters = values.elements, values.parameters
+        for child in element.children or ():
+            if child.tag not in fields:
                 self.unknown(child, element.attributes.get("type", element.tag), fields)
                 continue
-            parameter, count = field
-            earlier = values.elements.setdefault(parameter, child)
-            if earlier is not child:
-                self.repeated(child, earlier)
+            parameter, count = fields[child.tag]
+            if parameter in elements:
+                self.repeated(child, elements[parameter])
                 continue
+            elements[parameter] = child
             if count == 0:
-                values.parameters[parameter] = self.shader(child, nested=True)
+                parameters[parameter] = self.shader(child, nested=True)
                 continue
             numbers = self.numbers(child, count)
             if numbers is None:
                 values.put_nan(parameter, count)
             else:
-                values.parameters[parameter] = numbers if count > 1 else numbers[0]
+                parameters[parameter] = numbers if count > 1 else numbers[0]
         for tag in required:
             parameter, count = fields[tag]
             if parameter not in values.elements:
@@ -537,7 +559,7 @@ class _Reader:
         if element.children:
             self.no_children(element)
         words = element.text.split()
-        if len(words) == count and _NUMERIC.issuperset(element.text):
+        if len(words) == count and _is_plain(element.text):
             try:
                 return [*map(float, words)]
             except ValueError:
@@ -572,10 +594,11 @@ class _Reader:
                         self.fault(child.line, f"{child.tag}: {fault.message}")
         return None
 
-    def type_of(self, element: _Element, known: Iterable[str], allowed: tuple[str, ...]) -> str:
+    def type_of(self, element: _Element, known: Collection[str], allowed: tuple[str, ...]) -> str:
         """The `type` of a shader or surface; what is not `known` is a fault."""
-        self.no_attributes(element, allowed)
         kind = element.attributes.get("type")
+        if len(element.attributes) > 1 or kind is None:
+            self.no_attributes(element, allowed)
         if kind is None:
             choice = " or ".join(f'type="{name}"' for name in known)
             self.fault(element.line, f"{element.tag}: has no type; add {choice}")
@@ -610,7 +633,7 @@ class _Reader:
                 )
 
     def no_children(self, element: _Element) -> None:
-        for child in element.children:
+        for child in element.children or ():
             self.fault(
                 child.line,
                 f"{element.tag}: no element may stand in it; remove <{_short(child.tag)}>",
