@@ -71,7 +71,7 @@ class Window(mi.Sensor):
         across = self._centered(sample2.x, size[0])
         down = self._centered(sample2.y, size[1])
         d = dr.normalize(self.corner + across * self.right + down * self.down)
-        # The slab method; a component that is zero gives infinities of the right signs.
+        # The slab method; a zero component gets a huge inverse: an infinite one times 0 is no number.
         inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
         a, b = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
         start = dr.maximum(dr.max(dr.minimum(a, b)), 0)
@@ -204,7 +204,8 @@ class EveryLight(mi.SamplingIntegrator):
         """Radiance along a ray."""
         si = scene.ray_intersect(ray, active)
         valid = si.is_valid()
-        if dr.none(valid):
+        if valid is False:
+            # In a scalar variant, where a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
         bsdf = si.bsdf(ray)
         total = mi.Spectrum(0)

@@ -19,7 +19,7 @@ from reference.compare import figures
 from reference.regenerate import SCENES, load_small, stored
 from tracer import Box, Lambertian, Scene, render
 from tracer.camera import raster_of
-from tracer.scene import Floats
+from tracer.scene import Floats, Surfaces
 
 pytestmark = pytest.mark.cross_validation
 
@@ -33,7 +33,7 @@ def wrong_gamma(scene: Scene) -> Floats:
 def no_highlight(scene: Scene) -> Floats:
     """Every shader's diffuse part alone."""
     matte = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
-    return render(replace(scene, surfaces=matte))
+    return render(replace(scene, surfaces=Surfaces.of(matte)))
 
 
 def falling_off(scene: Scene) -> Floats:
@@ -69,7 +69,7 @@ def no_shadows(scene: Scene) -> Floats:
     image = np.zeros((scene.height, scene.width, 3))
     for index, surface in enumerate(scene.surfaces):
         own = owner == index
-        image[own] = render(replace(scene, surfaces=[surface]))[own]
+        image[own] = render(replace(scene, surfaces=Surfaces.of([surface])))[own]
     return image
 
 
@@ -81,7 +81,7 @@ def boxes_out(scene: Scene) -> Floats:
         return replace(box, min_pt=(x0 + 1, y0, z0), max_pt=(x1 + 1, y1, z1))
 
     surfaces = [moved(s) if isinstance(s, Box) else s for s in scene.surfaces]
-    return render(replace(scene, surfaces=surfaces))
+    return render(replace(scene, surfaces=Surfaces.of(surfaces)))
 
 
 def visible(scene: Scene) -> tuple[Floats, Floats]:
