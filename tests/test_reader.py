@@ -211,7 +211,7 @@ def test_surfaces_take_little_memory(tmp_path):
 
 
 def test_a_hundred_thousand_surfaces_take_little_time(tmp_path):
-    """Less than twice what `xml.etree` takes to build its tree, which checks and converts nothing."""
+    """Less than twice that of `xml.etree`, which checks and converts nothing."""
     sphere = '<shader ref="a"/><center>1 2 3</center><radius>4</radius>'
     path = tmp_path / "scene.xml"
     path.write_text(
