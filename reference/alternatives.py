@@ -224,7 +224,8 @@ def _render(
         beyond = cast(least)
         for k in range(len(surfaces)):
             near, far = intersect(k, start, ray / reach)
-            blocks = ((near > beyond) & (near < reach)) | ((far > beyond) & (far < reach))
+            between = ((near > beyond) & (near < reach)) | ((far > beyond) & (far < reach))
+            blocks = between & (near <= far)
             lit &= ~(blocks & ((owner != k) | (shadow_start is not None)))
         wi, wo = to_light / distance, -d / np.sqrt(_dot(d, d))
         for index, material in enumerate(surfaces.shaders):

@@ -35,7 +35,17 @@ from reference.povray import to_pov
 from reference.workloads import CROWDS, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
-__all__ = ["Table", "Timing", "growth_exponent", "interleaved", "main", "run", "tables"]
+__all__ = [
+    "Section",
+    "Table",
+    "Timing",
+    "growth_exponent",
+    "interleaved",
+    "main",
+    "peak",
+    "run",
+    "tables",
+]
 
 Task: TypeAlias = Callable[[int], object]
 """Work to be timed, told which round it is."""
@@ -357,7 +367,7 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
-def _peak(*command: str) -> float:
+def peak(*command: str) -> float:
     """Peak resident memory of a process, MB."""
     watch = [sys.executable, "-c", _WATCH, *command]
     peak = int(subprocess.run(watch, check=True, capture_output=True).stdout)
@@ -377,9 +387,9 @@ def memory(rounds: int, quick: bool) -> Table:
     for name, scene in scenes.items():
         path = BUILD / "scene.xml"
         path.write_text(to_xml(scene))
-        peak = _peak(python, "-m", "tracer", "--quiet", "-o", png, str(path))
-        rows.append((name, f"{peak:.0f}"))
-    base = _peak(python, "-c", "import numpy")
+        most = peak(python, "-m", "tracer", "--quiet", "-o", png, str(path))
+        rows.append((name, f"{most:.0f}"))
+    base = peak(python, "-c", "import numpy")
     return Table(
         "Memory",
         f"Peak resident MB of `python -m tracer`; Python with NumPy alone takes {base:.0f}.",
@@ -415,12 +425,22 @@ def limit(rounds: int, quick: bool) -> Table:
     )
 
 
+Section: TypeAlias = Callable[[int, bool], Table]
+"""Measures in so many rounds, quickly or not."""
+
+
 def tables(*, quick: bool) -> Iterator[Table]:
     """All tables, as they are measured."""
     BUILD.mkdir(exist_ok=True)
     mi.set_log_level(mi.LogLevel.Error)
     rounds = 2 if quick else 5
-    sections = [whole_process, warm, growth_in_objects, crowded, growth_in_pixels_and_lights]
+    sections: list[Section] = [
+        whole_process,
+        warm,
+        growth_in_objects,
+        crowded,
+        growth_in_pixels_and_lights,
+    ]
     sections += [loading, memory]
     if minimal.compiler():
         sections.append(limit)
