@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.flavours import exact, normalisation
+from converters.flavours import exact, normalisation, stock
 from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
@@ -44,6 +44,7 @@ __all__ = [
     "edge_mask",
     "faults",
     "render_mitsuba",
+    "stock_ssim",
     "write_exr",
 ]
 
@@ -190,17 +191,17 @@ def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -
     ImportError
         If the given variant does not work here.
     """
-    return _loaded(scene, samples, variant)().image
+    return _loaded(exact(scene, samples), variant)().image
 
 
-def _loaded(scene: Scene, samples: int, variant: str | None) -> Callable[[], Rendering]:
-    """A scene loaded into Mitsuba, to be rendered as often as one likes."""
+def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
+    """A converted scene loaded into Mitsuba, to be rendered as often as one likes."""
     chosen = use(variant).variant
     mi = importlib.import_module("mitsuba")
     importlib.import_module("converters.plugins")
     # Every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
-    loaded = mi.load_string(exact(scene, samples))
+    loaded = mi.load_string(text)
 
     def rendered() -> Rendering:
         start = perf_counter()
@@ -208,6 +209,16 @@ def _loaded(scene: Scene, samples: int, variant: str | None) -> Callable[[], Ren
         return Rendering(image, chosen, perf_counter() - start)
 
     return rendered
+
+
+def stock_ssim(scene: Scene, samples: int = 64, variant: str | None = None) -> float:
+    """SSIM of the stock flavour's picture against the exact one's, in square pixels."""
+    camera = scene.camera
+    height = max(1, round(scene.width * camera.view_height / camera.view_width))
+    square = replace(scene, height=height)
+    approximate = _loaded(stock(square, samples), variant)().image
+    # Without the noise of lights picked at random, few samples do.
+    return figures(approximate, render_mitsuba(square, min(samples, 4), variant)).ssim
 
 
 def edge_mask(scene: Scene, image: Floats) -> Bools:
@@ -273,7 +284,7 @@ def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResu
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Render a scene with both, and compare."""
-    rendered = _loaded(scene, 1, variant)
+    rendered = _loaded(exact(scene), variant)
     rendering = rendered()
     if rendering.variant == LLVM:
         # The first time compiles the kernel.

@@ -71,7 +71,7 @@ class Window(mi.Sensor):
         across = self._centered(sample2.x, size[0])
         down = self._centered(sample2.y, size[1])
         d = dr.normalize(self.corner + across * self.right + down * self.down)
-        # The slab method; a zero component gets a huge inverse: an infinite one times 0 is no number.
+        # The slab method; a zero component gets a huge inverse, as infinity times 0 is no number.
         inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
         a, b = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
         start = dr.maximum(dr.max(dr.minimum(a, b)), 0)

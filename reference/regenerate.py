@@ -2,7 +2,8 @@
 
 Writes ``reference/mitsuba/NAME.exr``, linear RGB, and a manifest that tells how each was made.
 They are small (`WIDTH` pixels wide, of the window that the scene file asks for), at one sample a
-pixel, through its centre, in the exact flavour of the converter.
+pixel, through its centre, in the exact flavour of the converter.  The manifest also has the SSIM
+of the stock flavour against the exact one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from converters.check import render_mitsuba, write_exr
+from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
 from tracer.reader import load_scene
 from tracer.scene import Floats, Scene
@@ -35,6 +36,10 @@ WIDTH = 160
 
 # Steps of the stored radiance, 1e-6: below every tolerance, and the files compress.
 _STEP = 2.0**-20
+
+
+# Samples a pixel when the two flavours are compared; enough for lights picked at random.
+_STOCK_SAMPLES = 36
 
 
 def load_small(path: Path) -> Scene:
@@ -89,9 +94,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
     paths = sorted(SCENES.glob("*.xml"))
+    scenes = {}
     for path in paths:
-        image = render_mitsuba(load_small(path), variant=choice.variant)
+        scene = load_small(path)
+        image = render_mitsuba(scene, variant=choice.variant)
         write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
+        scenes[path.stem] = {
+            "sha256": scene_hash(path),
+            "stock_ssim": round(stock_ssim(scene, _STOCK_SAMPLES, choice.variant), 3),
+        }
         print(f"{path.stem}.exr")
     for old in set(options.output.glob("*.exr")) - {
         options.output / f"{path.stem}.exr" for path in paths
@@ -106,7 +117,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "variant": choice.variant,
         "samples": 1,
         "width": WIDTH,
-        "scenes": {path.stem: scene_hash(path) for path in paths},
+        "stock_samples": _STOCK_SAMPLES,
+        "scenes": scenes,
     }
     (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
     return 0
