@@ -312,6 +312,7 @@ def on_a_terminal(scene: Path, wait_for: str | None = None) -> str:
             shown += text
             if wait_for is not None and wait_for in shown:
                 process.send_signal(signal.SIGINT)
+                wait_for = None
     except OSError:  # how Linux says that the other end is closed
         pass
     finally:
