@@ -30,7 +30,7 @@ def test_scaled_by_a_power_of_two(kind: str, power: int) -> None:
         assert np.array_equal(render(moved(scene, 2.0**power)), image)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["scattered", "touching", "nested", "rooms", "walled"])
 @pytest.mark.parametrize("shift", [(1e6, -1e6, 1e6), (0, 1e6, 0)])
 def test_shifted(kind: str, shift: tuple[float, float, float]) -> None:
     # The shift rounds the scene itself, so the oracle judges the one that is rendered.  The
@@ -51,7 +51,7 @@ def test_objects_in_another_order(kind: str) -> None:
     for seed in range(8):
         scene, _ = picture(kind, seed)
         if kind in {"touching", "duplicated"} and -1 <= scene.camera.view_point[1] <= 0:
-            # Inside the floor its inner side ties with the outer side of what stands on it.
+            # The floor's inner side, seen then, ties with the bottom of what stands on it.
             continue
         # Exact ties between different shaders go to the first: so all have one.
         shader = Lambertian(diffuse=(0.9, 0.5, 0.1))
