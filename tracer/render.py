@@ -99,15 +99,20 @@ def render_bands(
     @_QUIET
     def band(top: int) -> Floats:
         bottom = min(top + step, scene.height)
-        # Rows longer than a band are cut; others stay whole.
-        parts = []
+
+        def part(left: int, right: int) -> Floats:
+            if per_side > 1:
+                return antialiased(view, lighting, top, bottom, left, right, per_side)
+            return _centres(view, lighting, top, bottom, left, right)
+
+        if scene.width <= band_pixels:
+            return part(0, scene.width)
+        # Rows longer than a band are rendered in parts.
+        radiance = np.empty((bottom - top, scene.width, 3))
         for left in range(0, scene.width, band_pixels):
             right = min(left + band_pixels, scene.width)
-            if per_side > 1:
-                parts.append(antialiased(view, lighting, top, bottom, left, right, per_side))
-            else:
-                parts.append(_centres(view, lighting, top, bottom, left, right))
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            radiance[:, left:right] = part(left, right)
+        return radiance
 
     if threads == 1:
         yield from map(band, tops)
