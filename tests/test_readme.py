@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -48,6 +49,20 @@ def test_commands_exist() -> None:
     assert len(modules) >= 5
     files = [ROOT / module.replace(".", "/") for module in modules]
     assert [file for file in files if not (file.with_suffix(".py").exists() or file.is_dir())] == []
+
+
+def test_likeness_of_the_stock_flavour() -> None:
+    """The README's table is that of the manifest of Mitsuba's stored pictures."""
+    scenes = json.loads((ROOT / "reference/mitsuba/manifest.json").read_text())["scenes"]
+    table = README.partition("<!-- flavours:begin -->")[2].partition("<!-- flavours:end -->")[0]
+    rows = re.findall(r"^\| ([-\w]+) \| (\d\.\d{3}) \|$", table, re.M)
+    assert rows == [(name, f"{scenes[name]['stock_ssim']:.3f}") for name in sorted(scenes)]
+
+
+def test_layout_names_every_module() -> None:
+    layout = README.partition("## What is where")[2]
+    modules = {path.stem for path in (ROOT / "tracer").glob("[a-z]*.py")}
+    assert {module for module in modules if not re.search(rf"\b{module}\b", layout)} == set()
 
 
 def test_sheet_shows_every_scene() -> None:
