@@ -178,9 +178,8 @@ class Camera:
                     Fault("viewUp", f"must not be parallel to {of}; choose another viewUp")
                 )
             if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-                faults.append(
-                    Fault("projNormal", "must not be perpendicular to viewDir: no ray would meet it")
-                )
+                wrong = "must not be perpendicular to viewDir: no ray would meet it"
+                faults.append(Fault("projNormal", wrong))
         if faults:
             raise SceneError(faults)
 
@@ -278,9 +277,7 @@ class Box:
             raise SceneError(faults)
 
 
-def _sphere_faults(
-    center: Floats, radius: Floats, index: Ints | None = None
-) -> Iterable[Fault]:
+def _sphere_faults(center: Floats, radius: Floats, index: Ints | None = None) -> Iterable[Fault]:
     for i in np.flatnonzero(~((radius > 0) & (radius < np.inf))).tolist():
         yield Fault(
             "radius",
