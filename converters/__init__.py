@@ -1,0 +1,1 @@
+"""Taking scenes on into Mitsuba 3, and holding the tracer against it."""

@@ -137,6 +137,20 @@ def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
         assert picture.width > 3 * 300
 
 
+def test_check_ends_with_status_1_where_a_tolerance_is_broken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("converters.check.MAX_DIFFERENCE", 1e-12)
+    scene = tmp_path / "small.xml"
+    text = ONE_SPHERE.read_text(encoding="utf-8")
+    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
+    assert main(["--check", str(scene)]) == 1
+    told = capsys.readouterr().out
+    assert "small: DIFFERS" in told
+    assert "exceeds 1e-12" in told
+    assert (tmp_path / "small.check.png").exists()
+
+
 # What Mitsuba makes of it.
 
 

@@ -25,6 +25,7 @@ from converters.check import (
     faults,
     render_mitsuba,
 )
+from converters.variant import SCALAR, use
 from reference.compare import figures, write_comparison
 from reference.regenerate import (
     FOLDER,
@@ -73,6 +74,13 @@ def test_the_mask_is_no_excuse() -> None:
     assert EDGE_SHIFT <= 0.03
     assert EDGE_CHANGE <= 1e-2
     assert MAX_MASKED <= 0.015
+
+
+def test_mitsuba_agrees_with_itself_in_another_variant() -> None:
+    scene, now = load_small(SCENES / "four-spheres.xml"), live("four-spheres")
+    scalar = render_mitsuba(scene, variant=SCALAR)
+    use()
+    assert faults(figures(scalar, now.mitsuba, now.mask), now.mask) == ()
 
 
 def test_there_are_scenes_to_compare() -> None:
