@@ -152,6 +152,14 @@ def _mitsuba_task(loaded: Any) -> Task:
     return task
 
 
+def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Timing, Timing]:
+    """The tracer and Mitsuba in turns, with no other scene of Mitsuba's alive."""
+    gc.collect()
+    theirs = _mitsuba_task(load(scene))
+    found = interleaved({"tracer": _tracer_task(scene, rounds), "Mitsuba": theirs}, rounds)
+    return found["tracer"], found["Mitsuba"]
+
+
 def _ratio(of: Timing, rival: Timing) -> str:
     """How many times faster than another."""
     return f"{rival.median / of.median:.2g}×"
@@ -223,15 +231,10 @@ def warm(rounds: int, quick: bool) -> Table:
     for size in sizes:
         for name in _FEW if quick else names:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            found = interleaved(
-                {
-                    "tracer": _tracer_task(scene, rounds),
-                    "Mitsuba exact": _mitsuba_task(rivals.mitsuba_exact(scene)),
-                    "Mitsuba stock": _mitsuba_task(rivals.mitsuba_stock(scene)),
-                },
-                rounds,
-            )
-            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *_ratios(found)))
+            ours, theirs = _beside(scene, rounds, rivals.mitsuba_exact)
+            again, stocks = _beside(scene, rounds, rivals.mitsuba_stock)
+            ratios = _ratio(ours, theirs), _ratio(again, stocks)
+            rows.append((f"{name} {size[0]}×{size[1]}", ours, theirs, stocks, *ratios))
     return Table(
         "Warm: rendering alone",
         f"Milliseconds in process, one sample a pixel: median (fastest–slowest) of {rounds}."
@@ -250,34 +253,19 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     timings = []
     for count in counts:
         scene = crowd(count)
-        text = exact(scene)
-        # Loading takes Mitsuba most of a minute at the largest.
-        start = perf_counter()
-        shapes = mi.load_string(text)
-        np.array(mi.render(shapes))
-        first = Timing.of([perf_counter() - start])
-        found = interleaved(
-            {
-                "tracer": _tracer_task(scene, rounds),
-                "shapes": _mitsuba_task(shapes),
-                "merged": _mitsuba_task(rivals.mitsuba_merged(scene)),
-            },
-            rounds if count <= 10_000 else 3,
-        )
-        timings.append(found["tracer"])
-        rows.append(
-            (
-                f"{count:,}",
-                found["tracer"],
-                first,
-                found["shapes"],
-                found["merged"],
-                _ratio(found["tracer"], first),
-                _ratio(found["merged"], found["tracer"]),
-            )
-        )
-        del shapes
+        ours, merged = _beside(scene, rounds, rivals.mitsuba_merged)
         gc.collect()
+        text = exact(scene)
+        # Loading takes Mitsuba most of a minute at the largest: once has to do.
+        start = perf_counter()
+        loaded = mi.load_string(text)
+        np.array(mi.render(loaded))
+        first = Timing.of([perf_counter() - start])
+        shapes = interleaved({"": _mitsuba_task(loaded)}, rounds if count <= 10_000 else 1)[""]
+        del loaded
+        timings.append(ours)
+        ratios = _ratio(ours, first), _ratio(merged, ours)
+        rows.append((f"{count:,}", ours, first, shapes, merged, *ratios))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",
         "Milliseconds. Mitsuba with a shape per object: loading and first render, then warm;"

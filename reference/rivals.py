@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,21 +46,37 @@ mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 _POVRAY_WHITE = 4.0
 
 
-def mitsuba_text(scene: Scene, samples: int, sampler: str) -> str:
-    """The exact flavour's XML, with one of Mitsuba's samplers."""
-    chosen = f'<sampler type="{sampler}">\n<integer name="sample_count" value="{samples}"/>\n'
-    pattern = re.compile("<sampler .*?(?=</sampler>)", flags=re.DOTALL)
-    return pattern.sub(chosen, exact(scene, samples), count=1)
+def mitsuba_text(scene: Scene, samples: int = 1, samplers: Sequence[str] = ()) -> str:
+    """The exact flavour's XML, with a sensor for each of these samplers of Mitsuba's.
+
+    Without any, samples are stratified, and a single one is the pixel's centre.
+    """
+    text = exact(scene, samples)
+    if not samplers:
+        return text
+    count = f'<integer name="sample_count" value="{samples}"/>'
+
+    def with_samplers(sensor: re.Match[str]) -> str:
+        return "\n".join(
+            re.sub(
+                "<sampler .*?</sampler>",
+                f'<sampler type="{sampler}">{count}</sampler>',
+                sensor[0],
+                flags=re.DOTALL,
+            )
+            for sampler in samplers
+        )
+
+    return re.sub("<sensor .*?</sensor>", with_samplers, text, flags=re.DOTALL)
 
 
-def mitsuba_exact(scene: Scene, samples: int = 1, sampler: str | None = None) -> Any:
+def mitsuba_exact(scene: Scene, samplers: Sequence[str] = ()) -> Any:
     """The same picture from Mitsuba, by this project's plugins, in the current variant.
 
-    Without a `sampler`, samples are stratified, and a single one is the pixel's centre.
+    Mitsuba's kernels choose among all objects alive in the process: keep one scene at a time.
     """
     _plugins()
-    text = mitsuba_text(scene, samples, sampler) if sampler else exact(scene, samples)
-    return mi.load_string(text)
+    return mi.load_string(mitsuba_text(scene, samplers=samplers))
 
 
 def mitsuba_stock(scene: Scene, samples: int = 1) -> Any:

@@ -13,6 +13,7 @@ times are those of the stock plugins, its errors those of the same samples in LL
 from __future__ import annotations
 
 import argparse
+import gc
 import hashlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -135,10 +136,10 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
     return np.asarray(total) / side**2
 
 
-def _mitsuba(loaded: Any, samples: int, variant: str) -> Task:
+def _mitsuba(loaded: Any, samples: int, variant: str, sensor: int = 0) -> Task:
     def task(_: int) -> Floats:
         mi.set_variant(variant)
-        return np.array(mi.render(loaded, spp=samples), dtype=np.float64)
+        return np.array(mi.render(loaded, sensor=sensor, spp=samples), dtype=np.float64)
 
     return task
 
@@ -157,17 +158,18 @@ def _warm_tasks(scene: Scene, rounds: int, quick: bool) -> dict[Effort, Task]:
             tasks["the same, uniform grid", 4**k] = fresh(partial(supersampled, side=2**k))
         if k < 3:
             tasks["all pairs, float32", 4**k] = fresh(partial(_all_pairs, side=2**k))
+    # The scalar variant would spend all its time in this project's Python plugins.
+    mi.set_variant(SCALAR)
+    stock = rivals.mitsuba_stock(scene)
+    mi.set_variant(LLVM)
+    loaded = rivals.mitsuba_exact(scene, _SAMPLERS)
     for k in range(3 if quick else 5):
-        mi.set_variant(LLVM)
-        for sampler in _SAMPLERS:
+        for sensor, sampler in enumerate(_SAMPLERS):
             # Orthogonal arrays come in squares of primes only.
             samples = (2, 3, 5, 11, 17)[k] ** 2 if sampler == "orthogonal" else 4**k
-            loaded = rivals.mitsuba_exact(scene, samples, sampler)
-            tasks[f"Mitsuba LLVM, {sampler}", samples] = _mitsuba(loaded, samples, LLVM)
-        # The scalar variant would spend all its time in this project's Python plugins.
+            tasks[f"Mitsuba LLVM, {sampler}", samples] = _mitsuba(loaded, samples, LLVM, sensor)
         if k < 4:
-            mi.set_variant(SCALAR)
-            tasks[_SCALAR, 4**k] = _mitsuba(rivals.mitsuba_stock(scene, 4**k), 4**k, SCALAR)
+            tasks[_SCALAR, 4**k] = _mitsuba(stock, 4**k, SCALAR)
     return tasks
 
 
@@ -184,7 +186,7 @@ def _process_tasks(scene: Scene, quick: bool) -> dict[Effort, Task]:
         tasks["this tracer", 4**k] = _shell(command)
         if k < 5:
             text = BUILD / f"scene.{4**k}.mitsuba.xml"
-            text.write_text(rivals.mitsuba_text(scene, 4**k, "multijitter"))
+            text.write_text(rivals.mitsuba_text(scene, 4**k, ["multijitter"]))
             tasks["Mitsuba LLVM, multijitter", 4**k] = _shell((*theirs, str(text), str(png)))
     if rivals.povray_installed():
         pov = BUILD / "whole.pov"
@@ -215,6 +217,8 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
         if method == _SCALAR:
             errors[method, samples] = errors["Mitsuba LLVM, multijitter", samples]
     timings = interleaved({key: _later(task) for key, task in warm.items()}, rounds)
+    warm.clear()
+    gc.collect()
     if rivals.povray_installed():
         for threshold, depth in _ADAPTIVE[: 2 if quick else None]:
             key = ("POV-Ray, adaptive", 4**depth)
