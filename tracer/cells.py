@@ -24,6 +24,9 @@ __all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
 # Widens bounds by more than all roundings between a point and its cell.
 _SLACK = 1e-9
 
+# A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
+_LEAST_ANGLE = 1e-5
+
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
 _SIDE_LEAST, _SIDE_MOST = 32, 1024
 
@@ -252,10 +255,13 @@ def _apart(
     m = scaled((x, y, z), 1 / length)
     middle = grid.direction(column[at].astype(float) + 0.5, row[at].astype(float) + 0.5)
     aside = each(np.subtract, middle, scaled(m, dot(middle, m)))
-    turn = np.sqrt((1 - sine * sine) / dot(aside, aside))
+    square = dot(aside, aside)
+    turn = np.sqrt((1 - sine * sine) / square)
     tangent = each(np.subtract, scaled(m, sine), scaled(aside, turn))
-    # Not a number with the light inside, or the cell straight ahead: not apart.
-    apart[at] = _beyond(grid.planes(tangent), column[at], row[at])
+    # Not a number with the light inside: not apart.  Nor with the cell so nearly straight
+    # ahead that rounding turns the plane by more than the slack.
+    beyond = _beyond(grid.planes(tangent), column[at], row[at])
+    apart[at] = beyond & (square > _LEAST_ANGLE**2)
 
     at = np.flatnonzero(owner >= spheres)
     box, column, row = owner[at] - spheres, column[at], row[at]

@@ -15,10 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Triple, dot
+from tracer.groups import Triple, dot, each
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Outlines", "Spans", "box_corners", "expand", "outlines", "silhouette_planes"]
+__all__ = [
+    "ROUNDING",
+    "Outlines",
+    "Spans",
+    "box_corners",
+    "expand",
+    "outlines",
+    "silhouette_planes",
+]
+
+ROUNDING = 1e-12
+"""More than all roundings of a plane's coefficients, relative to their size."""
+
+# An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
+_LEAST_ANGLE = 1e-6
 
 
 def expand(counts: Ints) -> tuple[Ints, Ints]:
@@ -82,9 +96,11 @@ class Outlines:
         high = np.full(owner.size, np.inf)
         for k in range(6):
             slope = self.edges[0][k][owner]
-            level = self.edges[1][k][owner] * g + self.edges[2][k][owner]
-            # The silhouette's inner side is slope * s + level >= 0.
-            bound = -level / slope
+            tilted, level = self.edges[1][k][owner] * g, self.edges[2][k][owner]
+            # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
+            # the plane contains the whole row.
+            slack = ROUNDING * (np.abs(tilted) + np.abs(level))
+            bound = -(tilted + level + slack) / slope
             np.maximum(low, bound, out=low, where=slope > 0)
             np.minimum(high, bound, out=high, where=slope < 0)
         return self._clip(owner, row, low, high, pad)
@@ -192,15 +208,18 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     -------
     normals : three (6, n)
         In the same axes; directions d towards the box have d . normal >= 0.
-        All zero where there is no silhouette (apex inside).
+        Zero, which says nothing, where there is no silhouette (apex inside) or
+        an edge is so short, or so nearly end-on, that rounding has a say.
     """
     code = (apex > max_pt).astype(np.intp) - (apex < min_pt)
     region = (code + 1) @ np.array([9, 3, 1])
     every = np.arange(len(min_pt))
     start, end = _EDGE_START[region].T, _EDGE_END[region].T
-    a = [m[start, every] for m in corners]
-    b = [m[end, every] for m in corners]
+    a = each(lambda m: m[start, every], corners)
+    b = each(lambda m: m[end, every], corners)
     normal = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * dot(a, a) * dot(b, b)
+    normal = each(lambda n: np.where(doubtful, 0.0, n), normal)
     middle = [m.mean(axis=0) for m in corners]
     sign = np.where(dot(normal, (middle[0], middle[1], middle[2])) < 0, -1.0, 1.0)
     return sign * normal[0], sign * normal[1], sign * normal[2]

@@ -17,13 +17,16 @@ import numpy as np
 
 from tracer.camera import Raster
 from tracer.groups import Bools, Triple, each
-from tracer.pencil import expand
+from tracer.pencil import ROUNDING, expand
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Plane", "Shade", "shade_intervals"]
 
 # Rays are tried so many samples to either side of where an interval should end.
 _MARGIN = 2
+
+# Farther than so many radii from the light, a sphere's outline is left to single rays.
+_FAR = 1e4
 
 # Radii and planes are widened by this much, relatively, so that no sliver is lost.
 _SLACK = 1e-7
@@ -96,7 +99,7 @@ def shade_intervals(
     near, far = _extent(surfaces, others, plane, side)
     between = (far > -_SLACK * size) & (near < abs(light[plane.axis] - plane.level))
     others, near = others[between], near[between]
-    clear = (near > _SLACK * size) & _apart(surfaces, others, light)
+    clear = (near > _SLACK * size) & _clear(surfaces, others, light, silhouettes)
     # Rays from the light to the plane's points: base + s along, for each row.
     u, v, w = raster.axes
     height = plane.level - raster.eye[plane.axis]
@@ -157,15 +160,19 @@ def _extent(surfaces: Surfaces, others: Ints, plane: Plane, side: float) -> tupl
     )
 
 
-def _apart(surfaces: Surfaces, others: Ints, light: Floats) -> Bools:
-    """Whether the light is well outside of objects."""
+def _clear(surfaces: Surfaces, others: Ints, light: Floats, silhouettes: Triple) -> Bools:
+    """Whether objects' outlines from the light are beyond doubt: well outside, and all known."""
     spheres = len(surfaces.radius)
     balls, boxes = others[others < spheres], others[others >= spheres] - spheres
     distance = np.sqrt(((surfaces.center[balls] - light) ** 2).sum(axis=1))
+    radius, size = surfaces.radius[balls], np.abs(light).sum()
     gap = np.maximum(surfaces.min_pt[boxes] - light, light - surfaces.max_pt[boxes]).max(axis=1)
-    size = np.abs(light).sum()
+    known = np.any([n[:, boxes] != 0 for n in silhouettes], axis=0).all(axis=0)
     return np.concatenate(
-        [distance > (surfaces.radius[balls] + size * _SLACK) * (1 + _SLACK), gap > _SLACK * size]
+        [
+            (distance > (radius + size * _SLACK) * (1 + _SLACK)) & (distance < _FAR * radius),
+            (gap > _SLACK * size) & known,
+        ]
     )
 
 
@@ -175,9 +182,11 @@ def _located(plane: Plane, row: Ints, low: Floats, high: Floats) -> tuple[Ints, 
     least, most = plane.s.min(), plane.s.max()
     stride = 2 * (most - least) + 1
     key = plane.s - least + np.repeat(np.arange(plane.g.size) * stride, np.diff(plane.first))
-    width = most - least
-    start = np.searchsorted(key, row * stride + np.clip(low - least, 0, width))
-    stop = np.searchsorted(key, row * stride + np.clip(high - least, 0, width), side="right")
+    # An interval off one end must not be drawn onto the last sample there.
+    beside = 0.25 * (1 + most - least)
+    low, high = (np.clip(x - least, -beside, most - least + beside) for x in (low, high))
+    start = np.searchsorted(key, row * stride + low)
+    stop = np.searchsorted(key, row * stride + high, side="right")
     return start, stop
 
 
@@ -207,7 +216,9 @@ def _discs(base: Floats, along: Floats, center: Floats, radius: Floats) -> tuple
     # Behind the light; what is not a number there misses altogether.
     tangent = np.where(np.isfinite(left_end), left_end, right_end)
     miss = np.isnan(root) & ~open_ | ((ahead + tangent * drift <= 0) & ~open_)
-    inside = ((center * center).sum(axis=-1) <= radius2)[:, None] | (np.isnan(root) & open_)
+    distance2 = (center * center).sum(axis=-1)
+    unknown = (distance2 <= radius2) | (distance2 >= _FAR**2 * radius2)
+    inside = unknown[:, None] | (np.isnan(root) & open_)
     left_end = np.where(inside, -np.inf, np.where(miss, np.inf, left_end))
     right_end = np.where(inside, np.inf, np.where(miss, -np.inf, right_end))
     return left_end, right_end
@@ -221,6 +232,7 @@ def _wedges(base: Floats, along: Floats, normals: Triple) -> tuple[Floats, Float
         normal = np.column_stack([n[k] for n in normals])
         slope = np.broadcast_to((normal @ along)[:, None], shape)
         level = normal @ base.T
+        level += ROUNDING * (np.abs(normal) @ np.abs(base.T))
         bound = -level / slope
         np.maximum(low, bound, out=low, where=slope > 0)
         np.minimum(high, bound, out=high, where=slope < 0)
