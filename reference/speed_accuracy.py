@@ -46,7 +46,7 @@ Effort: TypeAlias = tuple[str, int]
 
 _SCALAR = "Mitsuba scalar, stock plugins"
 
-_SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal")
+_SAMPLERS = ("independent", "stratified", "multijitter")
 _LOOK_OF = {
     "this tracer": "tracer",
     "the same, uniform grid": "a",
@@ -136,40 +136,39 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
     return np.asarray(total) / side**2
 
 
-def _mitsuba(loaded: Any, samples: int, variant: str, sensor: int = 0) -> Task:
-    def task(_: int) -> Floats:
-        mi.set_variant(variant)
-        return np.array(mi.render(loaded, sensor=sensor, spp=samples), dtype=np.float64)
-
-    return task
+def _mitsuba(loaded: Any, samples: int, sensor: int = 0) -> Task:
+    return lambda _: np.array(mi.render(loaded, sensor=sensor, spp=samples), dtype=np.float64)
 
 
-def _warm_tasks(scene: Scene, rounds: int, quick: bool) -> dict[Effort, Task]:
-    """Rendering alone; round 0 renders the scene itself, the others copies of it."""
+def _scalar_timings(scene: Scene, rounds: int, quick: bool) -> dict[Effort, Timing]:
+    """The scalar variant, with stock plugins: it would spend all its time in Python ones."""
+    mi.set_variant(SCALAR)
+    loaded = rivals.mitsuba_stock(scene)
+    tasks = {(_SCALAR, 4**k): _mitsuba(loaded, 4**k) for k in range(3 if quick else 4)}
+    return interleaved(tasks, rounds)
+
+
+def _warm_tasks(scene: Scene, k: int, rounds: int) -> dict[Effort, Task]:
+    """Rendering alone, with 4^k samples; round 0 renders the scene itself, others copies of it."""
 
     def fresh(picture: Picture) -> Task:
         copies = [afresh(scene, k) for k in range(rounds + 1)]
         return lambda k: picture(copies[k])
 
     tasks: dict[Effort, Task] = {}
-    for k in range(3 if quick else 6):
-        tasks["this tracer", 4**k] = fresh(partial(render, samples=4**k))
-        if k < 5:
-            tasks["the same, uniform grid", 4**k] = fresh(partial(supersampled, side=2**k))
-        if k < 3:
-            tasks["all pairs, float32", 4**k] = fresh(partial(_all_pairs, side=2**k))
-    # The scalar variant would spend all its time in this project's Python plugins.
-    mi.set_variant(SCALAR)
-    stock = rivals.mitsuba_stock(scene)
-    mi.set_variant(LLVM)
-    loaded = rivals.mitsuba_exact(scene, _SAMPLERS)
-    for k in range(3 if quick else 5):
+    tasks["this tracer", 4**k] = fresh(partial(render, samples=4**k))
+    if k < 5:
+        tasks["the same, uniform grid", 4**k] = fresh(partial(supersampled, side=2**k))
+        # A loaded scene can be rendered with one number of samples only.
+        loaded = rivals.mitsuba_exact(scene, _SAMPLERS)
         for sensor, sampler in enumerate(_SAMPLERS):
-            # Orthogonal arrays come in squares of primes only.
-            samples = (2, 3, 5, 11, 17)[k] ** 2 if sampler == "orthogonal" else 4**k
-            tasks[f"Mitsuba LLVM, {sampler}", samples] = _mitsuba(loaded, samples, LLVM, sensor)
-        if k < 4:
-            tasks[_SCALAR, 4**k] = _mitsuba(stock, 4**k, SCALAR)
+            tasks[f"Mitsuba LLVM, {sampler}", 4**k] = _mitsuba(loaded, 4**k, sensor)
+        # Orthogonal arrays come in squares of primes.
+        loaded = rivals.mitsuba_exact(scene, ["orthogonal"])
+        samples = (2, 3, 5, 11, 17)[k] ** 2
+        tasks["Mitsuba LLVM, orthogonal", samples] = _mitsuba(loaded, samples)
+    if k < 3:
+        tasks["all pairs, float32", 4**k] = fresh(partial(_all_pairs, side=2**k))
     return tasks
 
 
@@ -209,16 +208,19 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
     """All methods on one scene, in turns."""
     rounds = 1 if quick else 3
     truth = converged(scene, 16 if quick else 64)
+    # Scenes of one variant do not outlive a switch to another.
+    scalar = _scalar_timings(scene, rounds, quick)
+    mi.set_variant(LLVM)
     errors: dict[Effort, float] = {}
-    warm = _warm_tasks(scene, rounds, quick)
-    for key, task in warm.items():
-        errors[key] = rmse(np.asarray(task(0)), truth)
-    for method, samples in warm:
-        if method == _SCALAR:
-            errors[method, samples] = errors["Mitsuba LLVM, multijitter", samples]
-    timings = interleaved({key: _later(task) for key, task in warm.items()}, rounds)
-    warm.clear()
-    gc.collect()
+    timings: dict[Effort, Timing] = {}
+    for k in range(3 if quick else 6):
+        gc.collect()
+        warm = _warm_tasks(scene, k, rounds)
+        errors |= {key: rmse(np.asarray(task(0)), truth) for key, task in warm.items()}
+        timings |= interleaved({key: _later(task) for key, task in warm.items()}, rounds)
+    for (_, samples), time in scalar.items():
+        timings[_SCALAR, samples] = time
+        errors[_SCALAR, samples] = errors["Mitsuba LLVM, multijitter", samples]
     if rivals.povray_installed():
         for threshold, depth in _ADAPTIVE[: 2 if quick else None]:
             key = ("POV-Ray, adaptive", 4**depth)
