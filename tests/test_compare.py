@@ -58,26 +58,32 @@ def without_shadows(full: tracer.Scene) -> NDArray[np.float64]:
         for k, surface in enumerate(full.surfaces)
     ]
     red, green, _ = np.moveaxis(
-        tracer.render(dataclasses.replace(full, lights=(eye_light,), surfaces=keys)), 2, 0
+        tracer.render(
+            dataclasses.replace(full, lights=(eye_light,), surfaces=tracer.Surfaces.of(keys))
+        ),
+        2,
+        0,
     )
     with np.errstate(invalid="ignore"):
         seen = np.round(count * green / (red + green))
     image = np.zeros((full.height, full.width, 3))
     for k, surface in enumerate(full.surfaces):
-        alone = tracer.render(dataclasses.replace(full, surfaces=[surface]))
+        alone = tracer.render(dataclasses.replace(full, surfaces=tracer.Surfaces.of([surface])))
         image[seen == k] = alone[seen == k]
     return image
 
 
-def reshaded(full: tracer.Scene, **change: object) -> NDArray[np.float64]:
-    """The picture with every Phong shader changed."""
+def without_highlights(full: tracer.Scene) -> NDArray[np.float64]:
+    """Every Phong shader's specular colour black."""
     surfaces = [
-        dataclasses.replace(surface, shader=dataclasses.replace(surface.shader, **change))
+        dataclasses.replace(
+            surface, shader=dataclasses.replace(surface.shader, specular=(0.0, 0.0, 0.0))
+        )
         if isinstance(surface.shader, tracer.Phong)
         else surface
         for surface in full.surfaces
     ]
-    return tracer.render(dataclasses.replace(full, surfaces=surfaces))
+    return tracer.render(dataclasses.replace(full, surfaces=tracer.Surfaces.of(surfaces)))
 
 
 def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -197,7 +203,7 @@ def test_missing_shadows(name: str) -> None:
 @pytest.mark.parametrize("name", ["four-spheres", "highlights", "sticks-shifted", "sunflower"])
 def test_missing_highlights(name: str) -> None:
     full = scene(name)
-    wrong, right = codes(reshaded(full, specular=(0.0, 0.0, 0.0))), codes(tracer.render(full))
+    wrong, right = codes(without_highlights(full)), codes(tracer.render(full))
     assert diagnose(wrong, right).kind == "missing highlight"
     assert diagnose(right, wrong).kind == "highlights"
 

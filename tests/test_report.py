@@ -207,7 +207,8 @@ class Browser:
             shown = np.asarray(image.convert("RGB"))
         rows = ((np.arange(HEIGHT) + 0.5) / HEIGHT * shown.shape[0]).astype(int)
         columns = ((np.arange(WIDTH) + 0.5) / WIDTH * shown.shape[1]).astype(int)
-        return shown[rows][:, columns]
+        middles: NDArray[np.uint8] = shown[rows][:, columns]
+        return middles
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
