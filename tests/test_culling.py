@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
+from tracer.camera import raster_of
 
 
 def assert_same(scene: Scene) -> None:
@@ -74,6 +76,32 @@ def scene(
         lights=(PointLight(position=light),),
         surfaces=Surfaces.of(surfaces),
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_zoomed_in_on_an_edge(kind: str) -> None:
+    # Again and again on the first pixel that differs from its neighbour: an outline or the
+    # edge of a shadow, in the end 10^7 times as large.
+    for seed in range(1 if kind == "crowd" else 4):
+        scene = random_scene(kind, seed, 160, 120)
+        for _ in range(6):
+            image = render(scene)
+            assert_same(scene)
+            jumps = np.abs(np.diff(image.sum(axis=2), axis=1))
+            row, column = np.unravel_index(jumps.argmax(), jumps.shape)
+            raster = raster_of(scene.camera, scene.width, scene.height)
+            x, y = np.array([column + 1.0]), np.array([row + 0.5])
+            local = np.array([raster.across(x)[0], raster.down(y)[0], raster.depth])
+            u, v, w = (local @ raster.axes).tolist()
+            camera = replace(
+                scene.camera,
+                view_dir=(u, v, w),
+                proj_normal=scene.camera.normal,
+                proj_distance=math.hypot(u, v, w),
+                view_width=scene.camera.view_width / 16,
+                view_height=scene.camera.view_height / 16,
+            )
+            scene = replace(scene, camera=camera)
 
 
 def test_no_objects() -> None:
