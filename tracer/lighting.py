@@ -17,6 +17,11 @@ from tracer.visibility import Hits
 __all__ = ["Keys", "Lighting", "lighting_of", "shade"]
 
 
+# On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
+# zero, and where it underflows.
+_SMOOTH, _FAINT, _DARK = 0.15, 3.0, 27.0
+
+
 @dataclass(frozen=True, slots=True)
 class Lighting:
     """The scene's lights, each with its pencil, and what they fall on.
@@ -71,6 +76,30 @@ class Keys:
     undecided: Bools
 
 
+def _bending(
+    lighting: Lighting, hits: Hits, index: Ints | slice, inverse: Floats, ray: Triple
+) -> Floats:
+    """How much the angle between normal and half vector may change, by length on the surface.
+
+    `inverse`: of the distance to the light; `ray`: towards the point.
+    """
+    surfaces = lighting.occluders.surfaces
+    bending = inverse + 1 / (hits.t[index] * np.sqrt(dot(ray, ray)))
+    if hits.face == 3:
+        bending = bending + 1 / surfaces.radius[select(hits.owner, index)]
+    return bending
+
+
+def _narrow(power: Floats, exponent: Floats, change: Floats) -> Bools:
+    """Whether a highlight may be within the change of angle, and narrow against it.
+
+    Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a.
+    """
+    scale = np.sqrt(exponent / 2)
+    off = np.minimum(np.sqrt(-np.log(power)), _DARK) / scale
+    return (change * scale > _SMOOTH) & ((off - change) * scale < _FAINT)
+
+
 def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
     """Radiance, three (n,), towards the eye; and `keys`, if asked for."""
     occluders, materials = lighting.occluders, lighting.materials
@@ -122,6 +151,9 @@ def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
                 scaled(ray, -1 / np.sqrt(dot(ray, ray))),
                 materials.exponent[material],
             )
+            if keys:
+                change = keys.footprint[shiny] * _bending(lighting, hits, shiny, inverse[at], ray)
+                keys.undecided[shiny] |= _narrow(power, materials.exponent[material], change)
             for k in range(3):
                 radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
     return radiance

@@ -112,15 +112,17 @@ def shade_intervals(
     base = base + middle[:, None] * along
 
     balls, boxes = others[others < spheres], others[others >= spheres] - spheres
-    low, high = np.empty((2, others.size, rows))
-    low[: balls.size], high[: balls.size] = _discs(
-        base, along, surfaces.center[balls] - light, surfaces.radius[balls]
-    )
-    low[balls.size :], high[balls.size :] = _wedges(
-        base, along, each(lambda n: n[:, boxes], silhouettes)
+    center, radius = surfaces.center[balls] - light, surfaces.radius[balls]
+    wedges = _wedges(base, along, each(lambda n: n[:, boxes], silhouettes))
+    # Spheres a little larger for what may be shaded, a little smaller for what is for certain.
+    (low, high), (low_sure, high_sure) = (
+        [
+            (np.concatenate([ball, box]) + middle).ravel()
+            for ball, box in zip(_discs(base, along, center, size), wedges, strict=True)
+        ]
+        for size in (radius * (1 + _SLACK), radius * (1 - _SLACK))
     )
     before = np.repeat(clear, rows)
-    low, high = (low + middle).ravel(), (high + middle).ravel()
     row = np.tile(np.arange(rows), others.size)
     occluder = np.repeat(np.concatenate([balls, boxes + spheres]), rows)
     hit = np.flatnonzero(low <= high)
@@ -128,11 +130,12 @@ def shade_intervals(
     start, stop = _located(plane, row, low[hit], high[hit])
     begin, end = plane.first[row], plane.first[row + 1]
     outer = np.maximum(start - _MARGIN, begin), np.minimum(stop + _MARGIN, end)
+    start, stop = _located(plane, row, low_sure[hit], high_sure[hit])
     inner = (
         np.where(start > begin, start + _MARGIN, start),
         np.where(stop < end, stop - _MARGIN, stop),
     )
-    solid = before & (inner[0] < inner[1])
+    solid = before & (low_sure <= high_sure)[hit] & (inner[0] < inner[1])
     edge = np.zeros(plane.s.size + 1, dtype=np.intp)
     np.add.at(edge, inner[0][solid], 1)
     np.add.at(edge, inner[1][solid], -1)
@@ -195,7 +198,7 @@ def _discs(base: Floats, along: Floats, center: Floats, radius: Floats) -> tuple
 
     A ray q grazes where |m x q| = r |q|: a quadratic in s.
     """
-    radius2 = (radius * (1 + _SLACK)) ** 2
+    radius2 = radius**2
     turned = np.cross(center[:, None, :], base)
     turn = np.cross(center, along)
     a = (turn * turn).sum(axis=-1) - radius2 * (along @ along)

@@ -9,6 +9,7 @@ the intervals of its picture rows.  Both end in the same exact test.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,15 +150,29 @@ class LightPencil:
         smaller by as much, has the edge of its shadow there.
         """
         result = np.zeros(footprint.size, dtype=np.bool_)
-        point, other = self._candidates(points)
+        point, other = self._candidates(points, footprint)
         may = self._blocks(occluders, points, point, other, footprint[point])
         point, other = point[may], other[may]
         must = self._blocks(occluders, points, point, other, -footprint[point])
         result[point[~must]] = True
         return result
 
-    def _candidates(self, points: Points) -> tuple[Ints, Ints]:
-        """Pairs (point, object) that the cells do not rule out."""
+    def _candidates(self, points: Points, footprint: Floats | None = None) -> tuple[Ints, Ints]:
+        """Pairs (point, object) that the cells do not rule out.
+
+        With a footprint (n,), also those of cells as far away as that.
+        """
+        if footprint is not None:
+            pairs = [self._candidates(points)]
+            for signs in product((-1.0, 1.0), repeat=3):
+                x, y, z = (
+                    d + sign * footprint for d, sign in zip(points.to_light, signs, strict=True)
+                )
+                pairs.append(self._candidates(Points(points.hits, points.facing, (x, y, z))))
+            point, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            # Each pair once.
+            pair = np.unique(point * len(self.side) + other)
+            return np.divmod(pair, len(self.side))
         own = points.own
         asked = ~self.cells.safe[own]
         if not asked.any():
@@ -215,6 +230,8 @@ class LightPencil:
             (high[:, 0], high[:, 1], high[:, 2]),
             tolerance[at],
         )
+        # A box smaller than nothing is none.
+        result[at] &= (low <= high).all(axis=1)
         return result
 
 
