@@ -26,7 +26,7 @@ __all__ = ["render", "render_bands"]
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-_BAND_PIXELS = 1 << 16
+_BAND_PIXELS = 3 << 15
 _BANDS_WORTH_THREADS = 4
 
 
