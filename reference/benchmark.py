@@ -2,7 +2,8 @@
 
     python -m reference.benchmark [--quick]
 
-writes `benchmark.md` and `benchmark.csv` into this folder.  What is compared is
+writes `benchmark.md` and `benchmark.csv` into this folder, and the tables that the
+README quotes into the README.  What is compared is
 run in turns, so that a machine that is busy for a while slows down all alike;
 times are medians, with the fastest and the slowest behind.  The tracer renders
 fresh scenes, each once; Mitsuba renders one scene again and again, its kernels
@@ -421,7 +422,7 @@ def tables(*, quick: bool) -> Iterator[Table]:
     """All tables, as they are measured."""
     BUILD.mkdir(exist_ok=True)
     mi.set_log_level(mi.LogLevel.Error)
-    rounds = 2 if quick else 5
+    rounds = 2 if quick else 3
     sections: list[Section] = [
         whole_process,
         warm,
@@ -434,6 +435,17 @@ def tables(*, quick: bool) -> Iterator[Table]:
         sections.append(limit)
     for section in sections:
         yield section(rounds, quick)
+
+
+def quote(readme: str, where: str, found: list[Table]) -> str:
+    """The README's text with tables between its benchmark marks."""
+    begin, end = "<!-- benchmark:begin -->\n", "<!-- benchmark:end -->"
+    before, rest = readme.split(begin)
+    # One heading level deeper than in the report.
+    quoted = "\n".join("#" + table.markdown() for table in found)
+    after = rest.split(end)[1]
+    made = f"Measured by `python -m reference.benchmark` on {where}.\n"
+    return f"{before}{begin}{made}\n{quoted}\n{end}{after}"
 
 
 def main() -> None:
@@ -453,6 +465,10 @@ def main() -> None:
     head = f"# Benchmark\n\nMade by `python -m reference.benchmark` on {where}.\n"
     report = "\n".join([head, *(table.markdown() for table in found)])
     (HERE / "benchmark.md").write_text(report, encoding="utf-8")
+    if not quick:
+        readme = HERE.parent / "README.md"
+        text = quote(readme.read_text(encoding="utf-8"), where, [found[0], found[2], found[-2]])
+        readme.write_text(text, encoding="utf-8")
     records = (record for table in found for record in table.records())
     write_csv("benchmark", where, ("table", "row", "column", "value", "low", "high"), records)
 
