@@ -518,21 +518,20 @@ def test_unreadable(tmp_path):
     path.write_text(f"<scene>{EMPTY}</scene>")
     path.chmod(0)
     script = f"""
-import os, tracer
+import os
+from tracer import SceneFileError, load_scene
+os.chdir({str(tmp_path)!r})
 if os.geteuid() == 0:
     os.setuid(65534)
 try:
-    tracer.load_scene({path.name!r})
-except tracer.SceneFileError as error:
+    load_scene({path.name!r})
+except SceneFileError as error:
     print(error)
 """
     # The folders above the file may be closed to others: start inside, with modules loaded.
     tmp_path.chmod(0o755)
     process = subprocess.run(
-        [sys.executable, "-c", f"import os, tracer\nos.chdir({str(tmp_path)!r})\n{script}"],
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     fault = "secret.xml: cannot be read: Permission denied; check the path and its permissions\n"
     assert process.stdout == fault

@@ -20,6 +20,7 @@ from PIL import Image
 
 import tracer
 from tracer import __main__ as command_line
+from tracer.image import quantise
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
@@ -66,7 +67,7 @@ def test_a_picture_is_written_beside_its_scene(scene):
     assert (done.returncode, done.stderr) == (0, "")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
     with Image.open(f"{scene}.png") as picture:
-        expected = tracer.image.quantise(tracer.render(tracer.load_scene(scene)))
+        expected = quantise(tracer.render(tracer.load_scene(scene)))
         assert (np.asarray(picture) == expected).all()
         assert expected.max() > 0
 
@@ -104,7 +105,7 @@ def test_output_folder(scene, made):
 def test_samples_and_threads(scene):
     assert run(scene, "--samples", 4, "--threads", 2).returncode == 0
     with Image.open(f"{scene}.png") as picture:
-        expected = tracer.image.quantise(tracer.render(tracer.load_scene(scene), samples=4))
+        expected = quantise(tracer.render(tracer.load_scene(scene), samples=4))
         assert (np.asarray(picture) == expected).all()
 
 
@@ -201,7 +202,7 @@ def test_what_cannot_be_written(scene, output, reason):
 def test_too_little_memory(scene, tmp_path):
     scene.write_text(SCENE.format(2**28, 1))  # one row is one band
     limited = (
-        "import resource, sys\n"
+        "import resource, sys, tracer.render\n"
         "from tracer.__main__ import main\n"
         # The modules are loaded: from here on, 64 MB more than there is in use.
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
@@ -221,7 +222,9 @@ def test_too_little_memory(scene, tmp_path):
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
-        command_line, "render_bands", lambda *_, **__: iter([np.full((30, 40, 3), np.nan)])
+        sys.modules["tracer.render"],
+        "render_bands",
+        lambda *_, **__: iter([np.full((30, 40, 3), np.nan)]),
     )
     assert command_line.main([str(scene)]) == 1
     assert capsys.readouterr().err.startswith(f"{scene}.png: cannot be written: an image must not")
@@ -252,6 +255,36 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     assert (process.returncode, out, err) == (130, "", "")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
     assert picture.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_numpy_is_imported(scene, kind):
+    process = subprocess.Popen(
+        command(scene), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+    )
+    loaded = Path(f"/proc/{process.pid}/maps")
+    while "_multiarray_umath" not in loaded.read_text():
+        assert process.poll() is None
+    process.send_signal(kind)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (130, "", "")
+    assert names(scene.parent) == ["ball.xml"]
+
+
+def test_an_interrupt_that_the_shell_ignores(scene):
+    """As of a command in the background of a script."""
+    process = subprocess.Popen(
+        command(scene, "--quiet"),
+        env=ENVIRONMENT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    deadline = time.monotonic() + 30
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert process.returncode == 0
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
 def test_no_one_reads_the_output(scene):
@@ -338,6 +371,20 @@ def test_a_slow_picture_shows_none_where_there_is_no_terminal(scene, monkeypatch
     monkeypatch.setattr(command_line, "perf_counter", iter(range(100)).__next__)
     assert command_line.main([str(scene)]) == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], [], ["ball.xml", "--samples", "0"]]
+)
+def test_what_draws_nothing_does_not_wait_for_numpy(arguments):
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *command(*arguments)[1:]],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+    )
+    assert "argparse" in done.stderr
+    assert "numpy" not in done.stderr
 
 
 @pytest.mark.parametrize("module", ["tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"])

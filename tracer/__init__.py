@@ -5,21 +5,27 @@
 >>> tracer.write_png("one-sphere.png", tracer.render(scene))
 """
 
-from tracer.image import write_png
-from tracer.reader import SceneFileError, load_scene
-from tracer.render import render
-from tracer.scene import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    PointLight,
-    Scene,
-    SceneError,
-    Shader,
-    Sphere,
-    Surfaces,
-)
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tracer.image import write_png
+    from tracer.reader import SceneFileError, load_scene
+    from tracer.render import render
+    from tracer.scene import (
+        Box,
+        Camera,
+        Lambertian,
+        Phong,
+        PointLight,
+        Scene,
+        SceneError,
+        Shader,
+        Sphere,
+        Surfaces,
+    )
 
 __all__ = [
     "Box",
@@ -39,3 +45,32 @@ __all__ = [
 ]
 
 __version__ = "1.0.0"
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        """Import what is public when it is first used: `python -m tracer` begins before NumPy."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        module = _MODULES.get(name, "tracer.scene")
+        value = globals()[name] = getattr(import_module(module), name)
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
+    _MODULES = {
+        "SceneFileError": "tracer.reader",
+        "load_scene": "tracer.reader",
+        "render": "tracer.render",
+        "write_png": "tracer.image",
+    }
+
+    class _Package(ModuleType):
+        """Keeps `tracer.render` the function where the module of that name is imported, too."""
+
+        def __setattr__(self, name: str, value: object) -> None:
+            if name != "render" or not isinstance(value, ModuleType):
+                super().__setattr__(name, value)
+
+    sys.modules[__name__].__class__ = _Package

@@ -1,4 +1,8 @@
-"""The command line: `python -m tracer SCENE.xml [SCENE.xml ...]`."""
+"""The command line: `python -m tracer SCENE.xml [SCENE.xml ...]`.
+
+NumPy takes longer to import than a small picture to render.  What needs it is imported where it
+is used, so that `run` comes before it, and `--help` and wrong usage do without.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from time import perf_counter
-from typing import NoReturn, TextIO
+from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from tracer import __version__
-from tracer.image import write_bands
-from tracer.reader import SceneFileError, load_scene, printable
-from tracer.render import render_bands
-from tracer.scene import Floats
+
+if TYPE_CHECKING:
+    from tracer.scene import Floats
 
 __all__ = ["main", "run"]
 
@@ -61,6 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         outputs = _outputs(arguments.scenes, arguments.output)
     except ValueError as error:
+        from tracer.reader import printable
+
         parser.error(printable(str(error)))
     try:
         failures = 0
@@ -151,6 +156,10 @@ def _is_folder(path: str) -> bool:
 
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
+    from tracer.image import write_bands
+    from tracer.reader import SceneFileError, load_scene, printable
+    from tracer.render import render_bands
+
     start = perf_counter()
     shown = printable(output)
     try:
@@ -215,11 +224,20 @@ def _say(stream: TextIO | None, text: str) -> None:
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
-    # Being terminated is to leave nothing half-written either.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as it is in the background of a script
+            signal.signal(number, _interrupted)
     # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())
+
+
+def _interrupted(_number: int, _frame: object) -> None:
+    """Leave, with nothing half-written."""
+    # NumPy, while it is imported, takes an exception for a fault of its own.
+    if "tracer.render" not in sys.modules:
+        os._exit(130)
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":
