@@ -227,6 +227,9 @@ def run() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:  # as it is in the background of a script
             signal.signal(number, _interrupted)
+    # Nothing here multiplies matrices that are worth a thread; starting it would take as long as
+    # rendering a small picture.  Read when NumPy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())
