@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from pathlib import Path
 from xml.etree import ElementTree
@@ -208,6 +209,16 @@ def test_surfaces_take_little_memory(tmp_path):
     # 32 bytes of numbers, 8 each of shader and place, 16 of line numbers; arrays grow in
     # steps and are copied once into the scene: under 2 x 64 bytes a surface, and the buffers.
     assert peak < 20_000 * 128 + 2**20
+
+
+def test_nothing_is_left_for_the_garbage_collector(scene_of):
+    gc.collect()
+    gc.disable()
+    try:
+        scene_of(EMPTY + '<surface type="Sphere"/>')
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
 
 
 def test_a_hundred_thousand_surfaces_take_little_time(tmp_path):

@@ -7,6 +7,7 @@ is used, so that `run` comes before it, and `--help` and wrong usage do without.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import signal
 import sys
@@ -230,6 +231,8 @@ def run() -> NoReturn:
     # Nothing here multiplies matrices that are worth a thread; starting it would take as long as
     # rendering a small picture.  Read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Importing makes objects by the ten thousand, all of them to stay: seldom look for garbage.
+    gc.set_threshold(50_000)
     # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())

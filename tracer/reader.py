@@ -324,6 +324,8 @@ class _Reader:
             )
         except (LookupError, ValueError):  # of the codec that the file asks for
             self.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
+        finally:
+            del self.parser  # it holds this reader by its handlers: a cycle
 
     def remedy(self, code: int, file: IO[bytes]) -> str:
         """What would make it XML."""
