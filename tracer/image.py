@@ -8,6 +8,7 @@ when it is whole: whatever goes wrong before leaves what was there untouched.
 from __future__ import annotations
 
 import errno
+import math
 import os
 import stat
 import struct
@@ -31,18 +32,19 @@ _BLOCK = 1 << 15
 def _reaches(x: float, code: int) -> bool:
     """Whether 255 x^(1/2.2) >= code - 1/2, decided in whole numbers.
 
-    1/2.2 is 5/11, so both sides may be raised to the 11th power.
+    1/2.2 is 5/11, so both sides may be raised to the 11th power; from 2^-20
+    on, every float64 is a multiple of 2^-72.
     """
-    numerator, denominator = x.as_integer_ratio()
-    return numerator**5 * 510**11 >= (2 * code - 1) ** 11 * denominator**5
+    return int(x * 2.0**72) ** 5 * 510**11 >= (2 * code - 1) ** 11 << 5 * 72
 
 
 def _threshold(code: int) -> float:
     """The least float64 whose code is `code` or more."""
-    x: float = ((code - 0.5) / 255) ** 2.2
+    root = (code - 0.5) / 255
+    x: float = root**2 * root**0.2  # closer than root**2.2: 0.2 has the smaller rounding error
     while not _reaches(x, code):
-        x = float(np.nextafter(x, 1))
-    while _reaches(below := float(np.nextafter(x, 0)), code):
+        x = math.nextafter(x, 1)
+    while _reaches(below := math.nextafter(x, 0), code):
         x = below
     return x
 
