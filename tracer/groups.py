@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tracer.scene import Floats, Ints
 
-__all__ = ["Bools", "Index", "Triple", "dot", "each", "pick", "scaled", "select", "spread", "where"]
+__all__ = ["Bools", "Index", "Triple", "dot", "each", "pick", "runs", "scaled", "select", "spread", "where"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
@@ -71,3 +71,11 @@ def where(mask: Bools) -> Ints | slice:
     """Index of the elements where the mask holds: a slice, if that is everywhere."""
     index = np.flatnonzero(mask)
     return slice(None) if index.size == mask.size else index
+
+
+def runs(start: Ints, counts: Ints) -> Ints:
+    """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
+    skip = start - (np.cumsum(counts) - counts)
+    places: Ints = np.repeat(skip, counts)
+    places += np.arange(places.size)
+    return places

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, dot, each
+from tracer.groups import Bools, Triple, dot, each, pick
 from tracer.scene import Floats
 
 __all__ = [
@@ -23,12 +23,18 @@ __all__ = [
     "SURFACE_TOLERANCE",
     "box_blocks",
     "box_hit",
+    "box_meets_capsule",
     "sphere_blocks",
+    "sphere_crosses",
     "sphere_hit",
+    "sphere_meets_capsule",
     "sphere_side",
 ]
 
 OUTSIDE, ON, INSIDE = 1, 0, -1
+
+# Any number next to nothing, whose inverse is finite.
+_LEAST = 1e-300
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 """A point this near to a surface, relative to the sizes that went into it, is
@@ -123,6 +129,19 @@ def sphere_side(distance: Floats, radius: Floats, tolerance: Floats) -> NDArray[
     return side
 
 
+def sphere_crosses(to_light: Triple, to_center: Triple, radius: Floats) -> Bools:
+    """Whether spheres cross the segments from points to a light, both ends well outside them.
+
+    The closest approach lies between the ends, within the sphere.
+    """
+    b = dot(to_center, to_light)
+    length2 = dot(to_light, to_light)
+    t = b / length2
+    offset = each(lambda c, d: c - t * d, to_center, to_light)
+    crosses: Bools = (dot(offset, offset) < radius * radius) & (b > 0) & (b < length2)
+    return crosses
+
+
 def sphere_blocks(
     to_light: Triple,
     to_center: Triple,
@@ -145,20 +164,15 @@ def sphere_blocks(
         Whether the point is seen from inside the sphere: then what is on the
         surface is on its inner side.
     """
-    b = dot(to_center, to_light)
-    length2 = dot(to_light, to_light)
-    t = b / length2
-    offset = each(lambda c, d: c - t * d, to_center, to_light)
-    crosses = dot(offset, offset) < radius * radius
+    blocked = sphere_crosses(to_light, to_center, radius)
     side = sphere_side(np.sqrt(dot(to_center, to_center)), radius, tolerance)
-    # Both ends outside: the closest approach lies between them, within the sphere.
-    blocked = crosses & (b > 0) & (b < length2)
     differ = side * light_side
     odd = np.flatnonzero(((side & light_side) != OUTSIDE) | (differ <= 0))
     if odd.size:
         side, light = side[odd], light_side[odd]
         inner = eye_inside[odd]
-        b, length2 = b[odd], length2[odd]
+        to_light, to_center = pick(to_light, odd), pick(to_center, odd)
+        b, length2 = dot(to_center, to_light), dot(to_light, to_light)
         blocked[odd] = np.where(
             side == ON,
             np.where(inner, (b < 0) | (light == OUTSIDE), b > 0),
@@ -200,3 +214,41 @@ def _snap(x: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
     if on_low.any() or on_high.any():
         return np.where(on_low, low, np.where(on_high, high, x))
     return x
+
+
+def sphere_meets_capsule(
+    start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
+) -> Bools:
+    """Whether the surfaces of spheres come nearer than `thickness` to segments."""
+    d = each(np.subtract, end, start)
+    to_center = each(np.subtract, center, start)
+    # Not a number for a segment that is a point.
+    t = np.fmin(np.fmax(dot(to_center, d) / dot(d, d), 0), 1)
+    offset = each(lambda c, x: c - t * x, to_center, d)
+    to_end = each(np.subtract, to_center, d)
+    farthest = np.maximum(dot(to_center, to_center), dot(to_end, to_end))
+    reach, inner = radius + thickness, np.maximum(radius - thickness, 0)
+    meets: Bools = (dot(offset, offset) <= reach * reach) & (farthest >= inner * inner)
+    return meets
+
+
+def box_meets_capsule(
+    start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
+) -> Bools:
+    """Whether the surfaces of boxes may come nearer than `thickness` to segments."""
+    # Of a box that is larger by as much, there is a part between the ends ...
+    enter: Floats = np.zeros(())
+    leave: Floats = np.ones(())
+    # ... and one that is smaller by as much does not hold both.
+    held: Bools = np.ones((), dtype=np.bool_)
+    for k in range(3):
+        d = end[k] - start[k]
+        # Nearly parallel in place of parallel: no quotient is 0 / 0.
+        inverse = 1 / (d + (d == 0) * _LEAST)
+        below, above = low[k] - start[k], high[k] - start[k]
+        a, b = (below - thickness) * inverse, (above + thickness) * inverse
+        enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
+        least, most = np.minimum(d, 0), np.maximum(d, 0)
+        held = held & (below + thickness < least) & (above - thickness > most)
+    meets: Bools = (enter <= leave) & ~held
+    return meets

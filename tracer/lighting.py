@@ -44,7 +44,7 @@ class Lighting:
 def lighting_of(scene: Scene, raster: Raster, eye_inside: Bools, seen: Bools) -> Lighting:
     """Prepare a scene's lights; of its objects, `seen` (n,) may be in the picture."""
     surfaces = scene.surfaces
-    occluders = occluders_of(raster, surfaces, eye_inside, seen)
+    occluders = occluders_of(raster.eye, surfaces, eye_inside, seen)
     return Lighting(
         tuple(
             (light_pencil(light.position, occluders), np.array(light.intensity))
@@ -126,7 +126,7 @@ def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
         lit = where(facing)
         to_light = pick(to_light, lit)
         points = Points(hits, lit, to_light)
-        blocked = light.blocked(occluders, points, by_rows=keys is None)
+        blocked = light.blocked(occluders, points)
         if keys:
             keys.undecided[lit] |= light.grazed(occluders, points, keys.footprint[lit])
         if blocked.any():

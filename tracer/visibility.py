@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, dot, select, spread
+from tracer.groups import Bools, Index, Triple, dot, runs, select, spread
 from tracer.intersection import box_hit, sphere_hit
 from tracer.pencil import Outlines, Spans
-from tracer.planar import Plane
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Hits", "Samples", "View", "grid", "visible"]
@@ -23,7 +22,7 @@ _PAD = 0.5
 _CLOSE = 8.0
 
 # From so many samples on, an object is worth arrays of its own, with its data as numbers.
-_LARGE = 1024
+_LARGE = 16384
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +100,7 @@ class Hits:
 
     Attributes
     ----------
+    samples : Samples
     sample : (n,)
         Which sample.
     owner
@@ -112,10 +112,11 @@ class Hits:
     direction, p, n : three each
         The ray's direction (not normalised), the point, put back onto the
         surface, and the unit normal towards the eye.
-    plane : Plane, optional
-        The samples' rows on the plane of a large box's face.
+    first : (runs + 1,)
+        Where each run begins: neighbouring samples of one row that see one object.
     """
 
+    samples: Samples
     sample: Ints
     owner: Index
     face: int
@@ -123,7 +124,7 @@ class Hits:
     direction: Triple
     p: Triple
     n: Triple
-    plane: Plane | None = None
+    first: Ints
 
 
 def visible(view: View, samples: Samples, close: Bools | None = None) -> list[Hits]:
@@ -170,6 +171,7 @@ class _Fragments:
     axis: Ints
     t: Floats
     direction: Triple
+    first: Ints
 
     def where(self, mask: Bools) -> _Fragments:
         """Those where the mask holds."""
@@ -184,6 +186,7 @@ class _Fragments:
             self.axis if self.sphere else self.axis[index],
             self.t[index],
             (x[index], y[index], z[index]),
+            np.searchsorted(index, self.first),
         )
 
 
@@ -235,7 +238,7 @@ def _sphere_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
         aside = (v * raster.depth - w * g) / hypot
         ahead = (v * g + w * raster.depth) / hypot
         chord2 = (radius - aside) * (radius + aside)
-        sample = _runs(start[span], many)
+        sample = runs(start[span], many)
         s = raster.across(samples.x[sample])
         t = sphere_hit(
             s,
@@ -246,7 +249,7 @@ def _sphere_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
             spread(lines.power[owner], many),
         )
         d = _directions(raster, s, g, many)
-        yield _Fragments(True, sample, spread(owner, many), sample, t, d)
+        yield _Fragments(True, sample, spread(owner, many), sample, t, d, _first(many))
 
 
 def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
@@ -256,7 +259,7 @@ def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
     eye = raster.eye.tolist()
     for owner, span in _groups(spans, counts, len(surfaces.min_pt)):
         many = counts[span]
-        sample = _runs(start[span], many)
+        sample = runs(start[span], many)
         g = raster.down(samples.y[spans.row[span]])
         d = _directions(raster, raster.across(samples.x[sample]), g, many)
         t, axis = box_hit(
@@ -264,7 +267,7 @@ def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
             _seen_from(eye, surfaces.min_pt[owner], many),
             _seen_from(eye, surfaces.max_pt[owner], many),
         )
-        yield _Fragments(False, sample, spread(owner, many), axis, t, d)
+        yield _Fragments(False, sample, spread(owner, many), axis, t, d, _first(many))
 
 
 def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
@@ -273,12 +276,9 @@ def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
     return x, y, z
 
 
-def _runs(start: Ints, counts: Ints) -> Ints:
-    """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
-    skip = start - (np.cumsum(counts) - counts)
-    runs: Ints = np.repeat(skip, counts)
-    runs += np.arange(runs.size)
-    return runs
+def _first(counts: Ints) -> Ints:
+    """Where each of some runs begins, and where the last ends."""
+    return np.concatenate([[0], np.cumsum(counts)])
 
 
 def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
@@ -307,6 +307,7 @@ def _sphere_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
         n = [flip * normal for normal in n]
     return [
         Hits(
+            samples,
             group.sample,
             owner,
             3,
@@ -314,6 +315,7 @@ def _sphere_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
             group.direction,
             (p[0], p[1], p[2]),
             (n[0], n[1], n[2]),
+            group.first,
         )
     ]
 
@@ -337,11 +339,9 @@ def _box_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
             p = [eye[k] + part.t * d for k, d in enumerate(part.direction)]
             p[axis] = np.where(inside == (sign > 0), low, high)
             n = [np.asarray(sign if k == axis else 0.0) for k in range(3)]
-            plane = None
-            if not np.ndim(owner) and part.t.size >= _LARGE:
-                plane = _plane(view.raster, samples, part.sample, axis, float(p[axis]))
             hits.append(
                 Hits(
+                    samples,
                     part.sample,
                     owner,
                     axis,
@@ -349,19 +349,8 @@ def _box_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
                     part.direction,
                     (p[0], p[1], p[2]),
                     (n[0], n[1], n[2]),
-                    plane,
+                    part.first,
                 )
             )
     return hits
 
-
-def _plane(raster: Raster, samples: Samples, sample: Ints, axis: int, level: float) -> Plane:
-    row = samples.row[sample]
-    first = np.flatnonzero(np.diff(row, prepend=-1))
-    return Plane(
-        axis,
-        level,
-        raster.across(samples.x[sample]),
-        raster.down(samples.y[row[first]]),
-        np.append(first, row.size),
-    )
