@@ -373,6 +373,20 @@ def test_a_slow_picture_shows_none_where_there_is_no_terminal(scene, monkeypatch
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_no_threads_are_started_that_no_one_asked_for(given, threads):
+    script = (
+        "import os\nfrom tracer import __main__ as command_line\n"
+        "def main():\n    print(os.environ['OPENBLAS_NUM_THREADS'], flush=True)\n    return 0\n"
+        "command_line.main = main\ncommand_line.run()"
+    )
+    environment = {k: v for k, v in ENVIRONMENT.items() if k != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment | given
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{threads}\n", "")
+
+
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["--version"], [], ["ball.xml", "--samples", "0"]]
 )

@@ -47,18 +47,7 @@ __all__ = [
 __version__ = "1.0.0"
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        """Import what is public when it is first used: `python -m tracer` begins before NumPy."""
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module = _MODULES.get(name, "tracer.scene")
-        value = globals()[name] = getattr(import_module(module), name)
-        return value
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
-
+    # Imported when it is first used, so that `python -m tracer` begins before NumPy is there.
     _MODULES = {
         "SceneFileError": "tracer.reader",
         "load_scene": "tracer.reader",
@@ -66,10 +55,19 @@ if not TYPE_CHECKING:
         "write_png": "tracer.image",
     }
 
-    class _Package(ModuleType):
-        """Keeps `tracer.render` the function where the module of that name is imported, too."""
+    def __getattr__(name: str) -> object:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        module = import_module(_MODULES.get(name, "tracer.scene"))
+        value = globals()[name] = getattr(module, name)
+        return value
 
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
+    class _Package(ModuleType):
         def __setattr__(self, name: str, value: object) -> None:
+            # Importing the module `tracer.render` would put it in the place of the function.
             if name != "render" or not isinstance(value, ModuleType):
                 super().__setattr__(name, value)
 
