@@ -21,13 +21,13 @@ __all__ = [
     "ON",
     "OUTSIDE",
     "SURFACE_TOLERANCE",
+    "box_and_capsule",
     "box_blocks",
     "box_hit",
-    "box_meets_capsule",
+    "sphere_and_capsule",
     "sphere_blocks",
     "sphere_crosses",
     "sphere_hit",
-    "sphere_meets_capsule",
     "sphere_side",
 ]
 
@@ -216,39 +216,47 @@ def _snap(x: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
     return x
 
 
-def sphere_meets_capsule(
+def sphere_and_capsule(
     start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
-) -> Bools:
-    """Whether the surfaces of spheres come nearer than `thickness` to segments."""
+) -> tuple[Bools, Bools]:
+    """Whether spheres meet, and whether they cut, all that is as near as `thickness` to segments.
+
+    What is not met blocks no segment between the balls around both ends.  What
+    is cut blocks all of them: somewhere it holds the capsule's full section,
+    and both ends are outside.
+    """
     d = each(np.subtract, end, start)
     to_center = each(np.subtract, center, start)
+    along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
     # Not a number for a segment that is a point.
-    t = np.fmin(np.fmax(dot(to_center, d) / dot(d, d), 0), 1)
+    t = np.fmin(np.fmax(along / length2, 0), 1)
     offset = each(lambda c, x: c - t * x, to_center, d)
-    to_end = each(np.subtract, to_center, d)
-    farthest = np.maximum(dot(to_center, to_center), dot(to_end, to_end))
-    reach, inner = radius + thickness, np.maximum(radius - thickness, 0)
-    meets: Bools = (dot(offset, offset) <= reach * reach) & (farthest >= inner * inner)
-    return meets
+    offset2, to_end2 = dot(offset, offset), distance2 - 2 * along + length2
+    outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
+    meets = (offset2 <= outer) & (np.maximum(distance2, to_end2) >= inner)
+    cuts = (offset2 < inner) & (distance2 > outer) & (to_end2 > outer)
+    return meets, cuts
 
 
-def box_meets_capsule(
+def box_and_capsule(
     start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
-) -> Bools:
-    """Whether the surfaces of boxes may come nearer than `thickness` to segments."""
-    # Of a box that is larger by as much, there is a part between the ends ...
-    enter: Floats = np.zeros(())
-    leave: Floats = np.ones(())
-    # ... and one that is smaller by as much does not hold both.
+) -> tuple[Bools, Bools]:
+    """The same for boxes."""
+    # Parts of the segment in a box that is larger by as much, and in one that is smaller.
+    enter, leave = -np.inf, np.inf
+    enter_inner, leave_inner = -np.inf, np.inf
     held: Bools = np.ones((), dtype=np.bool_)
     for k in range(3):
         d = end[k] - start[k]
         # Nearly parallel in place of parallel: no quotient is 0 / 0.
         inverse = 1 / (d + (d == 0) * _LEAST)
-        below, above = low[k] - start[k], high[k] - start[k]
-        a, b = (below - thickness) * inverse, (above + thickness) * inverse
-        enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
-        least, most = np.minimum(d, 0), np.maximum(d, 0)
-        held = held & (below + thickness < least) & (above - thickness > most)
-    meets: Bools = (enter <= leave) & ~held
-    return meets
+        margin = thickness * np.abs(inverse)
+        a, b = (low[k] - start[k]) * inverse, (high[k] - start[k]) * inverse
+        near, far = np.minimum(a, b), np.maximum(a, b)
+        enter, leave = np.maximum(enter, near - margin), np.minimum(leave, far + margin)
+        near, far = near + margin, far - margin
+        enter_inner, leave_inner = np.maximum(enter_inner, near), np.minimum(leave_inner, far)
+        held = held & (near < 0) & (far > 1)
+    meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~held
+    cuts = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
+    return meets, cuts

@@ -27,10 +27,10 @@ from tracer.intersection import (
     OUTSIDE,
     SURFACE_TOLERANCE,
     box_blocks,
-    box_meets_capsule,
+    box_and_capsule,
     sphere_blocks,
     sphere_crosses,
-    sphere_meets_capsule,
+    sphere_and_capsule,
     sphere_side,
 )
 from tracer.pencil import box_corners, expand, silhouette_planes
@@ -44,7 +44,7 @@ _MOST_IN_PAIRS = 512
 
 # Points in a stretch at most, coarse and fine, and pixels of a tile.
 _LONG, _SHORT = 32, 8
-_TILE_WIDTH, _TILE_HEIGHT = 256, 32
+_TILE_WIDTH, _TILE_HEIGHT = 32, 32
 
 # Balls are larger by so much of all sizes around: far more than all roundings.
 _SLACK = 1e-9
@@ -195,11 +195,11 @@ class LightPencil:
 
     def blocked(self, occluders: Occluders, points: Points) -> Bools:
         """Whether another object than their own keeps points from the light."""
-        result = np.zeros(points.size, dtype=np.bool_)
-        for pairs in self._pairs(occluders, points):
+        result, dark = np.zeros((2, points.size), dtype=np.bool_)
+        for pairs in self._pairs(occluders, points, dark):
             point, blocks = self._blocks(occluders, points, *pairs)
             result[point[blocks]] = True
-        return result
+        return result | dark
 
     def grazed(self, occluders: Occluders, points: Points, footprint: Floats) -> Bools:
         """Whether `blocked` may change within a distance (n,) of each point.
@@ -207,25 +207,32 @@ class LightPencil:
         An object that blocks when it is larger by as much, and does not when
         smaller by as much, has the edge of its shadow there.
         """
-        result = np.zeros(footprint.size, dtype=np.bool_)
-        for pairs in self._pairs(occluders, points, footprint):
+        result, solid, dark = np.zeros((3, footprint.size), dtype=np.bool_)
+        for pairs in self._pairs(occluders, points, dark, footprint):
             point, may = self._blocks(occluders, points, *pairs, footprint)
             _, must = self._blocks(occluders, points, *pairs, -footprint)
             result[point[may & ~must]] = True
-        return result
+            solid[point[must]] = True
+        # The edge of a shadow within another is not seen.
+        return result & ~solid & ~dark
 
     def _pairs(
-        self, occluders: Occluders, points: Points, footprint: Floats | None = None
+        self,
+        occluders: Occluders,
+        points: Points,
+        dark: Bools,
+        footprint: Floats | None = None,
     ) -> Iterator[tuple[_Stretches, Ints]]:
         """Pairs of a stretch and an object that may shade it: spheres, then boxes.
 
         With a footprint (n,): that may shade what is so near to its points.
+        Sets `dark` (n,) where that is certain, and leaves out these points.
         """
         if self.cells:
             yield from _pairs_in_cells(self.cells, occluders, points, footprint)
             return
         own = points.hits.owner
-        lists = [m for m in self.lists if not isinstance(own, int) or m.first[own] < m.first[own + 1]]
+        lists = [m for m in self.lists if np.ndim(own) or m.first[own] < m.first[own + 1]]
         if not lists:
             return
         first = points.hits.first
@@ -233,46 +240,56 @@ class LightPencil:
             first = np.searchsorted(points.facing, first)
         start, count, _ = _cut(first[:-1], np.diff(first), _LONG)
         stretches = _stretches(occluders, points, start, count)
-        wider = None
+        wider = np.zeros(start.size)
         if footprint is not None:
             wider = np.maximum.reduceat(footprint, start)
-            stretches.radius[:] += wider
+        stretches.radius[:] += wider
         tiles = _Tiles.of(points, stretches)
+        done = np.zeros(start.size, dtype=np.bool_)
         for kind in lists:
             tile, other = tiles.pairs(kind)
-            near = np.flatnonzero(
-                self._near(occluders, kind, pick(tiles.middle, tile), tiles.radius[tile], other)
+            near, _ = self._near(
+                occluders, kind, pick(tiles.middle, tile), tiles.radius[tile], other
             )
+            near = np.flatnonzero(near)
             pair, place = expand(tiles.count[tile[near]])
             stretch = tiles.order[tiles.first[tile[near]][pair] + place]
             other = other[near][pair]
-            near = np.flatnonzero(
-                self._near(occluders, kind, pick(stretches.middle, stretch), stretches.radius[stretch], other)
+            near, covers = self._near(
+                occluders,
+                kind,
+                pick(stretches.middle, stretch),
+                stretches.radius[stretch],
+                other,
             )
-            if not near.size:
+            if not near.any():
                 continue
+            covered = stretch[covers]
+            done[covered] = True
+            dark[runs(stretches.start[covered], stretches.count[covered])] = True
+            near = np.flatnonzero(near & ~done[stretch])
             stretch, other = stretch[near], other[near]
             start, count, parent = _cut(stretches.start[stretch], stretches.count[stretch], _SHORT)
-            short = _stretches(occluders, points, start, count)
-            if wider is not None:
-                short.radius[:] += wider[stretch[parent]]
-            other = other[parent]
-            near = np.flatnonzero(self._near(occluders, kind, short.middle, short.radius, other))
+            short, other = _stretches(occluders, points, start, count), other[parent]
+            short.radius[:] += wider[stretch[parent]]
+            near, covers = self._near(occluders, kind, short.middle, short.radius, other)
+            dark[runs(start[covers], count[covers])] = True
+            near = np.flatnonzero(near & ~dark[start])
             if near.size:
                 yield short.take(near), other[near]
 
     def _near(
         self, occluders: Occluders, kind: _Lists, middle: Triple, radius: Floats, other: Ints
-    ) -> Bools:
-        """Whether objects may come between balls and the light, pair by pair."""
+    ) -> tuple[Bools, Bools]:
+        """Whether objects may come between balls and the light, and whether they surely do."""
         surfaces = occluders.surfaces
         x, y, z = self.position.tolist()
         if kind.spheres:
             center = _columns(surfaces.center, other)
-            return sphere_meets_capsule(middle, (x, y, z), radius, center, surfaces.radius[other])
+            return sphere_and_capsule(middle, (x, y, z), radius, center, surfaces.radius[other])
         box = other - len(surfaces.radius)
         low, high = _columns(surfaces.min_pt, box), _columns(surfaces.max_pt, box)
-        return box_meets_capsule(middle, (x, y, z), radius, low, high)
+        return box_and_capsule(middle, (x, y, z), radius, low, high)
 
     def _blocks(
         self,
@@ -500,8 +517,8 @@ def _lists(light: Floats, occluders: Occluders) -> tuple[_Lists, _Lists]:
     # A row for each object that may be shaded, a column for each that may shade it.
     x, y, z = (m[:, None] for m in occluders.middle)
     thickness = (occluders.radius + 2 * occluders.slack + _SLACK * np.abs(light).sum())[:, None]
-    balls = sphere_meets_capsule((x, y, z), end, thickness, surfaces.center.T, surfaces.radius)
-    boxes = box_meets_capsule((x, y, z), end, thickness, surfaces.min_pt.T, surfaces.max_pt.T)
+    balls, _ = sphere_and_capsule((x, y, z), end, thickness, surfaces.center.T, surfaces.radius)
+    boxes, _ = box_and_capsule((x, y, z), end, thickness, surfaces.min_pt.T, surfaces.max_pt.T)
     lists = []
     for before, may in ((0, balls), (len(surfaces.radius), boxes)):
         owner = before + np.arange(may.shape[1])
