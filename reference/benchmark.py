@@ -3,26 +3,26 @@
     python -m reference.benchmark [--quick]
 
 writes `benchmark.md` and `benchmark.csv` into this folder, and the tables that the
-README quotes into the README.  What is compared is
-run in turns, so that a machine that is busy for a while slows down all alike;
-times are medians, with the fastest and the slowest behind.  The tracer renders
-fresh scenes, each once; Mitsuba renders one scene again and again, its kernels
+README quotes into the README.  What is compared is run in turns; times are
+medians, with the fastest and the slowest behind.  The tracer renders fresh
+scenes, each once; Mitsuba renders one scene again and again, its kernels
 compiled and its scene built before the clock starts.
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from statistics import median
+from statistics import geometric_mean
 from time import perf_counter
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -30,68 +30,18 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.charts import HERE, write_csv
-from reference.machine import BUILD
-from reference.povray import to_pov
-from reference.workloads import CROWDS, afresh, crowd, lit_by, resized, to_xml
+from reference.charts import write_csv
+from reference.command import HERE, SCENES, built, parser
+from reference.timing import Task, Timing, interleaved, on_copies, process, run
+from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
-__all__ = [
-    "Section",
-    "Table",
-    "Timing",
-    "growth_exponent",
-    "interleaved",
-    "main",
-    "peak",
-    "run",
-    "tables",
-]
+__all__ = ["Section", "Table", "compact", "growth_exponent", "main", "peak", "quote", "tables"]
 
-Task: TypeAlias = Callable[[int], object]
-"""Work to be timed, told which round it is."""
-
-Name = TypeVar("Name", bound=Hashable)
-
-SCENES = HERE.parent / "scenes"
 _FEW = ("one-sphere", "four-spheres", "sticks-perspective")
-_FASTER = ("faster than exact by", "faster than stock by")
+_SPEEDUPS = ("speedup over exact", "speedup over stock")
+_SPEEDUP = "A speedup is the other's time over the tracer's: below 1 the tracer is slower."
 _SMALL, _LARGE = (300, 300), (2560, 1440)
-
-
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Seconds over some rounds."""
-
-    median: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> Timing:
-        """Sum up what was measured."""
-        return cls(median(seconds), min(seconds), max(seconds))
-
-    def __str__(self) -> str:
-        if self.low == self.high:
-            return _ms(self.median)
-        return f"{_ms(self.median)} ({_ms(self.low)}–{_ms(self.high)})"
-
-
-def _ms(seconds: float) -> str:
-    ms = 1e3 * seconds
-    return f"{ms:,.0f}" if ms >= 100 else f"{ms:.1f}"
-
-
-def interleaved(tasks: dict[Name, Task], rounds: int) -> dict[Name, Timing]:
-    """Time tasks in turns: a round runs each once."""
-    taken: dict[Name, list[float]] = {name: [] for name in tasks}
-    for k in range(rounds):
-        for name, task in tasks.items():
-            start = perf_counter()
-            task(k)
-            taken[name].append(perf_counter() - start)
-    return {name: Timing.of(seconds) for name, seconds in taken.items()}
 
 
 def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
@@ -130,45 +80,39 @@ def _cell(value: object) -> str:
     return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
-def run(*command: str) -> None:
-    """Run a process to its good end, in silence."""
-    subprocess.run(command, check=True, capture_output=True)
+# Short times vary most: so many times the rounds, or until they add up to so many seconds.
+_MORE, _ENOUGH = 5, 0.5
 
 
-def _tracer_task(scene: Scene, rounds: int) -> Task:
-    """Render fresh copies of a scene, after one more to warm up."""
-    copies = [afresh(scene, k) for k in range(rounds + 1)]
-    render(copies.pop())
-    return lambda k: render(copies[k])
+def _warm(tasks: dict[str, Task], rounds: int) -> dict[str, Timing]:
+    """Time tasks in turns, each after a run to warm up."""
+    for task in tasks.values():
+        task(0)
+    return interleaved(tasks, rounds, most=_MORE * rounds, seconds=_ENOUGH)
 
 
-def _mitsuba_task(loaded: Any) -> Task:
-    """Render a loaded scene, whose kernels are compiled first."""
+def _tracer(scene: Scene, rounds: int) -> Task:
+    return on_copies(render, scene, _MORE * rounds)
 
-    def task(_: int) -> object:
-        return np.array(mi.render(loaded))
 
-    task(0)
-    task(0)
-    return task
+def _tracer_alone(scene: Scene, rounds: int) -> Timing:
+    return _warm({"": _tracer(scene, rounds)}, rounds)[""]
+
+
+def _mitsuba(loaded: Any) -> Task:
+    return lambda _: np.array(mi.render(loaded))
 
 
 def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Timing, Timing]:
     """The tracer and Mitsuba in turns, with no other scene of Mitsuba's alive."""
     gc.collect()
-    theirs = _mitsuba_task(load(scene))
-    found = interleaved({"tracer": _tracer_task(scene, rounds), "Mitsuba": theirs}, rounds)
-    return found["tracer"], found["Mitsuba"]
+    tasks = {"tracer": _tracer(scene, rounds), "Mitsuba": _mitsuba(load(scene))}
+    ours, theirs = _warm(tasks, rounds).values()
+    return ours, theirs
 
 
-def _ratio(of: Timing, rival: Timing) -> str:
-    """How many times faster than another."""
-    return f"{rival.median / of.median:.2g}×"
-
-
-def _ratios(found: dict[str, Timing]) -> tuple[str, str]:
-    ours = found["tracer"]
-    return _ratio(ours, found["Mitsuba exact"]), _ratio(ours, found["Mitsuba stock"])
+def _speedup(of: Timing, over: Timing) -> str:
+    return f"{over.median / of.median:.2g}×"
 
 
 # --- The tables --------------------------------------------------------------------------
@@ -177,48 +121,34 @@ def _ratios(found: dict[str, Timing]) -> tuple[str, str]:
 def whole_process(rounds: int, quick: bool) -> Table:
     """XML to PNG, from the shell."""
     variant = use().variant
-    header = ["scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_FASTER]
-    pov = rivals.povray_installed()
-    if pov:
-        header.insert(4, "POV-Ray")
-    python = sys.executable
+    png, numpy = built("out.png"), process([sys.executable, "-c", "import numpy"])
+    start = interleaved({"numpy": numpy}, rounds)["numpy"]
     rows: list[tuple[object, ...]] = []
-    start = interleaved({"numpy": lambda _: run(python, "-c", "import numpy")}, rounds)["numpy"]
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            texts = {
-                "tracer.xml": to_xml(scene),
-                "exact.xml": exact(scene),
-                "stock.xml": stock(scene, 1),
-                "pov": to_pov(scene),
-            }
-            paths = {kind: BUILD / f"{name}.{kind}" for kind in texts}
+            texts = {"tracer": to_xml(scene), "exact": exact(scene), "stock": stock(scene, 1)}
+            paths = {kind: built(f"{name}.{kind}.xml") for kind in texts}
             for kind, text in texts.items():
                 paths[kind].write_text(text)
-            png = str(BUILD / "out.png")
-
-            def mitsuba(source: Path, png: str = png) -> Task:
-                command = (python, "-c", rivals.MITSUBA_PROCESS, variant, str(source), png)
-                run(*command)
-                return lambda _: run(*command)
-
-            ours = (python, "-m", "tracer", "--quiet", "-o", png, str(paths["tracer.xml"]))
-            tasks: dict[str, Task] = {
-                "tracer": lambda _, ours=ours: run(*ours),  # type: ignore[misc]
-                "Mitsuba exact": mitsuba(paths["exact.xml"]),
-                "Mitsuba stock": mitsuba(paths["stock.xml"]),
+            commands = {
+                "tracer": rivals.tracer_command(paths["tracer"], png),
+                "Mitsuba exact": rivals.mitsuba_command(paths["exact"], png),
+                "Mitsuba stock": rivals.mitsuba_command(paths["stock"], png),
             }
-            if pov:
-                theirs = rivals.povray_command(scene, paths["pov"], Path(png))
-                tasks["POV-Ray"] = lambda _, theirs=theirs: run(*theirs)  # type: ignore[misc]
-            found = interleaved(tasks, rounds)
-            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *_ratios(found)))
+            if rivals.povray_installed():
+                commands["POV-Ray"] = rivals.povray_command(scene, png)
+            for command in commands.values():
+                run(*command)
+            found = interleaved({who: process(what) for who, what in commands.items()}, rounds)
+            ours, exactly, stocks, *_ = found.values()
+            speedups = _speedup(ours, exactly), _speedup(ours, stocks)
+            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
     return Table(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell: median (fastest–slowest) of {rounds}. Mitsuba {variant}"
         f" with a warm kernel cache. `python -c 'import numpy'` alone takes {start}.",
-        tuple(header),
+        ("scene", *commands, *_SPEEDUPS),
         rows,
     )
 
@@ -232,18 +162,50 @@ def warm(rounds: int, quick: bool) -> Table:
     for size in sizes:
         for name in _FEW if quick else names:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            ours, theirs = _beside(scene, rounds, rivals.mitsuba_exact)
+            ours, exactly = _beside(scene, rounds, rivals.mitsuba_exact)
             again, stocks = _beside(scene, rounds, rivals.mitsuba_stock)
-            ratios = _ratio(ours, theirs), _ratio(again, stocks)
-            rows.append((f"{name} {size[0]}×{size[1]}", ours, theirs, stocks, *ratios))
+            speedups = _speedup(ours, exactly), _speedup(again, stocks)
+            rows.append((f"{name} {size[0]}×{size[1]}", ours, exactly, stocks, *speedups))
     return Table(
         "Warm: rendering alone",
-        f"Milliseconds in process, one sample a pixel: median (fastest–slowest) of {rounds}."
-        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's"
-        " plugins; stock: a similar one by its own, compiled ones, with one light a sample.",
-        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_FASTER),
+        "Milliseconds in process, one sample a pixel: median (fastest–slowest) of at least"
+        f" {rounds}. Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this"
+        " project's plugins; stock: a similar one by its own, with one light a sample.",
+        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )
+
+
+def compact(table: Table) -> Table:
+    """`warm` in a row for each scene, beside the exact flavour only."""
+    columns: dict[str, dict[str, tuple[Timing, Timing]]] = {}
+    for place, ours, theirs, *_ in table.rows:
+        name, size = str(place).rsplit(" ", 1)
+        assert isinstance(ours, Timing)
+        assert isinstance(theirs, Timing)
+        columns.setdefault(size, {})[name] = ours, theirs
+    rows: list[tuple[object, ...]] = []
+    for name in next(iter(columns.values())):
+        pairs = [found[name] for found in columns.values()]
+        cells = [(Timing.of([ours.median]), _speedup(ours, theirs)) for ours, theirs in pairs]
+        rows.append((name, *chain(*cells)))
+    means = [
+        geometric_mean([theirs.median / ours.median for ours, theirs in found.values()])
+        for found in columns.values()
+    ]
+    rows.append(("geometric mean", *chain(*(("", f"{mean:.2g}×") for mean in means))))
+    return Table(
+        table.title,
+        "The tracer's milliseconds in process, one sample a pixel, and its speedup over"
+        " Mitsuba's LLVM variant: the same picture by this project's plugins, scene and kernels"
+        " ready.",
+        ("scene", *chain(*((size, "speedup") for size in columns))),
+        rows,
+    )
+
+
+def _from_file(path: Path, _: int) -> object:
+    return render(load_scene(path))
 
 
 def growth_in_objects(rounds: int, quick: bool) -> Table:
@@ -254,6 +216,9 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     timings = []
     for count in counts:
         scene = crowd(count)
+        path = built("many.xml")
+        path.write_text(to_xml(scene))
+        whole = _warm({"": partial(_from_file, path)}, rounds)[""]
         ours, merged = _beside(scene, rounds, rivals.mitsuba_merged)
         gc.collect()
         text = exact(scene)
@@ -262,25 +227,27 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         loaded = mi.load_string(text)
         np.array(mi.render(loaded))
         first = Timing.of([perf_counter() - start])
-        shapes = interleaved({"": _mitsuba_task(loaded)}, rounds if count <= 10_000 else 1)[""]
+        shapes = interleaved({"": _mitsuba(loaded)}, rounds if count <= 10_000 else 1)[""]
         del loaded
         timings.append(ours)
-        ratios = _ratio(ours, first), _ratio(merged, ours)
-        rows.append((f"{count:,}", ours, first, shapes, merged, *ratios))
+        speedups = _speedup(whole, first), _speedup(ours, shapes), _speedup(ours, merged)
+        rows.append((f"{count:,}", whole, first, ours, shapes, merged, *speedups))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",
-        "Milliseconds. Mitsuba with a shape per object: loading and first render, then warm;"
-        " and warm with all objects merged into one mesh of one material, spheres as icosahedra"
-        " (the wrong picture, its fastest geometry). The tracer's time grows as"
+        "Milliseconds. From a scene's text to its first picture, then warm. Mitsuba with a shape"
+        " per object; and with all objects merged into one mesh of one material, spheres as"
+        " icosahedra (the wrong picture, its fastest geometry). The tracer's time grows as"
         f" N^{growth_exponent(counts, timings):.2f}.",
         (
             "N",
-            "tracer",
-            "Mitsuba load + first",
-            "Mitsuba warm",
+            "tracer, first",
+            "Mitsuba, first",
+            "tracer, warm",
+            "Mitsuba, warm",
             "Mitsuba merged, warm",
-            "faster than load + first by",
-            "time / merged",
+            "speedup, first",
+            "speedup, warm",
+            "speedup over merged",
         ),
         rows,
     )
@@ -291,11 +258,8 @@ def crowded(rounds: int, quick: bool) -> Table:
     counts = (10, 1000) if quick else (10, 100, 1000, 10_000, 100_000)
     rows: list[tuple[object, ...]] = []
     for kind, words in CROWDS.items():
-        timings = [
-            interleaved({"": _tracer_task(crowd(count, kind), rounds)}, rounds)[""]
-            for count in counts
-        ]
-        rows.append((f"{words}", *timings, f"N^{growth_exponent(counts, timings):.2f}"))
+        timings = [_tracer_alone(crowd(count, kind), rounds) for count in counts]
+        rows.append((words, *timings, f"N^{growth_exponent(counts, timings):.2f}"))
     return Table(
         "Growth where objects crowd together",
         "Milliseconds for the tracer, 640×360, two lights.",
@@ -316,7 +280,7 @@ def growth_in_pixels_and_lights(rounds: int, quick: bool) -> Table:
         ("pixels", [s.width * s.height for s in by_size], by_size),
         ("lights (1280×720)", list(lights), by_light),
     ):
-        timings = [interleaved({"": _tracer_task(each, rounds)}, rounds)[""] for each in scenes]
+        timings = [_tracer_alone(each, rounds) for each in scenes]
         exponent = growth_exponent(sizes[-3:], timings[-3:])
         rows += [
             (f"{size:,} {what}", timing, f"^{exponent:.2f}" if size == sizes[-1] else "")
@@ -334,12 +298,12 @@ def growth_in_pixels_and_lights(rounds: int, quick: bool) -> Table:
 def loading(rounds: int, quick: bool) -> Table:
     """Reading and validating many objects, against xml.etree alone."""
     count = 1000 if quick else 100_000
-    path = BUILD / "many.xml"
+    path = built("many.xml")
     path.write_text(to_xml(crowd(count)))
     found = interleaved(
         {"tracer": lambda _: load_scene(path), "etree": lambda _: ET.parse(path)}, rounds
     )
-    ratio = _ratio(found["etree"], found["tracer"])
+    ratio = f"{found['tracer'].median / found['etree'].median:.2g}×"
     return Table(
         "Loading",
         "Milliseconds to read and validate a scene file, and for `xml.etree` only to parse it.",
@@ -366,7 +330,6 @@ def peak(*command: str) -> float:
 
 def memory(rounds: int, quick: bool) -> Table:
     """Peak resident memory of whole processes."""
-    python, png = sys.executable, str(BUILD / "out.png")
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = {"sticks-perspective 2560×1440": resized(sticks, *_LARGE)}
     if not quick:
@@ -374,11 +337,11 @@ def memory(rounds: int, quick: bool) -> Table:
         scenes["sticks-perspective 8192×8192"] = resized(sticks, 8192, 8192)
     rows: list[tuple[object, ...]] = []
     for name, scene in scenes.items():
-        path = BUILD / "scene.xml"
+        path = built("scene.xml")
         path.write_text(to_xml(scene))
-        most = peak(python, "-m", "tracer", "--quiet", "-o", png, str(path))
+        most = peak(*rivals.tracer_command(path, built("out.png")))
         rows.append((name, f"{most:.0f}"))
-    base = peak(python, "-c", "import numpy")
+    base = peak(sys.executable, "-c", "import numpy")
     return Table(
         "Memory",
         f"Peak resident MB of `python -m tracer`; Python with NumPy alone takes {base:.0f}.",
@@ -394,14 +357,13 @@ def limit(rounds: int, quick: bool) -> Table:
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
             loops = minimal.Minimal(scene)
-            loops.find()
             tasks: dict[str, Task] = {
-                "tracer": _tracer_task(scene, rounds),
+                "tracer": _tracer(scene, rounds),
                 "find": lambda _, loops=loops: loops.find(),  # type: ignore[misc]
                 "shade": lambda _, loops=loops: loops.shade(),  # type: ignore[misc]
             }
-            found = interleaved(tasks, rounds)
-            ratio = _ratio(found["shade"], found["tracer"])
+            found = _warm(tasks, rounds)
+            ratio = f"{found['tracer'].median / found['shade'].median:.2g}×"
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), ratio))
     return Table(
         "How near the limit",
@@ -418,9 +380,8 @@ Section: TypeAlias = Callable[[int, bool], Table]
 """Measures in so many rounds, quickly or not."""
 
 
-def tables(*, quick: bool) -> Iterator[Table]:
-    """All tables, as they are measured."""
-    BUILD.mkdir(exist_ok=True)
+def tables(*, quick: bool) -> Iterator[tuple[Section, Table]]:
+    """All tables, as they are measured, each after what measures it."""
     mi.set_log_level(mi.LogLevel.Error)
     rounds = 2 if quick else 3
     sections: list[Section] = [
@@ -429,12 +390,13 @@ def tables(*, quick: bool) -> Iterator[Table]:
         growth_in_objects,
         crowded,
         growth_in_pixels_and_lights,
+        loading,
+        memory,
     ]
-    sections += [loading, memory]
     if minimal.compiler():
         sections.append(limit)
     for section in sections:
-        yield section(rounds, quick)
+        yield section, section(rounds, quick)
 
 
 def quote(readme: str, where: str, found: list[Table]) -> str:
@@ -444,32 +406,32 @@ def quote(readme: str, where: str, found: list[Table]) -> str:
     # One heading level deeper than in the report.
     quoted = "\n".join("#" + table.markdown() for table in found)
     after = rest.split(end)[1]
-    made = f"Measured by `python -m reference.benchmark` on {where}.\n"
+    made = f"Measured by `python -m reference.benchmark` on {where}. {_SPEEDUP}\n"
     return f"{before}{begin}{made}\n{quoted}\n{end}{after}"
 
 
 def main() -> None:
     """Measure, and write the report."""
-    parser = argparse.ArgumentParser(
-        prog="python -m reference.benchmark",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--quick", action="store_true", help="small sizes, two rounds")
-    quick = parser.parse_args().quick
+    options = parser("reference.benchmark", __doc__, quick="small sizes, two rounds").parse_args()
     where = machine.describe()
-    found = []
-    for table in tables(quick=quick):
+    found: dict[Section, Table] = {}
+    for section, table in tables(quick=options.quick):
         print(table.markdown(), flush=True)
-        found.append(table)
-    head = f"# Benchmark\n\nMade by `python -m reference.benchmark` on {where}.\n"
-    report = "\n".join([head, *(table.markdown() for table in found)])
+        found[section] = table
+    head = f"# Benchmark\n\nMade by `python -m reference.benchmark` on {where}. {_SPEEDUP}\n"
+    report = "\n".join([head, *(table.markdown() for table in found.values())])
     (HERE / "benchmark.md").write_text(report, encoding="utf-8")
-    if not quick:
+    if not options.quick:
         readme = HERE.parent / "README.md"
-        text = quote(readme.read_text(encoding="utf-8"), where, [found[0], found[2], found[-2]])
+        shown = [
+            found[whole_process],
+            compact(found[warm]),
+            found[growth_in_objects],
+            found[memory],
+        ]
+        text = quote(readme.read_text(encoding="utf-8"), where, shown)
         readme.write_text(text, encoding="utf-8")
-    records = (record for table in found for record in table.records())
+    records = (record for table in found.values() for record in table.records())
     write_csv("benchmark", where, ("table", "row", "column", "value", "low", "high"), records)
 
 

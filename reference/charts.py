@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import matplotlib as mpl
@@ -15,9 +14,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patheffects import withStroke
 
-__all__ = ["HALO", "HERE", "LOOKS", "End", "label_ends", "label_losses", "plt", "save", "write_csv"]
+from reference.command import HERE
 
-HERE = Path(__file__).parent
+__all__ = [
+    "HALO",
+    "LOOKS",
+    "End",
+    "headline",
+    "label_ends",
+    "label_losses",
+    "plt",
+    "read_csv",
+    "save",
+    "write_csv",
+]
 
 HALO = [withStroke(linewidth=3, foreground="white")]
 """Keeps text legible across lines."""
@@ -44,19 +54,31 @@ plt.rcParams.update(
     }
 )
 
+
+def _look(color: str, dashes: Any, marker: str, size: float = 5.0, width: float = 1.6) -> Any:
+    return {
+        "color": color,
+        "ls": dashes,
+        "lw": width,
+        "marker": marker,
+        "ms": size,
+        "mec": "white",
+        "mew": 0.5,
+    }
+
+
 # Okabe and Ito's colours; every look also has its own dashes and marker, for print in grey.
 LOOKS: dict[str, dict[str, Any]] = {
-    "tracer": {"color": "#000000", "lw": 3.0, "ls": "-", "marker": "o", "ms": 5.5, "zorder": 5},
-    "a": {"color": "#d55e00", "lw": 1.6, "ls": "-", "marker": "s", "ms": 4.5},
-    "b": {"color": "#cc79a7", "lw": 1.6, "ls": "--", "marker": "D", "ms": 4},
-    "c": {"color": "#b8860b", "lw": 1.6, "ls": "-.", "marker": "v", "ms": 5},
-    "d": {"color": "#009e73", "lw": 1.6, "ls": (0, (5, 1.5, 1, 1.5, 1, 1.5)), "marker": "P"},
-    "e": {"color": "#56b4e9", "lw": 1.6, "ls": (0, (1.2, 1.2)), "marker": "X", "ms": 5},
-    "f": {"color": "#0072b2", "lw": 1.6, "ls": (0, (7, 2)), "marker": "^", "ms": 5},
-    "h": {"color": "#777777", "lw": 1.6, "ls": (0, (4, 1, 1, 1)), "marker": ">", "ms": 5},
-    "g": {"color": "#7b5fc4", "lw": 1.6, "ls": (0, (3, 1, 1, 1)), "marker": "<", "ms": 5},
+    "tracer": _look("#000000", "-", "o", 5.5, 3.0) | {"zorder": 5},
+    "a": _look("#d55e00", "-", "s", 4.5),
+    "b": _look("#cc79a7", "--", "D", 4.0),
+    "c": _look("#b8860b", "-.", "v"),
+    "d": _look("#009e73", (0, (5, 1.5, 1, 1.5, 1, 1.5)), "P", 6.0),
+    "e": _look("#56b4e9", (0, (1.2, 1.2)), "X"),
+    "f": _look("#0072b2", (0, (7, 2)), "^"),
+    "g": _look("#7b5fc4", (0, (3, 1, 1, 1)), "<"),
+    "h": _look("#777777", (0, (4, 1, 1, 1)), ">"),
 }
-
 
 End: TypeAlias = tuple[float, float, str, str]
 """Where a curve ends (x, y), its name and its colour."""
@@ -120,11 +142,22 @@ def _label(axes: Any, ends: Sequence[End], along: int, size: float, margin: bool
                 "arrowstyle": "-",
                 "color": color,
                 "lw": 0.6,
+                "alpha": 0.6,
                 "shrinkA": 0,
                 "shrinkB": 4,
                 "relpos": (0, 0.5 if along else 0),
             },
         )
+
+
+def headline(figure: Any, title: str, note: str) -> None:
+    """The title of a whole figure, of one line or two, and a note below it."""
+    height, lines = figure.get_figheight(), title.count("\n") + 1
+    for words, below, look in (
+        (title, 0.3, {"fontsize": 18, "weight": "bold", "linespacing": 1.3}),
+        (note, 0.4 + 0.34 * lines, {"fontsize": 11, "color": "#444444", "linespacing": 1.4}),
+    ):
+        figure.text(0.03, 1 - below / height, words, va="top", **look)
 
 
 def save(figure: Any, name: str) -> None:
@@ -145,3 +178,9 @@ def write_csv(
         writer.writerows(
             [f"{v:.4g}" if isinstance(v, (float, np.floating)) else v for v in row] for row in rows
         )
+
+
+def read_csv(name: str) -> list[list[str]]:
+    """The rows of a table in this folder, without its header."""
+    with (HERE / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.reader(file))[2:]

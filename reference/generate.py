@@ -6,17 +6,15 @@ out the same every time, and on every machine.
 
 from __future__ import annotations
 
-import argparse
 import colorsys
 import math
 import random
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import TypeAlias
 
-__all__ = ["main", "many_objects", "sunflower"]
+from reference.command import SCENES, parser
 
-SCENES = Path(__file__).resolve().parent.parent / "scenes"
+__all__ = ["main", "many_objects", "sunflower"]
 
 _Vector: TypeAlias = tuple[float, float, float]
 
@@ -146,9 +144,7 @@ def _text(values: Iterable[float]) -> str:
 
 def main() -> None:
     """Write the scenes into ``scenes/``."""
-    argparse.ArgumentParser(
-        prog="python -m reference.generate", description=main.__doc__
-    ).parse_args()
+    parser("reference.generate", __doc__).parse_args()
     for name, text in (("many-objects", many_objects()), ("sunflower", sunflower())):
         path = SCENES / f"{name}.xml"
         path.write_text(text, encoding="utf-8")

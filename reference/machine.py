@@ -10,10 +10,7 @@ from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["BUILD", "describe"]
-
-BUILD = Path(__file__).parent.parent / "build"
-"""Where what can be made again is kept; not under version control."""
+__all__ = ["describe"]
 
 
 def _processor() -> str:

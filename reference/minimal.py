@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.machine import BUILD
+from reference.command import built
 from tracer.camera import raster_of
 from tracer.scene import Floats, Scene
 
@@ -40,8 +40,7 @@ def _library() -> ctypes.CDLL:
     cc = compiler()
     if cc is None:
         raise FileNotFoundError("no C compiler (cc, gcc or clang) on the PATH")
-    BUILD.mkdir(exist_ok=True)
-    target = BUILD / "minimal.so"
+    target = built("minimal.so")
     options = ["-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC"]
     subprocess.run([cc, *options, "-o", target, _SOURCE, "-lm"], check=True)
     return ctypes.CDLL(str(target))

@@ -24,14 +24,13 @@ import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
+from reference.command import HERE, SCENES
 from tracer.reader import load_scene
 from tracer.scene import Floats, Scene
 
 __all__ = ["FOLDER", "SCENES", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 
-_ROOT = Path(__file__).resolve().parent.parent
-SCENES = _ROOT / "scenes"
-FOLDER = _ROOT / "reference" / "mitsuba"
+FOLDER = HERE / "mitsuba"
 WIDTH = 160
 
 # Steps of the stored radiance, 1e-6: below every tolerance, and the files compress.

@@ -21,15 +21,14 @@ from PIL import Image
 from tqdm import tqdm
 
 from converters.check import MAX_DIFFERENCE, CheckResult, check
+from reference.command import BUILD, HERE, SCENES
 from reference.compare import amplified
-from reference.machine import BUILD, describe
+from reference.machine import describe
 from tracer.image import quantise
 from tracer.reader import SceneFileError
 
 __all__ = ["main", "page"]
 
-HERE = Path(__file__).resolve().parent
-SCENES = HERE.parent / "scenes"
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",

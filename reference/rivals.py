@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,22 +16,26 @@ import numpy as np
 
 from converters.flavours import exact, normalisation, stock
 from converters.variant import use
-from reference.machine import BUILD
+from reference.command import built
 from reference.povray import to_pov
 from tracer.scene import Floats, Scene
 
 __all__ = [
-    "MITSUBA_PROCESS",
+    "mitsuba_command",
     "mitsuba_exact",
     "mitsuba_merged",
     "mitsuba_stock",
     "mitsuba_text",
-    "povray",
     "povray_command",
     "povray_installed",
+    "povray_linear",
+    "povray_picture",
+    "povray_trace",
+    "tracer_command",
 ]
 
-MITSUBA_PROCESS = """
+# What a script that renders one scene with Mitsuba comes to.
+_MITSUBA = """
 import sys
 import mitsuba as mi
 variant, source, target = sys.argv[1:]
@@ -39,11 +44,20 @@ if "unattenuated_point" in open(source).read():
     import converters.plugins
 mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
-"""What a script that renders one scene with Mitsuba comes to."""
-
 
 # Brightest radiance that survives in POV-Ray's 16-bit PNG.
 _POVRAY_WHITE = 4.0
+
+
+def tracer_command(source: Path, target: Path, samples: int = 1) -> list[str]:
+    """The tracer's own command, from a scene file to a PNG."""
+    options = ("--quiet", "--samples", str(samples), "-o", str(target))
+    return [sys.executable, "-m", "tracer", *options, str(source)]
+
+
+def mitsuba_command(source: Path, target: Path) -> list[str]:
+    """Mitsuba from a scene file to a PNG, in the current variant."""
+    return [sys.executable, "-c", _MITSUBA, str(mi.variant()), str(source), str(target)]
 
 
 def mitsuba_text(scene: Scene, samples: int = 1, samplers: Sequence[str] = ()) -> str:
@@ -92,7 +106,6 @@ def mitsuba_merged(scene: Scene) -> Any:
     The wrong picture, but the fastest geometry that Mitsuba can be handed.
     """
     _plugins()
-    BUILD.mkdir(exist_ok=True)
     root = ET.fromstring(exact(scene))
     for shape in root.findall("shape"):
         root.remove(shape)
@@ -102,7 +115,7 @@ def mitsuba_merged(scene: Scene) -> Any:
     parameters["vertex_positions"] = np.float32(normalisation(scene)(vertices)).ravel()
     parameters["faces"] = np.uint32(faces).ravel()
     parameters.update()
-    target = BUILD / "merged.ply"
+    target = built("merged.ply")
     mesh.write_ply(str(target))
     shape = ET.SubElement(root, "shape", type="ply")
     ET.SubElement(shape, "string", name="filename", value=str(target))
@@ -149,34 +162,36 @@ def povray_installed() -> bool:
     return shutil.which("povray") is not None
 
 
-def povray(scene: Scene, *options: str) -> tuple[Floats, float]:
-    """Render with POV-Ray.
+def povray_command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
+    """POV-Ray without a window, from a scene description, written here, to a PNG."""
+    source = target.with_suffix(".pov")
+    source.write_text(to_pov(scene, exposure))
+    size = (f"+W{scene.width}", f"+H{scene.height}")
+    return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
 
-    Returns
-    -------
-    image : (h, w, 3) float64
-        Linear RGB, clipped at `_POVRAY_WHITE`.
-    seconds : float
-        What POV-Ray says it spent on tracing alone.
+
+def povray_linear(scene: Scene, target: Path, *options: str) -> list[str]:
+    """The same to a PNG of 16 bits that `povray_picture` reads."""
+    linear = ("+FN16", "File_Gamma=1.0")
+    return povray_command(scene, target, *linear, *options, exposure=1 / _POVRAY_WHITE)
+
+
+def povray_picture(target: Path) -> Floats:
+    """The linear radiance (h, w, 3) of such a PNG, clipped at `_POVRAY_WHITE`."""
+    image = np.array(mi.Bitmap(str(target)), dtype=np.float64)[..., :3]
+    return image / 65535 * _POVRAY_WHITE
+
+
+def povray_trace(command: Sequence[str]) -> float:
+    """Run POV-Ray; the seconds that it says it spent on tracing alone.
 
     Raises
     ------
     RuntimeError
         If POV-Ray fails.
     """
-    BUILD.mkdir(exist_ok=True)
-    source, target = BUILD / "scene.pov", BUILD / "scene.png"
-    source.write_text(to_pov(scene, exposure=1 / _POVRAY_WHITE))
-    command = povray_command(scene, source, target, "+FN16", "File_Gamma=1.0", *options)
     done = subprocess.run(command, capture_output=True, text=True, errors="replace")
     found = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", done.stderr)
     if done.returncode or not found:
         raise RuntimeError(f"POV-Ray failed:\n{done.stderr}")
-    image = np.array(mi.Bitmap(str(target)), dtype=np.float64)[..., :3]
-    return image / 65535 * _POVRAY_WHITE, float(found[1])
-
-
-def povray_command(scene: Scene, source: Path, target: Path, *options: str) -> list[str]:
-    """POV-Ray without a window, from a scene description to a PNG."""
-    size = (f"+W{scene.width}", f"+H{scene.height}")
-    return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
+    return float(found[1])

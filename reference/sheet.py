@@ -6,7 +6,6 @@ Writes ``sheet.png``, a picture of every scene of ``scenes/``, and
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,12 +14,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import tracer
+from reference.command import HERE, SCENES, parser
 from tracer.image import quantise
 
 __all__ = ["SCENES", "main", "sheet"]
-
-HERE = Path(__file__).resolve().parent
-SCENES = HERE.parent / "scenes"
 
 _SAMPLES = 16
 # A row holds five square pictures or three wide ones.
@@ -68,7 +65,7 @@ def _drawn(scene: tracer.Scene, width: int) -> Image.Image:
 
 def main() -> None:
     """Draw the README's pictures."""
-    argparse.ArgumentParser(prog="python -m reference.sheet", description=__doc__).parse_args()
+    parser("reference.sheet", __doc__).parse_args()
     sunflower = _drawn(tracer.load_scene(SCENES / "sunflower.xml"), _WIDTH)
     for name, image in (("sheet.png", sheet(SCENES.glob("*.xml"))), ("sunflower.png", sunflower)):
         image.save(HERE / name, optimize=True)

@@ -1,24 +1,27 @@
 """The speed-accuracy chart: how long a renderer takes to come how near to the true picture.
 
-    python -m reference.speed_accuracy [--quick]
+    python -m reference.speed_accuracy [--quick | --redraw]
 
 writes `speed_accuracy.svg`, `.png` and `.csv` into this folder.  The error is the
-root mean square of the linear radiance against 64 x 64 samples in every pixel,
-traced one by one; such pictures are kept in the `build` folder.  All methods
-run in turns; each point is the median of some rounds.  Mitsuba's scalar variant
-would be held up by this project's plugins, which are written in Python: its
-times are those of the stock plugins, its errors those of the same samples in LLVM.
+root mean square of the linear radiance, over evenly spread rows of the picture,
+against 65 x 65 samples in every pixel, traced one by one; only these are kept,
+in the `build` folder.  From one number of samples to the next, four times as
+large, all methods are timed in turns; those that would take too long stop.
+Mitsuba's scalar variant would be held up by this project's plugins, which are
+written in Python: its times are those of the stock plugins, its errors those of
+the same samples in LLVM.
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
 import hashlib
-import sys
+import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, TypeAlias
 
 import mitsuba as mi
@@ -27,43 +30,54 @@ from tqdm import tqdm
 
 from converters.variant import LLVM, SCALAR, use
 from reference import alternatives, machine, rivals
-from reference.benchmark import SCENES, Task, Timing, interleaved, run
-from reference.charts import HALO, LOOKS, End, label_ends, plt, save, write_csv
-from reference.machine import BUILD
-from reference.povray import to_pov
-from reference.workloads import afresh, crowd, resized, to_xml
+from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
+from reference.command import SCENES, built, parser
+from reference.timing import Task, Timing, interleaved, on_copies, process
+from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
+from tracer.image import quantise
 from tracer.render import render_bands
 from tracer.scene import MAX_PIXELS, Floats
 
-__all__ = ["Point", "converged", "main", "measure", "rmse", "supersampled"]
+__all__ = ["Point", "Truth", "main", "measure", "supersampled"]
 
-Picture: TypeAlias = Callable[[Scene], Floats]
+Curve: TypeAlias = tuple[str, bool]
+"""A method, and whether its whole process is timed, or rendering alone."""
 
-Effort: TypeAlias = tuple[str, int]
-"""A method, and how many samples it takes."""
-
-_SCALAR = "Mitsuba scalar, stock plugins"
-
+_OURS = "this tracer"
+_SCALAR = "Mitsuba scalar"
+_POVRAY = "POV-Ray adaptive"
 _SAMPLERS = ("independent", "stratified", "multijitter")
+_LLVM = {sampler: f"Mitsuba {sampler}" for sampler in _SAMPLERS}
 _LOOK_OF = {
-    "this tracer": "tracer",
-    "the same, uniform grid": "a",
-    "all pairs, float32": "b",
-    "POV-Ray, adaptive": "c",
-    "Mitsuba LLVM, independent": "g",
-    "Mitsuba LLVM, stratified": "e",
-    "Mitsuba LLVM, multijitter": "f",
-    "Mitsuba LLVM, orthogonal": "d",
+    _OURS: "tracer",
+    "uniform grid": "a",
+    "float32, all pairs": "b",
+    _POVRAY: "c",
+    _LLVM["independent"]: "g",
+    _LLVM["stratified"]: "e",
+    _LLVM["multijitter"]: "f",
     _SCALAR: "h",
 }
+_RIVALS = {_SCALAR, _POVRAY, *_LLVM.values()}
+
 # From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
-_ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.01, 5), (0.003, 6))
+_ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.01, 5), (0.003, 6), (0.001, 7))
+
+# A point that is expected to take longer is left out; a shorter one is timed again and again
+# for so many seconds, or so many times.
+_TOO_LONG, _ENOUGH, _ROUNDS = 3.0, 0.4, 15
+
+# Pixels, about, whose errors are measured.
+_PIXELS = 1 << 14
+
+# Where times are compared, as near as can be: rounding to 8 bits errs by about as much.
+_LEVEL = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One method on one scene, at one effort.
+    """One method on one scene, at one number of samples a pixel.
 
     Attributes
     ----------
@@ -81,12 +95,10 @@ class Point:
     time: Timing
 
 
-def rmse(image: Floats, truth: Floats) -> float:
-    """Root mean square of the difference."""
-    return float(np.sqrt(np.mean((image - truth) ** 2)))
+# --- The truth ---------------------------------------------------------------------------
 
 
-def supersampled(scene: Scene, side: int) -> Floats:
+def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0)) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 
     They are the pixels of a picture so many times as large, rendered one
@@ -101,36 +113,56 @@ def supersampled(scene: Scene, side: int) -> Floats:
     step = side // apart
     large = resized(scene, width * step, height * step)
     total = np.zeros((height, width, 3))
-    shifts = (np.arange(apart) + 0.5) / apart - 0.5
-    for dy in shifts.tolist():
-        for dx in shifts.tolist():
-            rows = max(1, (1 << 17) // (large.width * step)) * step
-            top = 0
-            for band in render_bands(large, offset=(dx, dy), band_pixels=rows * large.width):
-                block = band.reshape(-1, step, width, step, 3).sum(axis=(1, 3))
-                total[top : top + len(block)] += block
-                top += len(block)
+    shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
+    for dx, dy in product(shifts, shifts):
+        moved = (dx + step * offset[0], dy + step * offset[1])
+        rows = max(1, (1 << 17) // (large.width * step)) * step
+        top = 0
+        for band in render_bands(large, offset=moved, band_pixels=rows * large.width):
+            block = band.reshape(-1, step, width, step, 3).sum(axis=(1, 3))
+            total[top : top + len(block)] += block
+            top += len(block)
     return total / side**2
 
 
-def converged(scene: Scene, side: int = 64) -> Floats:
-    """`supersampled`, kept in the build folder for the next time."""
-    BUILD.mkdir(exist_ok=True)
-    name = hashlib.sha256(f"{side} {to_xml(scene)}".encode()).hexdigest()[:16]
-    path = BUILD / f"converged-{name}.npy"
-    if not path.exists():
-        np.save(path, supersampled(scene, side))
-    image: Floats = np.load(path)
-    return image
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Some rows of a converged picture."""
+
+    rows: slice
+    radiance: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, side: int) -> Truth:
+        """`supersampled` rows, kept in the build folder for the next time."""
+        apart = math.ceil(scene.width * scene.height / _PIXELS)
+        rows = slice(apart // 2, None, apart)
+        name = hashlib.sha256(f"{side} {rows} {to_xml(scene)}".encode()).hexdigest()[:16]
+        path = built(f"truth-{name}.npy")
+        if not path.exists():
+            window = replace(scene.camera, view_height=scene.camera.view_height / scene.height)
+            row = replace(scene, height=1, camera=window)
+            middle = (scene.height - 1) / 2
+            picture = [
+                supersampled(row, side, offset=(0.0, y - middle)) for y in range(scene.height)[rows]
+            ]
+            np.save(path, np.concatenate(picture))
+        return cls(rows, np.load(path))
+
+    def error(self, image: Floats) -> float:
+        """Root mean square of the difference."""
+        return float(np.sqrt(np.mean((image[self.rows] - self.radiance) ** 2)))
+
+
+# --- What is measured --------------------------------------------------------------------
 
 
 def _all_pairs(scene: Scene, side: int) -> Floats:
     """The usual NumPy tracer in float32, `side` x `side` samples in every pixel."""
     shifts = ((np.arange(side) + 0.5) / side - 0.5).tolist()
     total = sum(
-        alternatives.render(scene, alternatives.float32, offset=(dx, dy))
-        for dy in shifts
-        for dx in shifts
+        alternatives.render(scene, alternatives.float32, offset=offset)
+        for offset in product(shifts, shifts)
     )
     return np.asarray(total) / side**2
 
@@ -139,235 +171,348 @@ def _mitsuba(loaded: Any, samples: int, sensor: int = 0) -> Task:
     return lambda _: np.array(mi.render(loaded, sensor=sensor, spp=samples), dtype=np.float64)
 
 
-def _scalar_timings(scene: Scene, rounds: int, quick: bool) -> dict[Effort, Timing]:
-    """The scalar variant, with stock plugins: it would spend all its time in Python ones."""
-    mi.set_variant(SCALAR)
-    loaded = rivals.mitsuba_stock(scene)
-    tasks = {(_SCALAR, 4**k): _mitsuba(loaded, 4**k) for k in range(3 if quick else 4)}
-    return interleaved(tasks, rounds)
+def _scalar_tasks(loaded: Any, k: int) -> dict[Curve, Task]:
+    return {(_SCALAR, False): _mitsuba(loaded, 4**k)}
 
 
-def _warm_tasks(scene: Scene, k: int, rounds: int) -> dict[Effort, Task]:
-    """Rendering alone, with 4^k samples; round 0 renders the scene itself, others copies of it."""
-
-    def fresh(picture: Picture) -> Task:
-        copies = [afresh(scene, k) for k in range(rounds + 1)]
-        return lambda k: picture(copies[k])
-
-    tasks: dict[Effort, Task] = {}
-    tasks["this tracer", 4**k] = fresh(partial(render, samples=4**k))
-    if k < 5:
-        tasks["the same, uniform grid", 4**k] = fresh(partial(supersampled, side=2**k))
-        # A loaded scene can be rendered with one number of samples only.
-        loaded = rivals.mitsuba_exact(scene, _SAMPLERS)
-        for sensor, sampler in enumerate(_SAMPLERS):
-            tasks[f"Mitsuba LLVM, {sampler}", 4**k] = _mitsuba(loaded, 4**k, sensor)
-        # Orthogonal arrays come in squares of primes.
-        loaded = rivals.mitsuba_exact(scene, ["orthogonal"])
-        samples = (2, 3, 5, 11, 17)[k] ** 2
-        tasks["Mitsuba LLVM, orthogonal", samples] = _mitsuba(loaded, samples)
-    if k < 3:
-        tasks["all pairs, float32", 4**k] = fresh(partial(_all_pairs, side=2**k))
-    return tasks
+def _rendering_tasks(scene: Scene, k: int) -> dict[Curve, Task]:
+    """Rendering alone, with 4^k samples a pixel."""
+    ours = {
+        _OURS: partial(render, samples=4**k),
+        "uniform grid": partial(supersampled, side=2**k),
+        "float32, all pairs": partial(_all_pairs, side=2**k),
+    }
+    # A loaded scene can be rendered with one number of samples only.
+    gc.collect()
+    loaded = rivals.mitsuba_exact(scene, _SAMPLERS)
+    return {
+        **{(name, False): on_copies(picture, scene, _ROUNDS) for name, picture in ours.items()},
+        **{
+            (_LLVM[sampler], False): _mitsuba(loaded, 4**k, sensor)
+            for sensor, sampler in enumerate(_SAMPLERS)
+        },
+    }
 
 
-def _process_tasks(scene: Scene, quick: bool) -> dict[Effort, Task]:
-    """From the scene file to a PNG."""
-    python, png = sys.executable, BUILD / "out.png"
-    source = BUILD / "scene.xml"
-    source.write_text(to_xml(scene))
-    ours = (python, "-m", "tracer", "--quiet", "-o", str(png))
-    theirs = (python, "-c", rivals.MITSUBA_PROCESS, LLVM)
-    tasks: dict[Effort, Task] = {}
-    for k in range(3 if quick else 6):
-        command = (*ours, "--samples", str(4**k), str(source))
-        tasks["this tracer", 4**k] = _shell(command)
-        if k < 5:
-            text = BUILD / f"scene.{4**k}.mitsuba.xml"
-            text.write_text(rivals.mitsuba_text(scene, 4**k, ["multijitter"]))
-            tasks["Mitsuba LLVM, multijitter", 4**k] = _shell((*theirs, str(text), str(png)))
-    if rivals.povray_installed():
-        pov = BUILD / "whole.pov"
-        pov.write_text(to_pov(scene))
-        for threshold, depth in _ADAPTIVE[: 2 if quick else None]:
-            finer = rivals.povray_command(scene, pov, png, *_finer(threshold, depth))
-            tasks["POV-Ray, adaptive", 4**depth] = _shell(finer)
-    return tasks
+def _process_tasks(scene: Scene, k: int) -> dict[Curve, Task]:
+    """The same from a scene file to a PNG."""
+    png, ours, theirs = built("out.png"), built("scene.xml"), built("scene.mitsuba.xml")
+    ours.write_text(to_xml(scene))
+    theirs.write_text(rivals.mitsuba_text(scene, 4**k, ["multijitter"]))
+    return {
+        (_OURS, True): process(rivals.tracer_command(ours, png, 4**k)),
+        (_LLVM["multijitter"], True): process(rivals.mitsuba_command(theirs, png)),
+    }
 
 
-def _shell(command: Sequence[str]) -> Task:
-    return lambda _: run(*command)
+def _sweep(
+    tasks_of: Callable[[int], dict[Curve, Task]], levels: int
+) -> Iterator[tuple[int, dict[Curve, Timing]]]:
+    """Time the tasks for each k, all in turns, but for those that would take too long."""
+    spent: dict[Curve, list[float]] = defaultdict(list)
+    for k in range(levels):
+        tasks = {
+            curve: task
+            for curve, task in tasks_of(k).items()
+            if len(spent[curve]) == k and _next(spent[curve]) <= _TOO_LONG
+        }
+        # Mitsuba compiles a kernel for each number of samples, and keeps it for the next process.
+        for (method, _), task in tasks.items():
+            if method in _LLVM.values():
+                task(0)
+        timings = interleaved(tasks, 1, most=_ROUNDS, seconds=_ENOUGH)
+        for curve, timing in timings.items():
+            spent[curve].append(timing.median)
+        # Mitsuba's kernels choose among all scenes alive: the last one goes before the next comes.
+        tasks.clear()
+        yield k, timings
 
 
-def _finer(threshold: float, depth: int) -> tuple[str, ...]:
-    return ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
+def _next(seconds: Sequence[float]) -> float:
+    """How long four times as many samples will take: each some time, and all of them some more."""
+    if not seconds:
+        return 0.0
+    before = seconds[-2] if len(seconds) > 1 else seconds[-1] / 4
+    return seconds[-1] + 4 * max(seconds[-1] - before, 0.0)
 
 
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
-    """All methods on one scene, in turns."""
-    rounds = 1 if quick else 3
-    truth = converged(scene, _side(quick))
+    """All methods on one scene."""
+    levels = 3 if quick else 6
+    truth = Truth.of(scene, _side(quick))
     # Scenes of one variant do not outlive a switch to another.
-    scalar = _scalar_timings(scene, rounds, quick)
+    mi.set_variant(SCALAR)
+    scalar = dict(_sweep(partial(_scalar_tasks, rivals.mitsuba_stock(scene)), levels))
     mi.set_variant(LLVM)
-    errors: dict[Effort, float] = {}
-    timings: dict[Effort, Timing] = {}
-    for k in range(3 if quick else 6):
-        gc.collect()
-        warm = _warm_tasks(scene, k, rounds)
-        errors |= {key: rmse(np.asarray(task(0)), truth) for key, task in warm.items()}
-        timings |= interleaved({key: _later(task) for key, task in warm.items()}, rounds)
-    for (_, samples), time in scalar.items():
-        timings[_SCALAR, samples] = time
-        errors[_SCALAR, samples] = errors["Mitsuba LLVM, multijitter", samples]
-    if rivals.povray_installed():
-        for threshold, depth in _ADAPTIVE[: 2 if quick else None]:
-            key = ("POV-Ray, adaptive", 4**depth)
-            done = [rivals.povray(scene, *_finer(threshold, depth)) for _ in range(rounds)]
-            errors[key] = rmse(done[0][0], truth)
-            timings[key] = Timing.of([seconds for _, seconds in done])
-    for (method, samples), time in timings.items():
-        yield Point(name, method, samples, False, errors[method, samples], time)
-    process = _process_tasks(scene, quick)
-    for key, time in interleaved(process, rounds).items():
-        yield Point(name, *key, True, errors[key], time)
+    png = built("povray.png")
+    pictures: dict[str, Floats] = {}
+    traced: list[float] = []
+
+    def kept(method: str, task: Task) -> Task:
+        """The same, of which the first picture is kept."""
+
+        def draw(k: int) -> None:
+            pictures.setdefault(method, np.asarray(task(k)))
+
+        return draw
+
+    def tasks_of(k: int) -> dict[Curve, Task]:
+        pictures.clear()
+        traced.clear()
+        rendering = {
+            (method, False): kept(method, task)
+            for (method, _), task in _rendering_tasks(scene, k).items()
+        }
+        tasks = rendering | _process_tasks(scene, k)
+        if rivals.povray_installed():
+            threshold, depth = _ADAPTIVE[k]
+            finer = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
+            command = rivals.povray_linear(scene, png, *finer)
+            tasks[_POVRAY, True] = lambda _: traced.append(rivals.povray_trace(command))
+        return tasks
+
+    for k, timings in _sweep(tasks_of, levels):
+        errors = {method: truth.error(picture) for method, picture in pictures.items()}
+        if traced:
+            errors[_POVRAY] = truth.error(rivals.povray_picture(png))
+            timings[_POVRAY, False] = Timing.of(traced)
+        if _LLVM["multijitter"] in errors:
+            errors[_SCALAR] = errors[_LLVM["multijitter"]]
+            timings |= scalar[k]
+        for (method, whole), timing in timings.items():
+            if method in errors:
+                yield Point(name, method, 4**k, whole, errors[method], timing)
 
 
 def _side(quick: bool) -> int:
-    """Samples a side of the pixel that count as the truth."""
-    return 16 if quick else 64
-
-
-def _later(task: Task) -> Task:
-    return lambda k: task(k + 1)
+    """Samples a side of the pixel that count as the truth; odd, like no method's."""
+    return 17 if quick else 65
 
 
 # --- The chart ---------------------------------------------------------------------------
 
 
-def _time_to(points: list[Point], error: float) -> float | None:
-    """Seconds to an error, between the points that a method reaches; None beyond them."""
-    ranked = sorted(points, key=lambda p: p.error)
-    errors = np.log([p.error for p in ranked])
-    if not errors[0] <= np.log(error) <= errors[-1]:
-        return None
-    times = np.log([p.time.median for p in ranked])
-    return float(np.exp(np.interp(np.log(error), errors, times)))
+@dataclass(frozen=True, slots=True)
+class Lead:
+    """Seconds to the same error, for this tracer and for the fastest of its rivals."""
+
+    level: float
+    ours: float
+    theirs: float
+
+    @classmethod
+    def of(cls, points: Sequence[Point]) -> Lead | None:
+        """At `_LEVEL`, or the least error above it that both reach; None without any rival."""
+        curves = _curves(points)
+        ours = curves.pop(_OURS, [])
+        theirs = [curve for method, curve in curves.items() if method in _RIVALS]
+        if not ours or not theirs:
+            return None
+        level = max(_LEVEL, _least(ours), min(map(_least, theirs)))
+        times = [_time_to(level, curve) for curve in theirs if _least(curve) <= level]
+        return cls(level, _time_to(level, ours), min(times))
+
+    @property
+    def speedup(self) -> float:
+        """Below 1 this tracer is slower."""
+        return self.theirs / self.ours
 
 
-def _draw(axes: Any, points: list[Point]) -> None:
-    methods: dict[str, list[Point]] = {}
+def _curves(points: Sequence[Point]) -> dict[str, list[Point]]:
+    curves: dict[str, list[Point]] = defaultdict(list)
     for point in points:
-        methods.setdefault(point.method, []).append(point)
-    axes.set(xscale="log", yscale="log")
-    ends: list[End] = []
-    for method, found in methods.items():
-        look = LOOKS[_LOOK_OF[method]]
-        x = [p.time.median for p in found]
-        y = [p.error for p in found]
-        axes.plot(x, y, **look, markeredgecolor="white", mew=0.5)
-        ends.append((x[-1], y[-1], method, look["color"]))
-    left, right = axes.get_xlim()
-    axes.set_xlim(left, right * (right / left) ** 0.25)
-    decades = np.log10(right / left)
-    steps = [1, 1.5, 2, 3, 5, 7] if decades < 1 else [1, 3] if decades < 2.5 else [1]
-    places = np.outer(10.0 ** np.arange(-4, 4), steps).ravel()
-    axes.set_xticks(places[(places >= left) & (places <= axes.get_xlim()[1])])
-    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:.3g} ms")
-    axes.minorticks_off()
-    label_ends(axes, ends, margin=False)
-    # The head start on the fastest of the others, in the middle of what both reach.
-    others = [found for method, found in methods.items() if "LLVM" in method]
-    reached = [p.error for p in methods["this tracer"]]
-    theirs_reached = [p.error for found in others for p in found]
-    level = float(
-        np.sqrt(max(min(reached), min(theirs_reached)) * min(max(reached), max(theirs_reached)))
+        curves[point.method].append(point)
+    return curves
+
+
+def _least(curve: Sequence[Point]) -> float:
+    return min(p.error for p in curve)
+
+
+def _time_to(level: float, curve: Sequence[Point]) -> float:
+    """Seconds to an error of at most `level`, which a curve reaches between two of its points."""
+    ranked = sorted(curve, key=lambda p: p.error)
+    logs = np.log([(p.error, p.time.median) for p in ranked]).T
+    return float(np.exp(np.interp(np.log(level), *logs)))
+
+
+def _in_words(*speedups: float) -> str:
+    """From the least speedup to the largest."""
+    slow = [f"{1 / s:.1f}" for s in sorted(speedups) if s < 1]
+    fast = [f"{s:.1f}" for s in sorted(speedups) if s >= 1]
+    ranges = [
+        f"{'–'.join(dict.fromkeys([some[0], some[-1]]))}× {what}"
+        for some, what in ((slow[::-1], "slower"), (fast, "faster"))
+        if some
+    ]
+    return ", ".join(ranges)
+
+
+def _title(leads: dict[bool, list[Lead]], others: str) -> str:
+    """Where this tracer is ahead; nothing where there is nothing to compare."""
+    counts = [
+        f"in {sum(lead.speedup > 1 for lead in leads[whole])} of {len(leads[whole])} scenes {where}"
+        for whole, where in ((True, "from file to picture"), (False, "at rendering alone"))
+        if leads[whole]
+    ]
+    if not counts:
+        return "Time against error"
+    return f"To the same error, this tracer is faster than {others}\n{', '.join(counts)}"
+
+
+# Inches: what surrounds the panels, and the panels, rendering alone and whole processes.
+_WIDTH, _LEFT, _NAMES, _GAP = 13.0, 0.85, 1.55, 0.3
+_TOP, _ROW, _TITLE, _BOTTOM = 2.5, 2.2, 0.65, 0.6
+_WIDE = (5.2, 3.4)
+
+
+def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
+    """A row for each scene: rendering alone, and the whole process."""
+    height = _TOP + len(scenes) * (_ROW + _TITLE) - _TITLE + _BOTTOM
+    figure = plt.figure(figsize=(_WIDTH, height))
+    ylim = _limits([p.error for p in points])
+    leads: dict[bool, list[Lead]] = {False: [], True: []}
+    left = _LEFT
+    for whole, wide in zip((False, True), _WIDE, strict=True):
+        xlim = _limits([p.time.median for p in points if p.process == whole])
+        bottom = height - _TOP - _ROW
+        for name, scene in scenes.items():
+            place = (left / _WIDTH, bottom / height, wide / _WIDTH, _ROW / height)
+            axes = figure.add_axes(place, xscale="log", yscale="log", xlim=xlim, ylim=ylim)
+            lead = _panel(axes, [p for p in points if (p.scene, p.process) == (name, whole)])
+            if lead:
+                leads[whole].append(lead)
+            axes.set_title(name)
+            if whole:
+                axes.tick_params(labelleft=False)
+            else:
+                axes.set_ylabel("error")
+                _thumbnail(axes, scene)
+            bottom -= _ROW + _TITLE
+        what = "Whole process" if whole else "Rendering alone"
+        if leads[whole]:
+            what += f": {_in_words(*(lead.speedup for lead in leads[whole]))}"
+        figure.text(left / _WIDTH, 1 - (_TOP - 0.45) / height, what, fontsize=13, weight="bold")
+        left += wide + _NAMES + _GAP
+    others = "Mitsuba and POV-Ray" if any(p.method == _POVRAY for p in points) else "Mitsuba"
+    headline(
+        figure,
+        _title(leads, others),
+        "Time against error: the root mean square, in linear radiance, from a picture of"
+        f" {truth:,} samples a pixel.  Lower left is better.\n"
+        "Points: 1, 4, 16, ... samples a pixel.  Arrows: from the fastest of"
+        f" {others} to this tracer, near the error of an 8-bit picture.",
     )
-    ours = _time_to(methods["this tracer"], level)
-    theirs = [t for t in (_time_to(found, level) for found in others) if t is not None]
-    if ours is not None and theirs:
+    return figure
+
+
+def _limits(values: Sequence[float]) -> tuple[float, float]:
+    return 0.75 * min(values), 1.35 * max(values)
+
+
+def _panel(axes: Any, points: Sequence[Point]) -> Lead | None:
+    ends: list[End] = []
+    for method, curve in _curves(points).items():
+        look = LOOKS[_LOOK_OF[method]]
+        axes.plot([p.time.median for p in curve], [p.error for p in curve], **look)
+        ends.append((curve[-1].time.median, curve[-1].error, method, look["color"]))
+    low, high = axes.get_xlim()
+    steps = [1] if high > 100 * low else [1, 2, 5]
+    ticks = np.outer(10.0 ** np.arange(-4, 3), steps).ravel()
+    axes.set_xticks(ticks[(low <= ticks) & (ticks <= high)])
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
+    axes.minorticks_off()
+    label_ends(axes, ends)
+    lead = Lead.of(points)
+    if lead:
         axes.annotate(
             "",
-            xy=(ours, level),
-            xytext=(min(theirs), level),
+            xy=(lead.ours, lead.level),
+            xytext=(lead.theirs, lead.level),
             arrowprops={"arrowstyle": "-|>", "color": "#333333", "lw": 1.4, "shrinkA": 0},
+            zorder=6,
         )
         axes.annotate(
-            f"{min(theirs) / ours:.1f}×",
-            (np.sqrt(ours * min(theirs)), level),
-            xytext=(0, 5),
+            _in_words(lead.speedup),
+            (min(lead.ours, lead.theirs), lead.level),
+            xytext=(-7, 0),
             textcoords="offset points",
-            ha="center",
+            ha="right",
+            va="center",
             weight="bold",
             path_effects=HALO,
             zorder=8,
         )
+    return lead
+
+
+def _thumbnail(axes: Any, scene: Scene) -> None:
+    """The scene, where no curve comes: at little time and little error."""
+    small = resized(scene, round(160 * scene.width / scene.height), 160)
+    inset = axes.inset_axes((0.012, 0.03, 0.5, 0.36), anchor="SW")
+    inset.imshow(quantise(render(small, 16)))
+    inset.axis("off")
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:
-    names = ("four-spheres", "sticks-perspective", "sunflower")
-    scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), 320, 180) for name in names}
-    scenes["1,000 small objects"] = crowd(1000)
-    return {"four-spheres": scenes["four-spheres"]} if quick else scenes
+    sticks = load_scene(SCENES / "sticks-perspective.xml")
+    spheres = load_scene(SCENES / "four-spheres.xml")
+    scenes = [
+        ("one-sphere", load_scene(SCENES / "one-sphere.xml"), 300, 300),
+        ("four-spheres", spheres, 320, 180),
+        ("sticks-perspective", sticks, 320, 180),
+        ("sticks-perspective", sticks, 1280, 720),
+        ("1,000 small objects", crowd(1000), 320, 180),
+    ]
+    return {
+        f"{name}, {width}×{height}": resized(scene, width, height)
+        for name, scene, width, height in (scenes[1:2] if quick else scenes)
+    }
+
+
+_COLUMNS = ("scene", "method", "samples", "process", "rmse", "seconds", "low", "high")
+
+
+def _stored() -> list[Point]:
+    return [
+        Point(
+            scene,
+            method,
+            int(samples),
+            whole == "True",
+            float(error),
+            Timing(float(median), float(low), float(high)),
+        )
+        for scene, method, samples, whole, error, median, low, high in read_csv("speed_accuracy")
+    ]
 
 
 def main() -> None:
     """Measure, and write the chart."""
-    parser = argparse.ArgumentParser(
-        prog="python -m reference.speed_accuracy",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--quick", action="store_true", help="one scene, few samples")
-    quick = parser.parse_args().quick
-    BUILD.mkdir(exist_ok=True)
-    try:
-        use(LLVM)
-    except ImportError as error:
-        parser.exit(1, f"{parser.prog}: {error}\n")
-    mi.set_log_level(mi.LogLevel.Error)
-    scenes = _scenes(quick)
-    where = machine.describe()
-    height = 4.9 * len(scenes) + 1.1
-    figure, grid = plt.subplots(len(scenes), 2, figsize=(14, height), squeeze=False, sharey="row")
-    figure.subplots_adjust(
-        left=0.06, right=0.92, top=1 - 1.45 / height, bottom=0.6 / height, wspace=0.16, hspace=0.34
-    )
-    figure.text(0.03, 1 - 0.45 / height, "Speed against accuracy", fontsize=19, weight="bold")
-    figure.text(
-        0.03, 1 - 0.8 / height,
-        f"Time to a picture against its error (RMSE, linear) from one of {_side(quick) ** 2:,}"
-        " samples a pixel; lower left is better.  Left: rendering alone.  Right: the whole process,"
-        " file to PNG.",
-        fontsize=11, color="#444444",
-    )  # fmt: skip
-    points: list[Point] = []
-    for row, (name, scene) in zip(grid, tqdm(scenes.items(), disable=None), strict=True):
-        found = list(measure(name, scene, quick=quick))
-        points += found
-        for axes, process in zip(row, (False, True), strict=True):
-            what = "whole process" if process else "rendering"
-            axes.set_title(f"{name}: {what}")
-            _draw(axes, [p for p in found if p.process == process])
-    write_csv(
-        "speed_accuracy",
-        where,
-        ("scene", "method", "samples", "process", "rmse", "seconds", "low", "high"),
-        (
-            (
-                p.scene,
-                p.method,
-                p.samples,
-                p.process,
-                p.error,
-                p.time.median,
-                p.time.low,
-                p.time.high,
-            )
-            for p in points
-        ),
-    )
-    save(figure, "speed_accuracy")
+    options = parser("reference.speed_accuracy", __doc__, quick="one scene, few samples")
+    options.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
+    chosen = options.parse_args()
+    scenes = _scenes(chosen.quick)
+    if chosen.redraw:
+        points = _stored()
+    else:
+        try:
+            use(LLVM)
+        except ImportError as error:
+            options.exit(1, f"{options.prog}: {error}\n")
+        mi.set_log_level(mi.LogLevel.Error)
+        points = []
+        where = machine.describe()
+        print(f"About {len(scenes)} minutes, or less where the build folder has the truth already")
+        for name, scene in tqdm(scenes.items(), unit="scene"):
+            points += measure(name, scene, quick=chosen.quick)
+        write_csv(
+            "speed_accuracy",
+            where,
+            _COLUMNS,
+            ((p.scene, p.method, p.samples, p.process, p.error, *astuple(p.time)) for p in points),
+        )
+    save(_draw(scenes, points, _side(chosen.quick) ** 2), "speed_accuracy")
 
 
 if __name__ == "__main__":

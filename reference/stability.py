@@ -11,7 +11,6 @@ missed, lit or in shadow.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +25,18 @@ import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.variant import LLVM, SCALAR, use
 from reference import alternatives, machine
 from reference.alternatives import closest_approach, exactly, expanded, float32, float64, textbook
-from reference.charts import HALO, LOOKS, End, label_ends, label_losses, plt, save, write_csv
+from reference.charts import (
+    HALO,
+    LOOKS,
+    End,
+    headline,
+    label_ends,
+    label_losses,
+    plt,
+    save,
+    write_csv,
+)
+from reference.command import parser
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.scene import Floats
 
@@ -438,10 +448,7 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
         kept = len(at) - int(np.argmax(shown[::-1] < _LOST)) if error else len(at)
         dies = kept < len(at) or (error and shown[-1] >= _LOST)
         last = min(kept, len(at) - 1)
-        axes.plot(
-            at[: last + 1], shown[: last + 1], **look, markeredgecolor="white", mew=0.5,
-            clip_on=False,
-        )  # fmt: skip
+        axes.plot(at[: last + 1], shown[: last + 1], **look, clip_on=False)
         end = (float(at[last]), float(shown[last]), name, look["color"])
         (lost if dies else ends).append(end)
     label_ends(axes, ends)
@@ -450,19 +457,17 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
 
 def main() -> None:
     """Measure, and write the chart."""
-    parser = argparse.ArgumentParser(prog="python -m reference.stability", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="every third point only")
-    step = 3 if parser.parse_args().quick else 1
+    options = parser("reference.stability", __doc__, quick="every third point only").parse_args()
+    step = 3 if options.quick else 1
     methods = methods_of()
     figure, grid = plt.subplots(4, 2, figsize=(14, 17))
     figure.subplots_adjust(left=0.06, right=0.865, top=0.895, bottom=0.04, wspace=0.52, hspace=0.62)
-    figure.text(0.03, 0.978, "Where ray tracing loses its digits", fontsize=19, weight="bold")
-    figure.text(
-        0.03, 0.957,
+    headline(
+        figure,
+        "Where ray tracing loses its digits",
         "Each point is a picture held against 50-digit arithmetic.  Left: largest error of the"
         " radiance (✕: no digit left).  Right: share of pixels decided wrongly.",
-        fontsize=11, color="#444444",
-    )  # fmt: skip
+    )
     rows: list[tuple[object, ...]] = []
     for axes, panel in zip(grid.ravel(), tqdm(PANELS, disable=None), strict=True):
         at = panel.at[::step]

@@ -5,18 +5,21 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from time import sleep
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import reference.charts
+import reference.command
 from converters.variant import LLVM, use
 from reference import alternatives, benchmark, minimal, speed_accuracy, stability
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
-from reference.benchmark import Timing, growth_exponent
-from reference.machine import BUILD
+from reference.benchmark import growth_exponent
 from reference.povray import to_pov
+from reference.speed_accuracy import Lead, Point, Truth
+from reference.timing import Task, Timing, interleaved
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 from tracer.scene import Floats
@@ -162,13 +165,21 @@ def test_growth_exponent_of_a_power_law() -> None:
 def test_interleaved_runs_in_turns() -> None:
     order: list[str] = []
 
-    def task(name: str) -> benchmark.Task:
+    def task(name: str) -> Task:
         return lambda k: order.append(f"{name}{k}")
 
     tasks = {name: task(name) for name in "ab"}
-    timings = benchmark.interleaved(tasks, 2)
+    timings = interleaved(tasks, 2)
     assert order == ["a0", "b0", "a1", "b1"]
     assert all(0 <= t.low <= t.median <= t.high for t in timings.values())
+
+
+def test_only_short_tasks_go_on() -> None:
+    rounds: list[int] = []
+    tasks: dict[str, Task] = {"long": lambda _: sleep(0.02), "short": rounds.append}
+    timings = interleaved(tasks, 1, most=4, seconds=0.01)
+    assert timings["long"].low == timings["long"].high
+    assert rounds == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("name", ["one-sphere", "sticks-perspective"])
@@ -196,13 +207,25 @@ def test_the_compiled_loop_draws_the_same_picture(name: str) -> None:
     ids=lambda section: section.__name__,
 )
 def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
-    BUILD.mkdir(exist_ok=True)
     table = section(1, True)
     assert table.rows
     assert all(len(row) == len(table.header) for row in table.rows)
     assert len(list(table.records())) == len(table.rows) * (len(table.header) - 1)
     lines = table.markdown().splitlines()
     assert {line.count("|") for line in lines if line.startswith("|")} == {len(table.header) + 1}
+
+
+def test_the_compact_table_has_every_scene_at_every_size() -> None:
+    rows = [
+        (f"{name} {size}", Timing.of([ours]), Timing.of([theirs]), "stock")
+        for size, ours, theirs in (("3×2", 0.01, 0.02), ("6×4", 0.04, 0.01))
+        for name in ("a", "b")
+    ]
+    table = benchmark.compact(benchmark.Table("Warm", "", (), list(rows)))
+    assert table.header == ("scene", "3×2", "speedup", "6×4", "speedup")
+    cells = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[-3:]]
+    assert cells[0] == ["a", "10.0", "2×", "40.0", "0.25×"]
+    assert cells[2] == ["geometric mean", "", "2×", "", "0.25×"]
 
 
 def test_memory_is_that_of_the_child() -> None:
@@ -226,6 +249,58 @@ def test_supersampling_in_parts_is_the_same(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(by_hand, whole, rtol=0, atol=1e-12)
 
 
+def test_truth_is_rows_of_the_whole_picture(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scene = _small("sticks-perspective", 16, 9)
+    monkeypatch.setattr(reference.command, "BUILD", tmp_path)
+    monkeypatch.setattr(speed_accuracy, "_PIXELS", 16 * 9 // 4)
+    truth = Truth.of(scene, 5)
+    assert truth.radiance.shape == (2, 16, 3)
+    whole = speed_accuracy.supersampled(scene, 5)
+    # The same rays, but for the last bit, that decides no pixel here.
+    assert truth.error(whole) < 1e-12
+    assert truth.error(whole + 0.1) == pytest.approx(0.1)
+    stored = Truth.of(scene, 5)
+    assert np.array_equal(stored.radiance, truth.radiance)
+
+
+def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]:
+    return [
+        Point("any", method, 4**k, False, error, Timing.of([seconds]))
+        for k, (error, seconds) in enumerate(errors_and_seconds)
+    ]
+
+
+def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
+    ours = _curve("this tracer", (1e-2, 1.0), (1e-4, 4.0))
+    slow = _curve("Mitsuba scalar", (1e-2, 9.0), (1e-4, 9.0))
+    fast = _curve("Mitsuba stratified", (1e-2, 3.0), (1e-5, 3.0))
+    numpy = _curve("uniform grid", (1e-2, 0.1), (1e-5, 0.1))
+    lead = Lead.of([*ours, *slow, *fast, *numpy])
+    assert lead is not None
+    assert (lead.level, lead.ours, lead.theirs) == pytest.approx((1e-3, 2.0, 3.0))
+    assert lead.speedup == pytest.approx(1.5)
+    # Where a rival does not come so far, it is met where it comes; to be better is as good.
+    rough = Lead.of([*ours, *_curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))])
+    assert rough is not None
+    assert (rough.level, rough.ours, rough.theirs) == pytest.approx((0.1, 1.0, 2.0))
+    assert Lead.of([*ours, *numpy]) is None
+
+
+def test_the_chart_says_what_was_measured() -> None:
+    def lead(speedup: float) -> Lead:
+        return Lead(1e-3, 1.0, speedup)
+
+    found = {False: [lead(0.5), lead(0.2)], True: [lead(2.0), lead(0.9)]}
+    title = speed_accuracy._title(found, "Mitsuba")
+    assert "faster than Mitsuba" in title
+    assert "in 1 of 2 scenes from file to picture, in 0 of 2 scenes at rendering alone" in title
+    assert speed_accuracy._title({False: [], True: []}, "Mitsuba") == "Time against error"
+    assert speed_accuracy._in_words(0.5, 0.2) == "2.0–5.0× slower"
+    assert speed_accuracy._in_words(0.9, 3.0, 2.0) == "1.1× slower, 2.0–3.0× faster"
+
+
 def test_speed_accuracy_of_a_small_picture(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,6 +308,7 @@ def test_speed_accuracy_of_a_small_picture(
     monkeypatch.setattr(
         speed_accuracy, "_scenes", lambda quick: {"small": _small("four-spheres", 32, 18)}
     )
+    monkeypatch.setattr(speed_accuracy, "_ENOUGH", 0.0)
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
     if use().variant != LLVM:
         with pytest.raises(SystemExit, match="1"):
@@ -247,6 +323,12 @@ def test_speed_accuracy_of_a_small_picture(
     ours = [float(row[4]) for row in rows if row[1] == "this tracer" and row[3] == "False"]
     assert len(ours) == 3
     assert ours[0] > ours[1] > ours[2]
+    chart = tmp_path / "speed_accuracy.svg"
+    chart.unlink()
+    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick", "--redraw"])
+    monkeypatch.delattr(speed_accuracy, "measure")
+    speed_accuracy.main()
+    assert chart.exists()
 
 
 def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
