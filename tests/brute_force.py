@@ -48,13 +48,13 @@ def brute_force(scene: Scene) -> Floats:
         first = t < nearest
         nearest[first], owner[first], face[first] = t[first], i, axis[first]
 
-    image = np.zeros((s.size, 3))
     at = np.flatnonzero(owner >= 0)
     own, face, t, d = owner[at], face[at], nearest[at], _part(d, at)
     p, n = _points(raster, surfaces, own, face, t, d, inside)
     length = np.sqrt(dot(d, d))
     view = _triple([c * (-1 / length) for c in d])
     reach = t * length + sum(np.abs(c) for c in p)
+    fallen, mirrored = np.zeros((2, at.size, 3))
     for light in scene.lights:
         to_light = _triple([light.position[k] - p[k] for k in range(3)])
         projected = dot(n, to_light)
@@ -77,12 +77,18 @@ def brute_force(scene: Scene) -> Floats:
         for i in np.unique(own[lit]).tolist():
             seen, shader = np.flatnonzero(lit & (own == i)), surfaces[i].shader
             for k in range(3):
-                image[at[seen], k] += light.intensity[k] * shader.diffuse[k] * cosine[seen]
+                fallen[seen, k] += light.intensity[k] * cosine[seen]
             if isinstance(shader, Phong) and any(shader.specular):
                 exponent = np.asarray(shader.exponent)
                 power = highlight(_part(n, seen), _part(wi, seen), _part(view, seen), exponent)
                 for k in range(3):
-                    image[at[seen], k] += light.intensity[k] * shader.specular[k] * power
+                    mirrored[seen, k] += light.intensity[k] * power
+    image = np.zeros((s.size, 3))
+    for i in np.unique(own).tolist():
+        seen, shader = np.flatnonzero(own == i), surfaces[i].shader
+        image[at[seen]] = fallen[seen] * shader.diffuse
+        if isinstance(shader, Phong):
+            image[at[seen]] += mirrored[seen] * shader.specular
     return image.reshape(scene.height, scene.width, 3)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Triple, dot, pick, scaled, select, where
+from tracer.groups import Bools, Index, Triple, dot, each, pick, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
@@ -77,13 +77,14 @@ class Keys:
 
 
 def _bending(
-    lighting: Lighting, hits: Hits, index: Ints | slice, inverse: Floats, ray: Triple
+    lighting: Lighting, hits: Hits, index: Ints | slice, inverse: Floats
 ) -> Floats:
     """How much the angle between normal and half vector may change, by length on the surface.
 
-    `inverse`: of the distance to the light; `ray`: towards the point.
+    `inverse`: of the distance to the light.
     """
     surfaces = lighting.occluders.surfaces
+    ray = pick(hits.direction, index)
     bending = inverse + 1 / (hits.t[index] * np.sqrt(dot(ray, ray)))
     if hits.face == 3:
         bending = bending + 1 / surfaces.radius[select(hits.owner, index)]
@@ -106,9 +107,14 @@ def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
     count = hits.t.size
     shader = lighting.shader[hits.owner]
     glossy = np.broadcast_to(materials.glossy[shader], (count,))
-    radiance = np.zeros(count), np.zeros(count), np.zeros(count)
+    gloss = bool(glossy.any())
+    if gloss:
+        view = scaled(hits.direction, -1 / np.sqrt(dot(hits.direction, hits.direction)))
     if keys:
         keys.key[:] = hits.owner * 4 + hits.face
+    # Light that falls on the points, and its highlights: what shaders make of it comes last.
+    fallen = _Sum(count)
+    mirrored = _Sum(count)
     for light, intensity in lighting.lights:
         x, y, z = light.position
         to_light: Triple = x - hits.p[0], y - hits.p[1], z - hits.p[2]
@@ -118,42 +124,67 @@ def shade(lighting: Lighting, hits: Hits, keys: Keys | None = None) -> Triple:
             projected = dot(hits.n, to_light)
         # Seen from inside, an object keeps out all light that is not inside as well.
         kept_out = occluders.eye_inside[hits.owner] & (light.side[hits.owner] != INSIDE)
-        facing = np.broadcast_to((projected > 0) & ~kept_out, (count,))
+        lit = np.broadcast_to((projected > 0) & ~kept_out, (count,)).copy()
         if keys:
             keys.key[:] *= 2
-        if not facing.any():
+        facing = where(lit)
+        points = Points(hits, facing, pick(to_light, facing))
+        if not points.size:
             continue
-        lit = where(facing)
-        to_light = pick(to_light, lit)
-        points = Points(hits, lit, to_light)
-        blocked = light.blocked(occluders, points)
+        lit[facing] = ~light.blocked(occluders, points)
         if keys:
-            keys.undecided[lit] |= light.grazed(occluders, points, keys.footprint[lit])
-        if blocked.any():
-            free = np.flatnonzero(~blocked)
-            lit = free if isinstance(lit, slice) else lit[free]
-            to_light = pick(to_light, free)
-        if keys:
-            keys.key[lit] += 1
+            keys.undecided[facing] |= light.grazed(occluders, points, keys.footprint[facing])
+            keys.key[:] += lit
         inverse = 1 / np.sqrt(dot(to_light, to_light))
-        cosine = select(projected, lit) * inverse
-        material = select(shader, lit)
-        for k in range(3):
-            radiance[k][lit] += (intensity[k] * materials.diffuse[k][material]) * cosine
-        if glossy.any():
-            at = where(glossy[lit])
-            shiny = at if isinstance(lit, slice) else lit[at]
-            material = select(shader, shiny)
-            ray = pick(hits.direction, shiny)
+        cosine = np.where(lit, projected * inverse, 0.0)
+        fallen.add(intensity, cosine)
+        if gloss:
+            shiny = where(lit & glossy)
+            exponent = materials.exponent[select(shader, shiny)]
+            inverse = inverse[shiny]
             power = highlight(
                 pick(hits.n, shiny),
-                scaled(pick(to_light, at), inverse[at]),
-                scaled(ray, -1 / np.sqrt(dot(ray, ray))),
-                materials.exponent[material],
+                scaled(pick(to_light, shiny), inverse),
+                pick(view, shiny),
+                exponent,
             )
             if keys:
-                change = keys.footprint[shiny] * _bending(lighting, hits, shiny, inverse[at], ray)
-                keys.undecided[shiny] |= _narrow(power, materials.exponent[material], change)
-            for k in range(3):
-                radiance[k][shiny] += (intensity[k] * materials.specular[k][material]) * power
+                change = keys.footprint[shiny] * _bending(lighting, hits, shiny, inverse)
+                keys.undecided[shiny] |= _narrow(power, exponent, change)
+            if not isinstance(shiny, slice):
+                everywhere = np.zeros(count)
+                everywhere[shiny] = power
+                power = everywhere
+            mirrored.add(intensity, power)
+    radiance = fallen.times(materials.diffuse, shader)
+    if gloss:
+        radiance = each(np.add, radiance, mirrored.times(materials.specular, shader))
     return radiance
+
+
+class _Sum:
+    """Light of several sources, three (n,)."""
+
+    __slots__ = ("channels", "count")
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.channels: Triple | None = None
+
+    def add(self, intensity: Floats, weight: Floats) -> None:
+        """One more source, (3,), as seen by each point (n,)."""
+        more: Triple = scaled((intensity[0], intensity[1], intensity[2]), weight)
+        if self.channels is None:
+            self.channels = more
+        else:
+            for total, channel in zip(self.channels, more, strict=True):
+                total += channel
+
+    def times(self, colors: Floats, index: Index) -> Triple:
+        """The light that surfaces return, whose colours are some of (3, m)."""
+        if self.channels is None:
+            nothing = np.zeros(self.count)
+            return nothing, nothing, nothing
+        for total, color in zip(self.channels, colors, strict=True):
+            total *= color[index]
+        return self.channels
