@@ -53,7 +53,8 @@ def brute_force(scene: Scene) -> Floats:
     p, n = _points(raster, surfaces, own, face, t, d, inside)
     length = np.sqrt(dot(d, d))
     view = _triple([c * (-1 / length) for c in d])
-    reach = t * length + sum(np.abs(c) for c in p)
+    ray = _triple([p[k] - raster.eye[k] for k in range(3)])
+    reach = np.sqrt(dot(ray, ray)) + sum(np.abs(c) for c in p)
     fallen, mirrored = np.zeros((2, at.size, 3))
     for light in scene.lights:
         to_light = _triple([light.position[k] - p[k] for k in range(3)])

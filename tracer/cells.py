@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, scaled
-from tracer.pencil import expand
+from tracer.groups import Bools, Triple, dot, each, expand, scaled
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
@@ -47,6 +46,14 @@ class Extents:
     low: Floats
     high: Floats
     seen: Bools
+
+    @classmethod
+    def of(cls, surfaces: Surfaces, seen: Bools) -> Extents:
+        """Gather spheres and boxes."""
+        center, radius = surfaces.center.T, surfaces.radius
+        low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
+        high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
+        return cls(low, high, seen)
 
 
 @dataclass(frozen=True, slots=True)

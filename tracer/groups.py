@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tracer.scene import Floats, Ints
 
-__all__ = ["Bools", "Index", "Triple", "dot", "each", "pick", "runs", "scaled", "select", "spread", "where"]
+__all__ = ["Bools", "Index", "Triple", "dot", "each", "expand", "pick", "runs", "scaled", "select", "spread", "where"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
@@ -71,6 +71,13 @@ def where(mask: Bools) -> Ints | slice:
     """Index of the elements where the mask holds: a slice, if that is everywhere."""
     index = np.flatnonzero(mask)
     return slice(None) if index.size == mask.size else index
+
+
+def expand(counts: Ints) -> tuple[Ints, Ints]:
+    """For each i, counts[i] elements: their i, and their place 0 ... counts[i] - 1."""
+    owner = np.repeat(np.arange(counts.size), counts)
+    place = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    return owner, place
 
 
 def runs(start: Ints, counts: Ints) -> Ints:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Triple, dot, each
+from tracer.groups import Triple, dot, each, expand
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "Outlines",
     "Spans",
     "box_corners",
-    "expand",
     "outlines",
     "silhouette_planes",
 ]
@@ -33,13 +32,6 @@ ROUNDING = 1e-12
 
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
 _LEAST_ANGLE = 1e-6
-
-
-def expand(counts: Ints) -> tuple[Ints, Ints]:
-    """For each i, counts[i] elements: their i, and their place 0 ... counts[i] - 1."""
-    owner = np.repeat(np.arange(counts.size), counts)
-    place = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    return owner, place
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from tracer.antialias import antialiased
+#from tracer.antialias import antialiased
 from tracer.camera import raster_of
-from tracer.lighting import Lighting, lighting_of, shade
+from tracer.lighting import Lighting, incidence, lighting_of, shade
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid, visible
@@ -126,9 +126,11 @@ def _centres(
     """Radiance (bottom - top, right - left, 3) at the centres of pixels."""
     samples = grid(top, bottom, left, right)
     radiance = np.zeros((samples.x.size, 3))
-    for hits in visible(view, samples):
-        for k, values in enumerate(shade(lighting, hits)):
-            radiance[hits.sample, k] = values
+    hits = visible(view, samples)
+    falls = incidence(lighting, hits)
+    for group in hits.groups:
+        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
+            radiance[group.sample, k] = values
     return radiance.reshape(bottom - top, right - left, 3)
 
 
@@ -173,4 +175,4 @@ def _prepare(scene: Scene, offset: tuple[float, float]) -> tuple[View, Lighting]
         eye_inside=np.concatenate([lines.power <= 0, in_box]),
         order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
     )
-    return view, lighting_of(scene, raster, view.eye_inside, lines.in_picture())
+    return view, lighting_of(scene, raster.eye, view.eye_inside, lines.in_picture())

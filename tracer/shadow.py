@@ -1,10 +1,10 @@
-"""Which points a light reaches: one pencil from each light.
+"""Which points the lights reach.
 
 All shadow segments end at a light, so an object can only block those that pass
 it on their way.  That is decided from coarse to fine, by one test: for whole
-objects, then for stretches of neighbouring points, each in a ball; the segments
-from a ball to the light lie in a capsule, which an object meets or not.  What
-is left goes to the exact test, point by point.
+objects, for tiles of the picture, for stretches of neighbouring points, each in
+a ball; the segments from a ball to the light lie in a capsule, which an object
+misses, meets or cuts.  What it only meets goes to the exact test, point by point.
 
 With more objects than can be tried against each other, those that a point may
 meet are listed by cells of direction around the light instead.
@@ -13,53 +13,51 @@ meet are listed by cells of direction around the light instead.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracer.cells import NONE, Cells, Extents, list_objects
-from tracer.groups import Bools, Index, Triple, dot, each, pick, runs, select
+from tracer.groups import Bools, Triple, dot, each, expand, pick, runs
 from tracer.intersection import (
     INSIDE,
     ON,
     OUTSIDE,
     SURFACE_TOLERANCE,
-    box_blocks,
     box_and_capsule,
+    box_blocks,
+    sphere_and_capsule,
     sphere_blocks,
     sphere_crosses,
-    sphere_and_capsule,
     sphere_side,
 )
-from tracer.pencil import box_corners, expand, silhouette_planes
+from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits
 
-__all__ = ["LightPencil", "Occluders", "Points", "light_pencil", "occluders_of"]
+__all__ = ["Occluders", "Shadows", "occluders_of", "shadows_of"]
 
 # Up to so many objects, all are tried against each other.
 _MOST_IN_PAIRS = 512
 
-# Points in a stretch at most, coarse and fine, and pixels of a tile.
-_LONG, _SHORT = 32, 8
-_TILE_WIDTH, _TILE_HEIGHT = 32, 32
+# Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
+_LONG, _SHORT, _TILE = 32, 8, 32
 
 # Balls are larger by so much of all sizes around: far more than all roundings.
 _SLACK = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class Occluders:
+class Occluders(NamedTuple):
     """All surfaces, spheres first, as whatever may cast a shadow.
 
     Attributes
     ----------
     surfaces : Surfaces
-    eye_inside : (n,)
-        Which of them are seen from inside.
-    extents : Extents
+    eye : (3,)
+    eye_inside, seen : (n,)
+        Which of them are seen from inside, and which may be seen at all.
     middle, radius : three (n,) and (n,)
         A ball around each.
     size : (n,)
@@ -69,55 +67,16 @@ class Occluders:
     """
 
     surfaces: Surfaces
+    eye: Floats
     eye_inside: Bools
-    extents: Extents
+    seen: Bools
     middle: Triple
     radius: Floats
     size: Floats
     slack: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Points:
-    """Those points of some hits that face a light.
-
-    Attributes
-    ----------
-    hits : Hits
-    facing
-        Which of them.
-    to_light : three (n,)
-        From these points to the light.
-    """
-
-    hits: Hits
-    facing: Ints | slice
-    to_light: Triple
-
-    @property
-    def size(self) -> int:
-        """How many."""
-        return self.hits.t.size if isinstance(self.facing, slice) else self.facing.size
-
-    @property
-    def own(self) -> Index:
-        """The object that each lies on."""
-        return select(self.hits.owner, self.facing)
-
-    def at(self, index: Ints) -> Ints:
-        """Their places among the hits."""
-        return index if isinstance(self.facing, slice) else self.facing[index]
-
-    def reach(self, index: Ints) -> Floats:
-        """What the rounding of some points scales with: distances from origin and eye."""
-        of = self.at(index)
-        ray = pick(self.hits.direction, of)
-        reach: Floats = self.hits.t[of] * np.sqrt(dot(ray, ray))
-        return reach + sum(each(np.abs, pick(self.hits.p, of)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Stretches:
+class _Balls(NamedTuple):
     """Stretches of neighbouring points of one object, each in a ball.
 
     Attributes
@@ -132,39 +91,32 @@ class _Stretches:
     middle: Triple
     radius: Floats
 
-    def take(self, index: Ints) -> _Stretches:
-        """Some of them."""
-        middle = pick(self.middle, index)
-        return _Stretches(self.start[index], self.count[index], middle, self.radius[index])
+
+class _Pairs(NamedTuple):
+    """Balls, each with a light and an object that may come between: all spheres, or all boxes."""
+
+    balls: _Balls
+    light: Ints
+    other: Ints
+
+    def points(self) -> tuple[Ints, Ints, Ints]:
+        """All points of all balls, with their light and object."""
+        count = self.balls.count
+        return (
+            runs(self.balls.start, count),
+            np.repeat(self.light, count),
+            np.repeat(self.other, count),
+        )
 
 
-def _stretches(occluders: Occluders, points: Points, start: Ints, count: Ints) -> _Stretches:
-    """Put balls around stretches of points."""
-    begin, end = points.at(start), points.at(start + count - 1)
-    owner = select(points.hits.owner, begin)
-    # The points of a row lie on a line, or on an arc of less than half a circle.
-    a, b = pick(points.hits.p, begin), pick(points.hits.p, end)
-    middle = each(lambda a, b: 0.5 * (a + b), a, b)
-    across = each(np.subtract, b, a)
-    radius = 0.5 * np.sqrt(dot(across, across))
-    if points.hits.face == 3:
-        inside = occluders.eye_inside[owner]
-        if inside.any():
-            # Seen from inside, an arc may be longer.
-            middle = each(lambda m, c: np.where(inside, c[owner], m), middle, occluders.middle)
-            radius = np.where(inside, occluders.radius[owner], radius)
-    return _Stretches(start, count, middle, radius + occluders.slack[owner])
-
-
-@dataclass(frozen=True, slots=True)
-class _Lists:
-    """Which spheres, or which boxes, may shade each object.
+class _Lists(NamedTuple):
+    """Which spheres, or which boxes, may keep each light from each object.
 
     Attributes
     ----------
     spheres : bool
-    first, listed : (n + 1,) and (m,)
-        Those of object i are listed[first[i]:first[i + 1]].
+    first, listed : (lights * n + 1,) and (m,)
+        For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
     """
 
     spheres: bool
@@ -172,192 +124,240 @@ class _Lists:
     listed: Ints
 
 
-@dataclass(frozen=True, slots=True)
-class LightPencil:
-    """What a light may be kept from, and by what.
+class Shadows(NamedTuple):
+    """What may keep lights from points.
 
     Attributes
     ----------
-    position : (3,)
-    side : (n,)
-        Where the light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to each
-        box `INSIDE`, or else `ON`.
+    occluders : Occluders
+    lights : (3, lights)
+    side : (lights, n)
+        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to
+        each box `INSIDE`, or else `ON`.
     lists : tuple of _Lists
         For the spheres and for the boxes.
-    cells : Cells, optional
-        Takes the place of these lists.
+    cells : tuple of Cells
+        Around each light: they take the place of the lists.
     """
 
-    position: Floats
+    occluders: Occluders
+    lights: Floats
     side: NDArray[np.int8]
     lists: tuple[_Lists, ...]
-    cells: Cells | None
+    cells: tuple[Cells, ...]
 
-    def blocked(self, occluders: Occluders, points: Points) -> Bools:
-        """Whether another object than their own keeps points from the light."""
-        result, dark = np.zeros((2, points.size), dtype=np.bool_)
-        for pairs in self._pairs(occluders, points, dark):
-            point, blocks = self._blocks(occluders, points, *pairs)
-            result[point[blocks]] = True
-        return result | dark
+    def blocked(self, hits: Hits, facing: Bools) -> Bools:
+        """Whether other objects than their own keep lights from points that face them.
 
-    def grazed(self, occluders: Occluders, points: Points, footprint: Floats) -> Bools:
+        `facing` and the answer: (lights, n); it is of no meaning where they do not face.
+        """
+        dark = np.zeros(facing.shape, dtype=np.bool_)
+        blocked = np.zeros(facing.shape, dtype=np.bool_)
+        for pairs in self._pairs(hits, facing, dark):
+            point, light, other = pairs.points()
+            blocks = np.flatnonzero(self._blocks(hits, pairs, point, light, other))
+            blocked[light[blocks], point[blocks]] = True
+        return blocked | dark
+
+    def grazed(self, hits: Hits, facing: Bools, footprint: Floats) -> Bools:
         """Whether `blocked` may change within a distance (n,) of each point.
 
         An object that blocks when it is larger by as much, and does not when
-        smaller by as much, has the edge of its shadow there.
+        smaller by as much, has the edge of its shadow there; unless another
+        blocks, too, when smaller.
         """
-        result, solid, dark = np.zeros((3, footprint.size), dtype=np.bool_)
-        for pairs in self._pairs(occluders, points, dark, footprint):
-            point, may = self._blocks(occluders, points, *pairs, footprint)
-            _, must = self._blocks(occluders, points, *pairs, -footprint)
-            result[point[may & ~must]] = True
-            solid[point[must]] = True
-        # The edge of a shadow within another is not seen.
-        return result & ~solid & ~dark
+        result, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
+        for pairs in self._pairs(hits, facing, dark, footprint):
+            point, light, other = pairs.points()
+            larger = footprint[point]
+            may = self._blocks(hits, pairs, point, light, other, larger)
+            must = self._blocks(hits, pairs, point, light, other, -larger)
+            edge = may & ~must
+            result[light[edge], point[edge]] = True
+            solid[light[must], point[must]] = True
+        return result & ~(solid | dark)
 
     def _pairs(
-        self,
-        occluders: Occluders,
-        points: Points,
-        dark: Bools,
-        footprint: Floats | None = None,
-    ) -> Iterator[tuple[_Stretches, Ints]]:
-        """Pairs of a stretch and an object that may shade it: spheres, then boxes.
+        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
+    ) -> Iterator[_Pairs]:
+        """Stretches of points and what may shade them: spheres, then boxes.
 
-        With a footprint (n,): that may shade what is so near to its points.
-        Sets `dark` (n,) where that is certain, and leaves out these points.
+        With a footprint (n,): what may shade anything so near to a point.
+        Sets `dark` (lights, n) where a shadow is certain, and leaves that out.
         """
         if self.cells:
-            yield from _pairs_in_cells(self.cells, occluders, points, footprint)
+            yield from self._pairs_in_cells(hits, facing, footprint)
             return
-        own = points.hits.owner
-        lists = [m for m in self.lists if np.ndim(own) or m.first[own] < m.first[own + 1]]
-        if not lists:
+        start, count, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
+        if not start.size:
             return
-        first = points.hits.first
-        if not isinstance(points.facing, slice):
-            first = np.searchsorted(points.facing, first)
-        start, count, _ = _cut(first[:-1], np.diff(first), _LONG)
-        stretches = _stretches(occluders, points, start, count)
-        wider = np.zeros(start.size)
+        owner = hits.owner[run]
+        balls = self._balls(hits, owner, start, count)
+        margin = np.zeros(start.size)
         if footprint is not None:
-            wider = np.maximum.reduceat(footprint, start)
-        stretches.radius[:] += wider
-        tiles = _Tiles.of(points, stretches)
-        done = np.zeros(start.size, dtype=np.bool_)
-        for kind in lists:
-            tile, other = tiles.pairs(kind)
-            near, _ = self._near(
-                occluders, kind, pick(tiles.middle, tile), tiles.radius[tile], other
-            )
+            margin = np.maximum.reduceat(footprint, start)
+        balls.radius[:] += margin
+        asked = np.logical_or.reduceat(facing, start, axis=1)
+        tiles = _tiles(hits, balls, run)
+        objects, tile_count = len(self.side[0]), tiles.owner.size
+        # Every tile for every light.
+        key = np.add.outer(np.arange(len(facing)) * objects, tiles.owner).ravel()
+        for kind in self.lists:
+            first = kind.first[key]
+            place, rest = expand(kind.first[key + 1] - first)
+            other = kind.listed[first[place] + rest]
+            light, tile = np.divmod(place, tile_count)
+            near, _ = self._near(kind, pick(tiles.middle, tile), tiles.radius[tile], light, other)
             near = np.flatnonzero(near)
-            pair, place = expand(tiles.count[tile[near]])
-            stretch = tiles.order[tiles.first[tile[near]][pair] + place]
-            other = other[near][pair]
-            near, covers = self._near(
-                occluders,
-                kind,
-                pick(stretches.middle, stretch),
-                stretches.radius[stretch],
-                other,
+            light, tile, other = light[near], tile[near], other[near]
+            pair, rest = expand(tiles.count[tile])
+            stretch = tiles.order[tiles.first[tile][pair] + rest]
+            light, other = light[pair], other[pair]
+            some = np.flatnonzero(asked[light, stretch])
+            stretch, light, other = stretch[some], light[some], other[some]
+            near, cut = self._near(
+                kind, pick(balls.middle, stretch), balls.radius[stretch], light, other
             )
             if not near.any():
                 continue
-            covered = stretch[covers]
-            done[covered] = True
-            dark[runs(stretches.start[covered], stretches.count[covered])] = True
-            near = np.flatnonzero(near & ~done[stretch])
-            stretch, other = stretch[near], other[near]
-            start, count, parent = _cut(stretches.start[stretch], stretches.count[stretch], _SHORT)
-            short, other = _stretches(occluders, points, start, count), other[parent]
-            short.radius[:] += wider[stretch[parent]]
-            near, covers = self._near(occluders, kind, short.middle, short.radius, other)
-            dark[runs(start[covers], count[covers])] = True
-            near = np.flatnonzero(near & ~dark[start])
+            asked[light[cut], stretch[cut]] = False
+            lit = runs(balls.start[stretch[cut]], balls.count[stretch[cut]])
+            dark[np.repeat(light[cut], balls.count[stretch[cut]]), lit] = True
+            near = np.flatnonzero(near & asked[light, stretch])
+            stretch, light, other = stretch[near], light[near], other[near]
+            start, count, parent = _cut(balls.start[stretch], balls.count[stretch], _SHORT)
+            light, other, stretch = light[parent], other[parent], stretch[parent]
+            short = self._balls(hits, owner[stretch], start, count)
+            short.radius[:] += margin[stretch]
+            near, cut = self._near(kind, short.middle, short.radius, light, other)
+            dark[np.repeat(light[cut], count[cut]), runs(start[cut], count[cut])] = True
+            near = np.flatnonzero(near & ~dark[light, start])
             if near.size:
-                yield short.take(near), other[near]
+                some_balls = _Balls(
+                    start[near], count[near], pick(short.middle, near), short.radius[near]
+                )
+                yield _Pairs(some_balls, light[near], other[near])
+
+    def _balls(self, hits: Hits, owner: Ints, start: Ints, count: Ints) -> _Balls:
+        """Put balls around stretches of points of some objects."""
+        # The points of a row lie on a line, or on an arc of less than half a circle.
+        a, b = hits.p.take(start, axis=1), hits.p.take(start + count - 1, axis=1)
+        middle = 0.5 * (a + b)
+        b -= a
+        radius = 0.5 * np.sqrt(dot(b, b))
+        spheres = len(self.occluders.surfaces.radius)
+        if self.occluders.eye_inside[:spheres].any():
+            # Seen from inside, an arc may be longer.
+            inside = np.flatnonzero(self.occluders.eye_inside[owner] & (owner < spheres))
+            middle[:, inside] = [c[owner[inside]] for c in self.occluders.middle]
+            radius[inside] = self.occluders.radius[owner[inside]]
+        x, y, z = middle
+        return _Balls(start, count, (x, y, z), radius + self.occluders.slack[owner])
 
     def _near(
-        self, occluders: Occluders, kind: _Lists, middle: Triple, radius: Floats, other: Ints
+        self, kind: _Lists, middle: Triple, radius: Floats, light: Ints, other: Ints
     ) -> tuple[Bools, Bools]:
-        """Whether objects may come between balls and the light, and whether they surely do."""
-        surfaces = occluders.surfaces
-        x, y, z = self.position.tolist()
+        """Whether objects may come between balls and lights, and whether they surely do."""
+        surfaces = self.occluders.surfaces
+        x, y, z = self.lights
+        end = x[light], y[light], z[light]
         if kind.spheres:
             center = _columns(surfaces.center, other)
-            return sphere_and_capsule(middle, (x, y, z), radius, center, surfaces.radius[other])
+            return sphere_and_capsule(middle, end, radius, center, surfaces.radius[other])
         box = other - len(surfaces.radius)
         low, high = _columns(surfaces.min_pt, box), _columns(surfaces.max_pt, box)
-        return box_and_capsule(middle, (x, y, z), radius, low, high)
+        return box_and_capsule(middle, end, radius, low, high)
 
     def _blocks(
         self,
-        occluders: Occluders,
-        points: Points,
-        stretches: _Stretches,
+        hits: Hits,
+        pairs: _Pairs,
+        point: Ints,
+        light: Ints,
         other: Ints,
         larger: Floats | None = None,
-    ) -> tuple[Ints, Bools]:
-        """All points of stretches, and whether an object (of each) keeps them from the light.
+    ) -> Bools:
+        """Whether objects keep lights from points: those of `pairs`, one by one.
 
-        `larger` (n,), of each point, is added to the objects' sizes on all sides.
+        `larger` (n,) is added to the objects' sizes on all sides.
         """
-        surfaces, spheres = occluders.surfaces, len(occluders.surfaces.radius)
-        count = stretches.count
-        point = runs(stretches.start, count)
-        p = pick(points.hits.p, points.at(point))
-        if other[0] >= spheres:
-            box = other - spheres
+        surfaces, spheres = self.occluders.surfaces, len(self.occluders.surfaces.radius)
+        count = pairs.balls.count
+        p = _rows(hits.p, point)
+        end = each(lambda c: np.repeat(c, count), _rows(self.lights, pairs.light))
+        if pairs.other[0] >= spheres:
+            box = pairs.other - spheres
             low, high = (
                 each(lambda c: np.repeat(c, count), _columns(corner, box))
                 for corner in (surfaces.min_pt, surfaces.max_pt)
             )
             if larger is not None:
-                low = each(lambda c: c - larger[point], low)
-                high = each(lambda c: c + larger[point], high)
-            x, y, z = self.position.tolist()
-            tolerance = self._tolerance(occluders, points, point, np.repeat(other, count))
-            blocks = box_blocks(p, (x, y, z), low, high, tolerance)
+                low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
+            blocks = box_blocks(p, end, low, high, self._tolerance(p, light, other))
             if larger is not None:
                 # A box smaller than nothing is none.
                 blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
-            return point, blocks
-        to_light = pick(points.to_light, point)
-        center = _columns(surfaces.center, other)
+            return blocks
+        to_light = each(np.subtract, end, p)
+        center = _columns(surfaces.center, pairs.other)
         to_center = each(lambda c, p: np.repeat(c, count) - p, center, p)
-        radius = np.repeat(surfaces.radius[other], count)
+        radius = np.repeat(surfaces.radius[pairs.other], count)
         if larger is not None:
-            radius = np.maximum(radius + larger[point], 0)
+            radius = np.maximum(radius + larger, 0)
         blocks = sphere_crosses(to_light, to_center, radius)
         # Ends that may be in or on a sphere are looked at more closely.
-        aside = each(np.subtract, stretches.middle, center)
-        reach = surfaces.radius[other] + stretches.radius
-        closely = (self.side[other] != OUTSIDE) | (dot(aside, aside) <= reach * reach)
+        aside = each(np.subtract, pairs.balls.middle, center)
+        reach = surfaces.radius[pairs.other] + pairs.balls.radius
+        closely = self.side[pairs.light, pairs.other] != OUTSIDE
+        closely |= dot(aside, aside) <= reach * reach
         if closely.any():
             at = np.flatnonzero(np.repeat(closely, count))
-            ball = np.repeat(other, count)[at]
+            ball = other[at]
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
                 pick(to_center, at),
                 radius[at],
-                self._tolerance(occluders, points, point[at], ball),
-                self.side[ball],
-                occluders.eye_inside[ball],
+                self._tolerance(pick(p, at), light[at], ball),
+                self.side[light[at], ball],
+                self.occluders.eye_inside[ball],
             )
-        return point, blocks
+        return blocks
 
-    def _tolerance(self, occluders: Occluders, points: Points, point: Ints, other: Ints) -> Floats:
+    def _tolerance(self, p: Triple, light: Ints, other: Ints) -> Floats:
         """How near to an object the ends of a segment count as on it, pair by pair."""
-        reach = points.reach(point)
-        at_light = np.abs(self.position).sum()
-        reach = np.where(self.side[other] == ON, np.maximum(reach, at_light), reach)
-        return SURFACE_TOLERANCE * (reach + occluders.size[other])
+        x, y, z = self.occluders.eye.tolist()
+        ray = p[0] - x, p[1] - y, p[2] - z
+        reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
+        at_light = np.abs(self.lights).sum(axis=0)[light]
+        reach = np.where(self.side[light, other] == ON, np.maximum(reach, at_light), reach)
+        return SURFACE_TOLERANCE * (reach + self.occluders.size[other])
+
+    def _pairs_in_cells(
+        self, hits: Hits, facing: Bools, footprint: Floats | None
+    ) -> Iterator[_Pairs]:
+        """The same by the cells: stretches of one point."""
+        own = np.repeat(hits.owner, np.diff(hits.first))
+        spheres = len(self.occluders.surfaces.radius)
+        for number, cells in enumerate(self.cells):
+            asked = np.flatnonzero(facing[number] & ~cells.safe[own])
+            p = _rows(hits.p, asked)
+            to_light = each(np.subtract, tuple(self.lights[:, number].tolist()), p)
+            point, other = _listed(cells, own[asked], to_light)
+            if footprint is not None:
+                point, other = _around(cells, own[asked], to_light, footprint[asked])
+            point = asked[point]
+            for of_kind in (other < spheres, other >= spheres):
+                at = np.flatnonzero(of_kind)
+                if at.size:
+                    start = point[at]
+                    balls = self._balls(hits, own[start], start, np.ones_like(start))
+                    if footprint is not None:
+                        balls.radius[:] += footprint[start]
+                    yield _Pairs(balls, np.full(at.size, number), other[at])
 
 
-@dataclass(frozen=True, slots=True)
-class _Tiles:
-    """All stretches of one object in a part of the picture, in a ball.
+class _Tiles(NamedTuple):
+    """The stretches of one object in a tile of the picture, in a ball.
 
     Attributes
     ----------
@@ -377,36 +377,28 @@ class _Tiles:
     middle: Triple
     radius: Floats
 
-    @classmethod
-    def of(cls, points: Points, stretches: _Stretches) -> _Tiles:
-        """Sort stretches into tiles."""
-        hits, begin = points.hits, points.at(stretches.start)
-        sample = hits.sample[begin]
-        column = (hits.samples.x[sample] / _TILE_WIDTH).astype(np.intp)
-        row = (hits.samples.y[hits.samples.row[sample]] / _TILE_HEIGHT).astype(np.intp)
-        owner = np.broadcast_to(select(hits.owner, begin), column.shape)
-        key = (owner * (row.max() + 1) + row) * (column.max() + 2) + column
-        order = np.argsort(key, kind="stable")
-        first = np.flatnonzero(np.diff(key[order], prepend=-1))
-        low, high = (
-            each(lambda m: bound.reduceat((m + sign * stretches.radius)[order], first), stretches.middle)
-            for bound, sign in ((np.minimum, -1.0), (np.maximum, 1.0))
-        )
-        half = each(lambda a, b: 0.5 * (b - a), low, high)
-        return cls(
-            owner[order[first]],
-            order,
-            first,
-            np.diff(first, append=order.size),
-            each(lambda a, b: 0.5 * (a + b), low, high),
-            np.sqrt(dot(half, half)),
-        )
 
-    def pairs(self, lists: _Lists) -> tuple[Ints, Ints]:
-        """Each tile with all objects that may shade its own."""
-        first = lists.first[self.owner]
-        tile, place = expand(lists.first[self.owner + 1] - first)
-        return tile, lists.listed[first[tile] + place]
+def _tiles(hits: Hits, balls: _Balls, run: Ints) -> _Tiles:
+    """Sort stretches into tiles by where they begin."""
+    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE + 1
+    row = hits.row[run] // _TILE + 1
+    owner = hits.owner[run]
+    key = (owner * (row.max() + 1) + row) * (column.max() + 1) + column
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    radius = balls.radius[order]
+    middle = pick(balls.middle, order)
+    low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
+    high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
+    half = each(lambda a, b: 0.5 * (b - a), low, high)
+    return _Tiles(
+        owner[order[first]],
+        order,
+        first,
+        np.diff(first, append=order.size),
+        each(lambda a, b: 0.5 * (a + b), low, high),
+        np.sqrt(dot(half, half)),
+    )
 
 
 def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
@@ -420,68 +412,47 @@ def _columns(points: Floats, index: Ints) -> Triple:
     return points[index, 0], points[index, 1], points[index, 2]
 
 
-def _pairs_in_cells(
-    cells: Cells, occluders: Occluders, points: Points, footprint: Floats | None
-) -> Iterator[tuple[_Stretches, Ints]]:
-    """The same from the cells: stretches of one point."""
-    point, other = _listed_in_cells(cells, points, footprint)
-    single = _stretches(occluders, points, point, np.ones(point.size, dtype=np.intp))
-    if footprint is not None:
-        single.radius[:] += footprint[point]
-    spheres = other < len(occluders.surfaces.radius)
-    for kind in (spheres, ~spheres):
-        index = np.flatnonzero(kind)
-        if index.size:
-            yield single.take(index), other[index]
+def _rows(points: Floats, index: Ints) -> Triple:
+    return points[0][index], points[1][index], points[2][index]
 
 
-def _listed_in_cells(
-    cells: Cells, points: Points, footprint: Floats | None = None
-) -> tuple[Ints, Ints]:
-    """Pairs (point, object) that the cells do not rule out.
-
-    With a footprint (n,), also those of cells as far away as that.
-    """
-    if footprint is not None:
-        pairs = [_listed_in_cells(cells, points)]
-        for signs in product((-1.0, 1.0), repeat=3):
-            x, y, z = (
-                d + sign * footprint for d, sign in zip(points.to_light, signs, strict=True)
-            )
-            pairs.append(_listed_in_cells(cells, Points(points.hits, points.facing, (x, y, z))))
-        point, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        # Each pair once.
-        pair = np.unique(point * len(cells.near) + other)
-        return np.divmod(pair, len(cells.near))
-    own = points.own
-    asked = ~cells.safe[own]
-    if not asked.any():
-        none = np.zeros(0, dtype=np.intp)
-        return none, none
-    distance, cell = cells.locate(points.to_light)
+def _listed(cells: Cells, own: Ints, to_light: Triple) -> tuple[Ints, Ints]:
+    """Pairs (point, object) that the cells do not rule out."""
+    distance, cell = cells.locate(to_light)
     # Most cells hold nothing, or the object itself.
     sole = cells.sole[cell]
-    point = np.flatnonzero(asked & (sole != NONE) & (sole != own))
+    point = np.flatnonzero((sole != NONE) & (sole != own))
     owner, other = cells.objects(cell[point])
     point = point[owner]
-    keep = other != select(own, point)
-    keep &= cells.near[other] <= distance[point]
+    keep = (other != own[point]) & (cells.near[other] <= distance[point])
     return point[keep], other[keep]
+
+
+def _around(
+    cells: Cells, own: Ints, to_light: Triple, footprint: Floats
+) -> tuple[Ints, Ints]:
+    """The same for all that is as near to each point as its footprint (n,)."""
+    pairs = [_listed(cells, own, to_light)]
+    for signs in product((-1.0, 1.0), repeat=3):
+        x, y, z = (d + sign * footprint for d, sign in zip(to_light, signs, strict=True))
+        pairs.append(_listed(cells, own, (x, y, z)))
+    point, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    # Each pair once.
+    return np.divmod(np.unique(point * len(cells.near) + other), len(cells.near))
 
 
 def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluders:
     """Gather spheres and boxes; `seen` (n,) are those that may be in the picture."""
     center, radius = surfaces.center.T, surfaces.radius
-    low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
-    high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
     corner = np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt))
     size = np.concatenate([np.abs(center).sum(axis=0) + radius, corner.sum(axis=1)])
     x, y, z = np.concatenate([center, 0.5 * (surfaces.min_pt + surfaces.max_pt).T], axis=1)
     half = 0.5 * np.sqrt(((surfaces.max_pt - surfaces.min_pt) ** 2).sum(axis=1))
     return Occluders(
         surfaces,
+        eye,
         eye_inside,
-        Extents(low, high, seen),
+        seen,
         (x, y, z),
         np.concatenate([radius, half]),
         size,
@@ -489,41 +460,50 @@ def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools
     )
 
 
-def light_pencil(position: tuple[float, float, float], occluders: Occluders) -> LightPencil:
-    """Prepare a light for its shadows."""
-    surfaces, light = occluders.surfaces, np.array(position)
-    x, y, z = (surfaces.center - light).T
-    spheres = len(surfaces.radius)
-    size = np.abs(light).sum() + occluders.size[:spheres]
-    strictly = ((surfaces.min_pt < light) & (light < surfaces.max_pt)).all(axis=1)
+def shadows_of(lights: Floats, occluders: Occluders) -> Shadows:
+    """Prepare lights (n, 3) for their shadows."""
+    surfaces, spheres = occluders.surfaces, len(occluders.surfaces.radius)
+    every = lights[:, None, :]
+    away = surfaces.center - every
+    size = np.abs(every).sum(axis=2) + occluders.size[:spheres]
+    strictly = ((surfaces.min_pt < every) & (every < surfaces.max_pt)).all(axis=2)
+    distance = np.sqrt((away * away).sum(axis=2))
     side = np.concatenate(
         [
-            sphere_side(np.sqrt(x * x + y * y + z * z), surfaces.radius, SURFACE_TOLERANCE * size),
+            sphere_side(distance, surfaces.radius, SURFACE_TOLERANCE * size),
             np.where(strictly, INSIDE, ON).astype(np.int8),
-        ]
+        ],
+        axis=1,
     )
     if len(surfaces) <= _MOST_IN_PAIRS:
-        return LightPencil(light, side, _lists(light, occluders), None)
-    x, y, z = np.moveaxis(np.array(box_corners(surfaces.min_pt, surfaces.max_pt)) - light, 2, 0)
-    silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
-    cells = list_objects(light, surfaces, occluders.extents, silhouettes)
-    return LightPencil(light, side, (), cells)
+        return Shadows(occluders, lights.T, side, _lists(lights, occluders), ())
+    cells = []
+    extents = Extents.of(surfaces, occluders.seen)
+    for light in lights:
+        x, y, z = np.moveaxis(
+            np.array(box_corners(surfaces.min_pt, surfaces.max_pt)) - light, 2, 0
+        )
+        silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
+        cells.append(list_objects(light, surfaces, extents, silhouettes))
+    return Shadows(occluders, lights.T, side, (), tuple(cells))
 
 
-def _lists(light: Floats, occluders: Occluders) -> tuple[_Lists, _Lists]:
-    """What may shade each object, by trying all against each other."""
+def _lists(lights: Floats, occluders: Occluders) -> tuple[_Lists, ...]:
+    """What may keep each light from each object, by trying all against each other."""
     surfaces = occluders.surfaces
-    end: Triple = tuple(light.tolist())
-    # A row for each object that may be shaded, a column for each that may shade it.
-    x, y, z = (m[:, None] for m in occluders.middle)
-    thickness = (occluders.radius + 2 * occluders.slack + _SLACK * np.abs(light).sum())[:, None]
-    balls, _ = sphere_and_capsule((x, y, z), end, thickness, surfaces.center.T, surfaces.radius)
-    boxes, _ = box_and_capsule((x, y, z), end, thickness, surfaces.min_pt.T, surfaces.max_pt.T)
+    # A row for each light and each object it may light, a column for each that may shade it.
+    end = each(lambda c: c[:, None, None], tuple(lights.T))
+    middle = each(lambda m: m[:, None], occluders.middle)
+    thickness = occluders.radius + 2 * occluders.slack
+    thickness = (thickness + _SLACK * np.abs(lights).sum(axis=1)[:, None])[:, :, None]
+    balls, _ = sphere_and_capsule(middle, end, thickness, surfaces.center.T, surfaces.radius)
+    boxes, _ = box_and_capsule(middle, end, thickness, surfaces.min_pt.T, surfaces.max_pt.T)
     lists = []
-    for before, may in ((0, balls), (len(surfaces.radius), boxes)):
-        owner = before + np.arange(may.shape[1])
-        may[owner, owner - before] = False
-        may[~occluders.extents.seen] = False
-        first = np.concatenate([[0], np.cumsum(np.count_nonzero(may, axis=1))])
-        lists.append(_Lists(before == 0, first, np.nonzero(may)[1] + before))
-    return lists[0], lists[1]
+    for spheres, may in ((True, balls), (False, boxes)):
+        before = 0 if spheres else len(surfaces.radius)
+        own = np.arange(may.shape[2])
+        may[:, own + before, own] = False
+        may[:, ~occluders.seen] = False
+        first = np.concatenate([[0], np.cumsum(np.count_nonzero(may, axis=2))])
+        lists.append(_Lists(spheres, first, np.nonzero(may)[2] + before))
+    return tuple(part for part in lists if part.listed.size)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from tracer.intersection import box_hit, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Hits", "Samples", "View", "grid", "visible"]
+__all__ = ["Group", "Hits", "Samples", "View", "grid", "visible"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
@@ -92,15 +93,15 @@ class View:
     order: Ints
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
-    """What is seen at some samples: of one large object, or of many small ones.
+class Group(NamedTuple):
+    """Some of the hits: on one large object, or on many small ones.
 
     What is the same for all of them is a number; the rest are arrays (n,).
 
     Attributes
     ----------
-    samples : Samples
+    part : slice
+        Their places among the hits.
     sample : (n,)
         Which sample.
     owner
@@ -109,25 +110,47 @@ class Hits:
         Of a box, the axis of the face; 3 for spheres.
     t : (n,)
         Distance in units of the direction's length.
-    direction, p, n : three each
-        The ray's direction (not normalised), the point, put back onto the
-        surface, and the unit normal towards the eye.
+    direction, n : three each
+        The ray's direction (not normalised), and the unit normal towards the eye.
     first : (runs + 1,)
         Where each run begins: neighbouring samples of one row that see one object.
     """
 
-    samples: Samples
+    part: slice
     sample: Ints
     owner: Index
     face: int
     t: Floats
     direction: Triple
-    p: Triple
     n: Triple
     first: Ints
 
 
-def visible(view: View, samples: Samples, close: Bools | None = None) -> list[Hits]:
+class Hits(NamedTuple):
+    """What is seen.
+
+    Attributes
+    ----------
+    p : (3, n)
+        Points, put back onto the surface that they lie on.
+    groups : list of Group
+    first : (runs + 1,)
+        Where each run begins, of those of all groups.
+    owner : (runs,)
+        The object that each run sees.
+    row, column : (runs,)
+        The pixel that each begins in.
+    """
+
+    p: Floats
+    groups: list[Group]
+    first: Ints
+    owner: Ints
+    row: Ints
+    column: Ints
+
+
+def visible(view: View, samples: Samples, close: Bools | None = None) -> Hits:
     """Nearest surface at each sample; of exactly equal ones the first in the file.
 
     `close` (n,), if given, is set where a second surface lies so near behind
@@ -153,12 +176,26 @@ def visible(view: View, samples: Samples, close: Bools | None = None) -> list[Hi
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     if sum(group.t.size for group in groups) > seen:
         groups = _first_of_equals(view, groups)
+    parts = [part for group in groups if group.t.size for part in _faces(group)]
+    ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
+    p = np.empty((3, ends[-1]))
     hits = []
-    for group in groups:
-        if group.t.size:
-            of = _sphere_hits if group.sphere else _box_hits
-            hits += of(view, samples, group)
-    return hits
+    for (part, face), start, end in zip(parts, ends, ends[1:], strict=False):
+        of = _on_spheres if part.sphere else _on_boxes
+        owner, n = of(view, part, face, p[:, start:end])
+        hits.append(
+            Group(
+                slice(start, end),
+                part.sample,
+                owner,
+                face,
+                part.t,
+                part.direction,
+                n,
+                part.first,
+            )
+        )
+    return _hits(samples, p, hits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,69 +325,74 @@ def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
     return x, y, z
 
 
-def _sphere_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
-    """Points and normals; the point is c + r n, so that it lies on the sphere."""
-    surfaces, eye, owner = view.surfaces, view.raster.eye.tolist(), group.owner
-    radius = surfaces.radius[owner]
-    inverse = 1 / radius
-    p, n = [], []
-    for k, d in enumerate(group.direction):
-        center = surfaces.center[owner, k]
-        normal = group.t * d
-        normal -= center - eye[k]
-        normal *= inverse
-        p.append(center + radius * normal)
-        n.append(normal)
-    inside = view.eye_inside[owner]
-    if inside.any():
-        flip = np.where(inside, -1.0, 1.0)
-        n = [flip * normal for normal in n]
-    return [
-        Hits(
-            samples,
-            group.sample,
-            owner,
-            3,
-            group.t,
-            group.direction,
-            (p[0], p[1], p[2]),
-            (n[0], n[1], n[2]),
-            group.first,
-        )
-    ]
-
-
-def _box_hits(view: View, samples: Samples, group: _Fragments) -> list[Hits]:
-    """Points and normals, face by face; the point lies exactly in the face's plane."""
-    surfaces, eye = view.surfaces, view.raster.eye.tolist()
-    hits = []
+def _faces(group: _Fragments) -> Iterator[tuple[_Fragments, int]]:
+    """Boxes face by face, each with its axis; spheres as they are, with 3."""
+    if group.sphere:
+        yield group, 3
+        return
     for axis in range(3):
         on_axis = group.axis == axis
         if not on_axis.any():
             continue
         backward = group.direction[axis] < 0
-        for sign, mask in ((1.0, on_axis & backward), (-1.0, on_axis & ~backward)):
+        for mask in (on_axis & backward, on_axis & ~backward):
             part = group.where(mask)
-            if not part.t.size:
-                continue
-            owner = part.owner + len(surfaces.radius)
-            inside = view.eye_inside[owner]
-            low, high = surfaces.min_pt[part.owner, axis], surfaces.max_pt[part.owner, axis]
-            p = [eye[k] + part.t * d for k, d in enumerate(part.direction)]
-            p[axis] = np.where(inside == (sign > 0), low, high)
-            n = [np.asarray(sign if k == axis else 0.0) for k in range(3)]
-            hits.append(
-                Hits(
-                    samples,
-                    part.sample,
-                    owner,
-                    axis,
-                    part.t,
-                    part.direction,
-                    (p[0], p[1], p[2]),
-                    (n[0], n[1], n[2]),
-                    part.first,
-                )
-            )
-    return hits
+            if part.t.size:
+                yield part, axis
 
+
+def _on_spheres(view: View, part: _Fragments, _: int, p: Floats) -> tuple[Index, Triple]:
+    """Objects and normals; fills in the points c + r n, so that they lie on the spheres."""
+    surfaces, eye, owner = view.surfaces, view.raster.eye.tolist(), part.owner
+    radius = surfaces.radius[owner]
+    inverse = 1 / radius
+    n = []
+    for k, d in enumerate(part.direction):
+        center = surfaces.center[owner, k]
+        normal = part.t * d
+        normal -= center - eye[k]
+        normal *= inverse
+        np.multiply(radius, normal, out=p[k])
+        p[k] += center
+        n.append(normal)
+    inside = view.eye_inside[owner]
+    if inside.any():
+        flip = np.where(inside, -1.0, 1.0)
+        n = [flip * normal for normal in n]
+    return owner, (n[0], n[1], n[2])
+
+
+def _on_boxes(view: View, part: _Fragments, axis: int, p: Floats) -> tuple[Index, Triple]:
+    """Objects and normals; fills in points that lie exactly in a face's plane."""
+    surfaces, eye = view.surfaces, view.raster.eye.tolist()
+    for k, d in enumerate(part.direction):
+        if k != axis:
+            np.multiply(part.t, d, out=p[k])
+            p[k] += eye[k]
+    owner = part.owner + len(surfaces.radius)
+    sign = -1.0 if part.direction[axis][0] > 0 else 1.0
+    low, high = surfaces.min_pt[part.owner, axis], surfaces.max_pt[part.owner, axis]
+    p[axis] = np.where(view.eye_inside[owner] == (sign > 0), low, high)
+    n = [np.asarray(sign if k == axis else 0.0) for k in range(3)]
+    return owner, (n[0], n[1], n[2])
+
+
+def _hits(samples: Samples, p: Floats, groups: list[Group]) -> Hits:
+    """Put the runs of all groups one after the other."""
+    none = np.zeros(0, dtype=np.intp)
+    firsts, owners, begins = [none], [none], [none]
+    for group in groups:
+        full = np.flatnonzero(np.diff(group.first))
+        first = group.first[full]
+        firsts.append(first + group.part.start)
+        owners.append(np.broadcast_to(select(group.owner, first), first.shape))
+        begins.append(group.sample[first])
+    begin = np.concatenate(begins)
+    return Hits(
+        p,
+        groups,
+        np.append(np.concatenate(firsts), p.shape[1]),
+        np.concatenate(owners),
+        samples.y[samples.row[begin]].astype(np.intp),
+        samples.x[begin].astype(np.intp),
+    )
