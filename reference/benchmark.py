@@ -371,7 +371,7 @@ def limit(rounds: int, quick: bool) -> Table:
         " (one thread, -O3); the second is told what each pixel sees and which lights reach it,"
         " and only computes the hit and its shading. The last column is the tracer's time over"
         " the second's.",
-        ("scene", "tracer", "C, all pairs", "C, knowing the answer", "ratio"),
+        ("scene", "tracer", "C, all pairs", "C, knowing the answer", "tracer / C"),
         rows,
     )
 

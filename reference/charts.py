@@ -154,8 +154,8 @@ def headline(figure: Any, title: str, note: str) -> None:
     """The title of a whole figure, of one line or two, and a note below it."""
     height, lines = figure.get_figheight(), title.count("\n") + 1
     for words, below, look in (
-        (title, 0.3, {"fontsize": 18, "weight": "bold", "linespacing": 1.3}),
-        (note, 0.4 + 0.34 * lines, {"fontsize": 11, "color": "#444444", "linespacing": 1.4}),
+        (title, 0.2, {"fontsize": 18, "weight": "bold", "linespacing": 1.3}),
+        (note, 0.28 + 0.34 * lines, {"fontsize": 11, "color": "#444444", "linespacing": 1.4}),
     ):
         figure.text(0.03, 1 - below / height, words, va="top", **look)
 

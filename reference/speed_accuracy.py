@@ -66,7 +66,7 @@ _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.01, 5), (0.003, 6), (0.001, 7))
 
 # A point that is expected to take longer is left out; a shorter one is timed again and again
 # for so many seconds, or so many times.
-_TOO_LONG, _ENOUGH, _ROUNDS = 3.0, 0.4, 15
+_TOO_LONG, _ENOUGH, _ROUNDS = 2.5, 0.3, 15
 
 # Pixels, about, whose errors are measured.
 _PIXELS = 1 << 14
@@ -229,10 +229,10 @@ def _sweep(
 
 
 def _next(seconds: Sequence[float]) -> float:
-    """How long four times as many samples will take: each some time, and all of them some more."""
+    """How long four times as many samples will take; of the first time, most is the start."""
     if not seconds:
         return 0.0
-    before = seconds[-2] if len(seconds) > 1 else seconds[-1] / 4
+    before = seconds[-2] if len(seconds) > 1 else 0.75 * seconds[-1]
     return seconds[-1] + 4 * max(seconds[-1] - before, 0.0)
 
 
@@ -362,7 +362,7 @@ def _title(leads: dict[bool, list[Lead]], others: str) -> str:
 
 # Inches: what surrounds the panels, and the panels, rendering alone and whole processes.
 _WIDTH, _LEFT, _NAMES, _GAP = 13.0, 0.85, 1.55, 0.3
-_TOP, _ROW, _TITLE, _BOTTOM = 2.5, 2.2, 0.65, 0.6
+_TOP, _ROW, _TITLE, _BOTTOM = 2.3, 2.2, 0.65, 0.6
 _WIDE = (5.2, 3.4)
 
 
@@ -386,7 +386,7 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
             if whole:
                 axes.tick_params(labelleft=False)
             else:
-                axes.set_ylabel("error")
+                axes.set_ylabel("RMSE")
                 _thumbnail(axes, scene)
             bottom -= _ROW + _TITLE
         what = "Whole process" if whole else "Rendering alone"
