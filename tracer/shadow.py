@@ -45,6 +45,9 @@ _MOST_IN_PAIRS = 512
 # Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
 _LONG, _SHORT, _TILE = 32, 8, 32
 
+# Pairs of a stretch and an object that are tried at a time.
+_BATCH = 1 << 15
+
 # Balls are larger by so much of all sizes around: far more than all roundings.
 _SLACK = 1e-9
 
@@ -81,15 +84,28 @@ class _Balls(NamedTuple):
 
     Attributes
     ----------
+    owner : (m,)
+        The object.
     start, count : (m,)
         The points.
     middle, radius : three (m,) and (m,)
     """
 
+    owner: Ints
     start: Ints
     count: Ints
     middle: Triple
     radius: Floats
+
+    def take(self, index: Ints) -> _Balls:
+        """Some of them."""
+        return _Balls(
+            self.owner[index],
+            self.start[index],
+            self.count[index],
+            pick(self.middle, index),
+            self.radius[index],
+        )
 
 
 class _Pairs(NamedTuple):
@@ -191,8 +207,7 @@ class Shadows(NamedTuple):
         start, count, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
         if not start.size:
             return
-        owner = hits.owner[run]
-        balls = self._balls(hits, owner, start, count)
+        balls = self._balls(hits, hits.owner[run], start, count)
         margin = np.zeros(start.size)
         if footprint is not None:
             margin = np.maximum.reduceat(footprint, start)
@@ -209,34 +224,46 @@ class Shadows(NamedTuple):
             light, tile = np.divmod(place, tile_count)
             near, _ = self._near(kind, pick(tiles.middle, tile), tiles.radius[tile], light, other)
             near = np.flatnonzero(near)
-            light, tile, other = light[near], tile[near], other[near]
-            pair, rest = expand(tiles.count[tile])
-            stretch = tiles.order[tiles.first[tile][pair] + rest]
-            light, other = light[pair], other[pair]
-            some = np.flatnonzero(asked[light, stretch])
-            stretch, light, other = stretch[some], light[some], other[some]
-            near, cut = self._near(
-                kind, pick(balls.middle, stretch), balls.radius[stretch], light, other
-            )
-            if not near.any():
-                continue
-            asked[light[cut], stretch[cut]] = False
-            lit = runs(balls.start[stretch[cut]], balls.count[stretch[cut]])
-            dark[np.repeat(light[cut], balls.count[stretch[cut]]), lit] = True
-            near = np.flatnonzero(near & asked[light, stretch])
-            stretch, light, other = stretch[near], light[near], other[near]
-            start, count, parent = _cut(balls.start[stretch], balls.count[stretch], _SHORT)
-            light, other, stretch = light[parent], other[parent], stretch[parent]
-            short = self._balls(hits, owner[stretch], start, count)
-            short.radius[:] += margin[stretch]
-            near, cut = self._near(kind, short.middle, short.radius, light, other)
-            dark[np.repeat(light[cut], count[cut]), runs(start[cut], count[cut])] = True
-            near = np.flatnonzero(near & ~dark[light, start])
-            if near.size:
-                some_balls = _Balls(
-                    start[near], count[near], pick(short.middle, near), short.radius[near]
+            for batch in _batches(tiles.count[tile[near]]):
+                at = near[batch]
+                pair, rest = expand(tiles.count[tile[at]])
+                stretch = tiles.order[tiles.first[tile[at]][pair] + rest]
+                pairs = self._sifted(
+                    kind, hits, balls, margin, asked, dark, stretch, light[at][pair], other[at][pair]
                 )
-                yield _Pairs(some_balls, light[near], other[near])
+                if pairs.other.size:
+                    yield pairs
+
+    def _sifted(
+        self,
+        kind: _Lists,
+        hits: Hits,
+        balls: _Balls,
+        margin: Floats,
+        asked: Bools,
+        dark: Bools,
+        stretch: Ints,
+        light: Ints,
+        other: Ints,
+    ) -> _Pairs:
+        """Of stretches, each with a light and an object: short ones that are neither lit nor dark."""
+        some = np.flatnonzero(asked[light, stretch])
+        stretch, light, other = stretch[some], light[some], other[some]
+        near, cut = self._near(
+            kind, pick(balls.middle, stretch), balls.radius[stretch], light, other
+        )
+        asked[light[cut], stretch[cut]] = False
+        _mark(dark, light[cut], balls.start[stretch[cut]], balls.count[stretch[cut]])
+        near = np.flatnonzero(near & asked[light, stretch])
+        stretch, light, other = stretch[near], light[near], other[near]
+        start, count, parent = _cut(balls.start[stretch], balls.count[stretch], _SHORT)
+        stretch, light, other = stretch[parent], light[parent], other[parent]
+        short = self._balls(hits, balls.owner[stretch], start, count)
+        short.radius[:] += margin[stretch]
+        near, cut = self._near(kind, short.middle, short.radius, light, other)
+        _mark(dark, light[cut], start[cut], count[cut])
+        near = np.flatnonzero(near & ~dark[light, start])
+        return _Pairs(short.take(near), light[near], other[near])
 
     def _balls(self, hits: Hits, owner: Ints, start: Ints, count: Ints) -> _Balls:
         """Put balls around stretches of points of some objects."""
@@ -252,7 +279,7 @@ class Shadows(NamedTuple):
             middle[:, inside] = [c[owner[inside]] for c in self.occluders.middle]
             radius[inside] = self.occluders.radius[owner[inside]]
         x, y, z = middle
-        return _Balls(start, count, (x, y, z), radius + self.occluders.slack[owner])
+        return _Balls(owner, start, count, (x, y, z), radius + self.occluders.slack[owner])
 
     def _near(
         self, kind: _Lists, middle: Triple, radius: Floats, light: Ints, other: Ints
@@ -406,6 +433,22 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
     run, place = expand(-(-count // longest))
     offset = place * longest
     return start[run] + offset, np.minimum(count[run] - offset, longest), run
+
+
+def _batches(sizes: Ints) -> Iterator[slice]:
+    """Ranges of so many pairs at a time as stay in cache."""
+    total = np.cumsum(sizes)
+    start = 0
+    while start < sizes.size:
+        before = total[start] - sizes[start]
+        stop = max(start + 1, int(np.searchsorted(total, before + _BATCH, side="right")))
+        yield slice(start, stop)
+        start = stop
+
+
+def _mark(mask: Bools, light: Ints, start: Ints, count: Ints) -> None:
+    """Set all points of some stretches."""
+    mask[np.repeat(light, count), runs(start, count)] = True
 
 
 def _columns(points: Floats, index: Ints) -> Triple:
