@@ -196,9 +196,9 @@ def compact(table: Table) -> Table:
     rows.append(("geometric mean", *chain(*(("", f"{mean:.2g}×") for mean in means))))
     return Table(
         table.title,
-        "The tracer's milliseconds in process, one sample a pixel, and its speedup over"
-        " Mitsuba's LLVM variant: the same picture by this project's plugins, scene and kernels"
-        " ready.",
+        "The tracer's milliseconds in process, one sample a pixel, and its speedup over Mitsuba"
+        f" {use().variant}, scene and kernels ready, for the same picture by this project's"
+        " plugins; [all figures](reference/benchmark.md), also beside the stock plugins.",
         ("scene", *chain(*((size, "speedup") for size in columns))),
         rows,
     )
