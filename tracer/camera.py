@@ -11,7 +11,7 @@ Along a pixel row only the first component changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from tracer.scene import Camera, Floats, unit
 __all__ = ["Raster", "raster_of"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Raster:
+class Raster(NamedTuple):
     """The picture's rays: the eye, its axes, and the step from pixel to pixel.
 
     Attributes

@@ -11,7 +11,7 @@ an object: they leave out only pairs that cannot meet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,7 @@ _SIDE_LEAST, _SIDE_MOST = 32, 1024
 NONE, MANY = -1, -2
 
 
-@dataclass(frozen=True, slots=True)
-class Extents:
+class Extents(NamedTuple):
     """Bounding boxes of all objects, spheres first.
 
     Attributes
@@ -56,8 +55,7 @@ class Extents:
         return cls(low, high, seen)
 
 
-@dataclass(frozen=True, slots=True)
-class Cells:
+class Cells(NamedTuple):
     """Lists of objects, by direction from a light.
 
     Attributes
@@ -108,8 +106,7 @@ class Cells:
         return owner, self.listed[first[owner] + place]
 
 
-@dataclass(frozen=True, slots=True)
-class _Octant:
+class _Octant(NamedTuple):
     """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances."""
 
     number: int
@@ -215,8 +212,7 @@ def _reach(octant: _Octant, seen: Ints) -> Floats:
     return reach
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
+class _Grid(NamedTuple):
     """An octant's cells: column = (u - origin[0]) * scale[0], and so for v and rows.
 
     The direction at (u, v) is (sign[0] u, sign[1] v, sign[2] (1 - u - v)).

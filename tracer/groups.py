@@ -18,7 +18,20 @@ from numpy.typing import NDArray
 
 from tracer.scene import Floats, Ints
 
-__all__ = ["Bools", "Index", "Triple", "dot", "each", "expand", "pick", "runs", "scaled", "select", "spread", "where"]
+__all__ = [
+    "Bools",
+    "Index",
+    "Triple",
+    "dot",
+    "each",
+    "expand",
+    "pick",
+    "runs",
+    "scaled",
+    "select",
+    "spread",
+    "where",
+]
 
 Bools: TypeAlias = NDArray[np.bool_]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]

@@ -181,18 +181,23 @@ def sphere_blocks(
     return blocked
 
 
-def box_blocks(p: Triple, light: Triple, low: Triple, high: Triple, tolerance: Floats) -> Bools:
+def box_blocks(
+    p: Triple, light: Triple, low: Triple, high: Triple, tolerance: Floats | None = None
+) -> Bools:
     """Whether boxes block the open segments from points `p` to `light`.
 
     A root strictly between the ends blocks.  Slabs are open: a segment in a
     face is not blocked; a flat plate blocks.  An end within `tolerance` of a
-    face's plane is on it.
+    face's plane is on it; without one, no end is as near as that.
     """
     enter: Floats | None = None
     leave: Floats | None = None
     for k in range(3):
-        start = _snap(p[k], low[k], high[k], tolerance)
-        delta = _snap(light[k], low[k], high[k], tolerance) - start
+        start, end = p[k], light[k]
+        if tolerance is not None:
+            start = _snap(start, low[k], high[k], tolerance)
+            end = _snap(end, low[k], high[k], tolerance)
+        delta = end - start
         below, above = low[k] - start, high[k] - start
         a, b = below / delta, above / delta
         near, far = np.minimum(a, b), np.maximum(a, b)
@@ -243,8 +248,8 @@ def box_and_capsule(
 ) -> tuple[Bools, Bools]:
     """The same for boxes."""
     # Parts of the segment in a box that is larger by as much, and in one that is smaller.
-    enter, leave = -np.inf, np.inf
-    enter_inner, leave_inner = -np.inf, np.inf
+    enter, leave = np.full(2, [-np.inf, np.inf])
+    enter_inner, leave_inner = enter, leave
     held: Bools = np.ones((), dtype=np.bool_)
     for k in range(3):
         d = end[k] - start[k]
@@ -258,5 +263,5 @@ def box_and_capsule(
         enter_inner, leave_inner = np.maximum(enter_inner, near), np.minimum(leave_inner, far)
         held = held & (near < 0) & (far > 1)
     meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~held
-    cuts = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
+    cuts: Bools = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
     return meets, cuts

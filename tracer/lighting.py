@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ __all__ = ["Lighting", "incidence", "lighting_of", "shade"]
 _SMOOTH, _FAINT, _DARK = 0.15, 3.0, 27.0
 
 
-@dataclass(frozen=True, slots=True)
-class Lighting:
+class Lighting(NamedTuple):
     """The scene's lights and what they fall on.
 
     Attributes

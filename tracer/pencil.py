@@ -8,8 +8,8 @@ silhouette edges for a box.  What lies outside them is never looked at again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ ROUNDING = 1e-12
 _LEAST_ANGLE = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class Spans:
+class Spans(NamedTuple):
     """Intervals of picture rows that objects cover.
 
     Attributes
@@ -54,8 +53,7 @@ class Spans:
     right: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Outlines:
+class Outlines(NamedTuple):
     """What all rows share: each object's place in the camera's axes."""
 
     raster: Raster

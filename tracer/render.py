@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-#from tracer.antialias import antialiased
+# from tracer.antialias import antialiased
 from tracer.camera import raster_of
 from tracer.lighting import Lighting, incidence, lighting_of, shade
 from tracer.pencil import outlines

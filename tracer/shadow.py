@@ -86,14 +86,14 @@ class _Balls(NamedTuple):
     ----------
     owner : (m,)
         The object.
-    start, count : (m,)
+    start, length : (m,)
         The points.
     middle, radius : three (m,) and (m,)
     """
 
     owner: Ints
     start: Ints
-    count: Ints
+    length: Ints
     middle: Triple
     radius: Floats
 
@@ -102,7 +102,7 @@ class _Balls(NamedTuple):
         return _Balls(
             self.owner[index],
             self.start[index],
-            self.count[index],
+            self.length[index],
             pick(self.middle, index),
             self.radius[index],
         )
@@ -117,7 +117,7 @@ class _Pairs(NamedTuple):
 
     def points(self) -> tuple[Ints, Ints, Ints]:
         """All points of all balls, with their light and object."""
-        count = self.balls.count
+        count = self.balls.length
         return (
             runs(self.balls.start, count),
             np.repeat(self.light, count),
@@ -191,7 +191,8 @@ class Shadows(NamedTuple):
             edge = may & ~must
             result[light[edge], point[edge]] = True
             solid[light[must], point[must]] = True
-        return result & ~(solid | dark)
+        edges: Bools = result & ~(solid | dark)
+        return edges
 
     def _pairs(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
@@ -222,14 +223,22 @@ class Shadows(NamedTuple):
             place, rest = expand(kind.first[key + 1] - first)
             other = kind.listed[first[place] + rest]
             light, tile = np.divmod(place, tile_count)
-            near, _ = self._near(kind, pick(tiles.middle, tile), tiles.radius[tile], light, other)
-            near = np.flatnonzero(near)
-            for batch in _batches(tiles.count[tile[near]]):
+            may, _ = self._near(kind, pick(tiles.middle, tile), tiles.radius[tile], light, other)
+            near = np.flatnonzero(may)
+            for batch in _batches(tiles.length[tile[near]]):
                 at = near[batch]
-                pair, rest = expand(tiles.count[tile[at]])
+                pair, rest = expand(tiles.length[tile[at]])
                 stretch = tiles.order[tiles.first[tile[at]][pair] + rest]
                 pairs = self._sifted(
-                    kind, hits, balls, margin, asked, dark, stretch, light[at][pair], other[at][pair]
+                    kind,
+                    hits,
+                    balls,
+                    margin,
+                    asked,
+                    dark,
+                    stretch,
+                    light[at][pair],
+                    other[at][pair],
                 )
                 if pairs.other.size:
                     yield pairs
@@ -246,40 +255,40 @@ class Shadows(NamedTuple):
         light: Ints,
         other: Ints,
     ) -> _Pairs:
-        """Of stretches, each with a light and an object: short ones that are neither lit nor dark."""
+        """Stretches, each with a light and an object: short ones of them, neither lit nor dark."""
         some = np.flatnonzero(asked[light, stretch])
         stretch, light, other = stretch[some], light[some], other[some]
-        near, cut = self._near(
+        may, cut = self._near(
             kind, pick(balls.middle, stretch), balls.radius[stretch], light, other
         )
         asked[light[cut], stretch[cut]] = False
-        _mark(dark, light[cut], balls.start[stretch[cut]], balls.count[stretch[cut]])
-        near = np.flatnonzero(near & asked[light, stretch])
+        _mark(dark, light[cut], balls.start[stretch[cut]], balls.length[stretch[cut]])
+        near = np.flatnonzero(may & asked[light, stretch])
         stretch, light, other = stretch[near], light[near], other[near]
-        start, count, parent = _cut(balls.start[stretch], balls.count[stretch], _SHORT)
+        start, count, parent = _cut(balls.start[stretch], balls.length[stretch], _SHORT)
         stretch, light, other = stretch[parent], light[parent], other[parent]
         short = self._balls(hits, balls.owner[stretch], start, count)
         short.radius[:] += margin[stretch]
-        near, cut = self._near(kind, short.middle, short.radius, light, other)
+        may, cut = self._near(kind, short.middle, short.radius, light, other)
         _mark(dark, light[cut], start[cut], count[cut])
-        near = np.flatnonzero(near & ~dark[light, start])
+        near = np.flatnonzero(may & ~dark[light, start])
         return _Pairs(short.take(near), light[near], other[near])
 
     def _balls(self, hits: Hits, owner: Ints, start: Ints, count: Ints) -> _Balls:
         """Put balls around stretches of points of some objects."""
         # The points of a row lie on a line, or on an arc of less than half a circle.
-        a, b = hits.p.take(start, axis=1), hits.p.take(start + count - 1, axis=1)
-        middle = 0.5 * (a + b)
-        b -= a
-        radius = 0.5 * np.sqrt(dot(b, b))
+        a, b = _rows(hits.p, start), _rows(hits.p, start + count - 1)
+        middle = each(lambda a, b: 0.5 * (a + b), a, b)
+        across = each(np.subtract, b, a)
+        radius = 0.5 * np.sqrt(dot(across, across))
         spheres = len(self.occluders.surfaces.radius)
         if self.occluders.eye_inside[:spheres].any():
             # Seen from inside, an arc may be longer.
             inside = np.flatnonzero(self.occluders.eye_inside[owner] & (owner < spheres))
-            middle[:, inside] = [c[owner[inside]] for c in self.occluders.middle]
+            for m, c in zip(middle, self.occluders.middle, strict=True):
+                m[inside] = c[owner[inside]]
             radius[inside] = self.occluders.radius[owner[inside]]
-        x, y, z = middle
-        return _Balls(owner, start, count, (x, y, z), radius + self.occluders.slack[owner])
+        return _Balls(owner, start, count, middle, radius + self.occluders.slack[owner])
 
     def _near(
         self, kind: _Lists, middle: Triple, radius: Floats, light: Ints, other: Ints
@@ -309,7 +318,7 @@ class Shadows(NamedTuple):
         `larger` (n,) is added to the objects' sizes on all sides.
         """
         surfaces, spheres = self.occluders.surfaces, len(self.occluders.surfaces.radius)
-        count = pairs.balls.count
+        count = pairs.balls.length
         p = _rows(hits.p, point)
         end = each(lambda c: np.repeat(c, count), _rows(self.lights, pairs.light))
         if pairs.other[0] >= spheres:
@@ -320,7 +329,17 @@ class Shadows(NamedTuple):
             )
             if larger is not None:
                 low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
-            blocks = box_blocks(p, end, low, high, self._tolerance(p, light, other))
+            blocks = box_blocks(p, end, low, high)
+            # Ends that may be on a face's plane are looked at more closely.
+            at = np.flatnonzero(np.repeat(self._on_planes(pairs), count))
+            if at.size:
+                blocks[at] = box_blocks(
+                    pick(p, at),
+                    pick(end, at),
+                    pick(low, at),
+                    pick(high, at),
+                    self._tolerance(pick(p, at), light[at], other[at]),
+                )
             if larger is not None:
                 # A box smaller than nothing is none.
                 blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
@@ -337,8 +356,12 @@ class Shadows(NamedTuple):
         reach = surfaces.radius[pairs.other] + pairs.balls.radius
         closely = self.side[pairs.light, pairs.other] != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
-        if closely.any():
-            at = np.flatnonzero(np.repeat(closely, count))
+        at = np.flatnonzero(np.repeat(closely, count))
+        if at.size:
+            ball = other[at]
+            distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))
+            closely = distance <= radius[at] * (1 + _SLACK) + self.occluders.slack[ball]
+            at = at[closely | (self.side[light[at], ball] != OUTSIDE)]
             ball = other[at]
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
@@ -349,6 +372,20 @@ class Shadows(NamedTuple):
                 self.occluders.eye_inside[ball],
             )
         return blocks
+
+    def _on_planes(self, pairs: _Pairs) -> Bools:
+        """Whether balls, or their lights, touch the plane of a face of their boxes."""
+        surfaces = self.occluders.surfaces
+        box = pairs.other - len(surfaces.radius)
+        slack = self.occluders.slack[pairs.other]
+        result = np.zeros(box.size, dtype=np.bool_)
+        for k, (middle, light) in enumerate(zip(pairs.balls.middle, self.lights, strict=True)):
+            end = light[pairs.light]
+            for corner in (surfaces.min_pt, surfaces.max_pt):
+                plane = corner[box, k]
+                result |= np.abs(middle - plane) <= pairs.balls.radius
+                result |= np.abs(end - plane) <= slack + _SLACK * np.abs(end)
+        return result
 
     def _tolerance(self, p: Triple, light: Ints, other: Ints) -> Floats:
         """How near to an object the ends of a segment count as on it, pair by pair."""
@@ -392,7 +429,7 @@ class _Tiles(NamedTuple):
         The object.
     order : (n,)
         The stretches, tile by tile.
-    first, count : (m,)
+    first, length : (m,)
         Those of each tile.
     middle, radius : three (m,) and (m,)
     """
@@ -400,7 +437,7 @@ class _Tiles(NamedTuple):
     owner: Ints
     order: Ints
     first: Ints
-    count: Ints
+    length: Ints
     middle: Triple
     radius: Floats
 
@@ -451,7 +488,7 @@ def _mark(mask: Bools, light: Ints, start: Ints, count: Ints) -> None:
     mask[np.repeat(light, count), runs(start, count)] = True
 
 
-def _columns(points: Floats, index: Ints) -> Triple:
+def _columns(points: Floats, index: Ints | slice) -> Triple:
     return points[index, 0], points[index, 1], points[index, 2]
 
 
@@ -471,9 +508,7 @@ def _listed(cells: Cells, own: Ints, to_light: Triple) -> tuple[Ints, Ints]:
     return point[keep], other[keep]
 
 
-def _around(
-    cells: Cells, own: Ints, to_light: Triple, footprint: Floats
-) -> tuple[Ints, Ints]:
+def _around(cells: Cells, own: Ints, to_light: Triple, footprint: Floats) -> tuple[Ints, Ints]:
     """The same for all that is as near to each point as its footprint (n,)."""
     pairs = [_listed(cells, own, to_light)]
     for signs in product((-1.0, 1.0), repeat=3):
@@ -523,9 +558,7 @@ def shadows_of(lights: Floats, occluders: Occluders) -> Shadows:
     cells = []
     extents = Extents.of(surfaces, occluders.seen)
     for light in lights:
-        x, y, z = np.moveaxis(
-            np.array(box_corners(surfaces.min_pt, surfaces.max_pt)) - light, 2, 0
-        )
+        x, y, z = np.moveaxis(np.array(box_corners(surfaces.min_pt, surfaces.max_pt)) - light, 2, 0)
         silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
         cells.append(list_objects(light, surfaces, extents, silhouettes))
     return Shadows(occluders, lights.T, side, (), tuple(cells))
@@ -535,12 +568,15 @@ def _lists(lights: Floats, occluders: Occluders) -> tuple[_Lists, ...]:
     """What may keep each light from each object, by trying all against each other."""
     surfaces = occluders.surfaces
     # A row for each light and each object it may light, a column for each that may shade it.
-    end = each(lambda c: c[:, None, None], tuple(lights.T))
+    end = each(lambda c: c[:, None, None], _columns(lights, slice(None)))
     middle = each(lambda m: m[:, None], occluders.middle)
     thickness = occluders.radius + 2 * occluders.slack
     thickness = (thickness + _SLACK * np.abs(lights).sum(axis=1)[:, None])[:, :, None]
-    balls, _ = sphere_and_capsule(middle, end, thickness, surfaces.center.T, surfaces.radius)
-    boxes, _ = box_and_capsule(middle, end, thickness, surfaces.min_pt.T, surfaces.max_pt.T)
+    center, low, high = (
+        _columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
+    )
+    balls, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
+    boxes, _ = box_and_capsule(middle, end, thickness, low, high)
     lists = []
     for spheres, may in ((True, balls), (False, boxes)):
         before = 0 if spheres else len(surfaces.radius)

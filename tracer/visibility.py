@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +25,7 @@ _CLOSE = 8.0
 _LARGE = 16384
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(NamedTuple):
     """Sample positions, row by row, in pixels from the picture's upper left corner.
 
     Attributes
@@ -71,8 +69,7 @@ def grid(top: int, bottom: int, left: int, right: int) -> Samples:
     return Samples(y, np.repeat(np.arange(y.size), columns), np.tile(x, y.size), columns)
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(NamedTuple):
     """A scene as it is seen from the eye: what all rows share.
 
     Attributes
@@ -198,8 +195,7 @@ def visible(view: View, samples: Samples, close: Bools | None = None) -> Hits:
     return _hits(samples, p, hits)
 
 
-@dataclass(frozen=True, slots=True)
-class _Fragments:
+class _Fragments(NamedTuple):
     """Pairs (sample, object): where rays meet objects, whatever is before them."""
 
     sphere: bool
