@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_at_least(0),
         default=0,
         metavar="N",
-        help="threads to render in (default: 0, as many as pay)",
+        help="processors to use (default: 0, as many as pay)",
     )
     parser.add_argument("--quiet", action="store_true", help="say nothing but what goes wrong")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -176,7 +176,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
             bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
-    except MemoryError:
+    except (MemoryError, ChildProcessError):  # the system kills who takes too much
         return (
             f"{printable(scene_path)}: not enough memory for {scene.width} x {scene.height} pixels;"
             " make the image smaller"
@@ -206,6 +206,7 @@ def _with_progress(bands: Iterator[Floats], rows: int, name: str) -> Iterator[Fl
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 from tqdm import tqdm  # takes longer to import than a small picture to render
 
+                tqdm.monitor_interval = 0  # a thread of its own; see can_fork
                 bar = tqdm(desc=name, total=rows, unit="row", leave=False)
             if bar is not None:
                 bar.update(done - bar.n)

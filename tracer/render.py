@@ -3,14 +3,14 @@
 A band is a few rows of the picture: small enough for its arrays to stay in
 cache and in memory that is already there, large enough for NumPy's calls to
 weigh nothing.  Bands depend on nothing but the scene, so they can be rendered
-in any order, in threads, and written out as they come.
+in any order, side by side, and written out as they come.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+import os
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tracer.lighting import Lighting, incidence, lighting_of, shade
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid, visible
+from tracer.workers import can_fork, forked
 
 __all__ = ["render", "render_bands"]
 
@@ -27,7 +28,7 @@ __all__ = ["render", "render_bands"]
 _QUIET = np.errstate(all="ignore")
 
 _BAND_PIXELS = 3 << 15
-_BANDS_WORTH_THREADS = 4
+_SAMPLES_WORTH_TWO = 1 << 19
 
 
 def render(
@@ -46,7 +47,8 @@ def render(
         The picture is at least as accurate as with so many samples spread
         evenly over every pixel; 1 samples the pixels' centres.
     threads : int, optional
-        How many threads to work in; chosen by the size of the picture if absent.
+        How many processors to use, with a process on each; chosen by the size of
+        the picture if absent.
     offset : (float, float)
         Moves every sample by so many pixels to the right and down.
 
@@ -92,9 +94,13 @@ def render_bands(
     view, lighting = _prepare(scene, offset)
     per_side = math.isqrt(samples - 1) + 1
     step = max(1, band_pixels // scene.width)
-    tops = range(0, scene.height, step)
     if threads is None:
-        threads = 2 if len(tops) > _BANDS_WORTH_THREADS else 1
+        worth = scene.width * scene.height * samples >= _SAMPLES_WORTH_TWO
+        threads = 2 if worth and can_fork() else 1
+    if threads > 1:
+        # Enough bands for all to end at much the same time.
+        step = min(step, max(1, scene.height // (4 * threads)))
+    tops = range(0, scene.height, step)
 
     @_QUIET
     def band(top: int) -> Floats:
@@ -114,10 +120,11 @@ def render_bands(
             radiance[:, left:right] = part(left, right)
         return radiance
 
-    if threads == 1:
+    if threads == 1 or len(tops) == 1 or not hasattr(os, "fork"):
         yield from map(band, tops)
     else:
-        yield from _ordered(band, tops, threads)
+        shapes = [(min(step, scene.height - top), scene.width, 3) for top in tops]
+        yield from forked(lambda number: band(tops[number]), shapes, threads)
 
 
 def _centres(
@@ -132,23 +139,6 @@ def _centres(
         for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
             radiance[group.sample, k] = values
     return radiance.reshape(bottom - top, right - left, 3)
-
-
-def _ordered(work: Callable[[int], Floats], tasks: Iterable[int], threads: int) -> Iterator[Floats]:
-    """Like map, in threads, with only so many results waiting as there are threads."""
-    from concurrent.futures import Future, ThreadPoolExecutor
-
-    pool = ThreadPoolExecutor(threads)
-    waiting: deque[Future[Floats]] = deque()
-    try:
-        for task in tasks:
-            waiting.append(pool.submit(work, task))
-            if len(waiting) > threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _keep_heap() -> None:

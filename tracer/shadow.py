@@ -206,7 +206,7 @@ class Shadows(NamedTuple):
             yield from self._pairs_in_cells(hits, facing, footprint)
             return
         start, count, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
-        if not start.size:
+        if not (start.size and self.lists):
             return
         balls = self._balls(hits, hits.owner[run], start, count)
         margin = np.zeros(start.size)
@@ -215,7 +215,7 @@ class Shadows(NamedTuple):
         balls.radius[:] += margin
         asked = np.logical_or.reduceat(facing, start, axis=1)
         tiles = _tiles(hits, balls, run)
-        objects, tile_count = len(self.side[0]), tiles.owner.size
+        objects, tile_count = self.side.shape[1], tiles.owner.size
         # Every tile for every light.
         key = np.add.outer(np.arange(len(facing)) * objects, tiles.owner).ravel()
         for kind in self.lists:
