@@ -52,7 +52,7 @@ def antialiased(
     samples = grid(top, bottom + 1, left, right + 1)
     seen = _look(view, lighting, samples, 1.0)
     curvature, rough = _curvature(
-        seen.radiance.reshape(rows, columns, 3), seen.key.reshape(rows, columns)
+        seen.radiance.reshape(3, rows, columns), seen.key.reshape(rows, columns)
     )
     row, column, owner = _met(view.outlines, top, left, rows, columns, depth)
     inner = np.flatnonzero((row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1))
@@ -60,14 +60,14 @@ def antialiased(
         1.0,
         samples.x,
         samples.y[samples.row],
-        rough * 2.0**depth,
+        rough.ravel() * 2.0**depth,
         (row * columns + column)[inner],
         owner[inner],
     )
     inside = np.zeros((rows, columns), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    image = _refined(view, lighting, pixels, seen, curvature, depth, inside.ravel())
-    return image.reshape(rows, columns, 3)[1:-1, 1:-1]
+    image = _refined(view, lighting, pixels, seen, curvature.reshape(3, -1), depth, inside.ravel())
+    return np.moveaxis(image.reshape(3, rows, columns)[:, 1:-1, 1:-1], 0, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class _Seen:
 
     Attributes
     ----------
-    radiance : (n, 3)
+    radiance : (3, n)
     key : (n,)
         -1 where nothing is seen.
     lines : list of Lines
@@ -137,28 +137,28 @@ def _refined(
     depth: int,
     wanted: Bools,
 ) -> Floats:
-    """Mean radiance (n, 3) of cells, of which the centres have been `seen`."""
+    """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
     lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
     count = np.bincount(lines.cell, minlength=cells.x.size)
     several = seen.several | (count > 1) | (cells.rough > _CURVATURE)
     mean = seen.radiance + correction
     single = lines.take(np.flatnonzero(((count == 1) & ~several & wanted)[lines.cell]))
     if single.cell.size:
-        mean[single.cell], more = _sides(view, lighting, cells, single)
+        mean[:, single.cell], more = _sides(view, lighting, cells, single)
         several[single.cell[more]] = True
     several = np.flatnonzero(several & wanted)
     for begin in range(0, several.size, _CHUNK):
         part = several[begin : begin + _CHUNK]
         quarters = cells.split(part)
         samples, order = _sorted(quarters.x, quarters.y)
-        radiance = np.empty((order.size, 3))
+        radiance = np.empty((3, order.size))
         if depth > 1:
             seen = _look(view, lighting, samples, quarters.size, order)
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
         else:
-            radiance[order] = _shaded(view, lighting, samples)
-        mean[part] = radiance.reshape(-1, 4, 3).mean(axis=1)
+            radiance[:, order] = _shaded(view, lighting, samples)
+        mean[:, part] = radiance.reshape(3, -1, 4).mean(axis=2)
     return mean
 
 
@@ -171,13 +171,13 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
 
 
 def _shaded(view: View, lighting: Lighting, samples: Samples) -> Floats:
-    """Radiance (n, 3) at samples."""
-    radiance = np.zeros((samples.x.size, 3))
+    """Radiance (3, n) at samples."""
+    radiance = np.zeros((3, samples.x.size))
     hits = visible(view, samples)
     falls = incidence(lighting, hits)
     for group in hits.groups:
         for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
-            radiance[group.sample, k] = values
+            radiance[k, group.sample] = values
     return radiance
 
 
@@ -189,7 +189,7 @@ def _look(
     order = np.arange(count) if order is None else order
     close = np.zeros(count, dtype=np.bool_)
     hits = visible(view, samples, close, size)
-    seen = _Seen(np.zeros((count, 3)), np.full(count, -1), [], np.zeros(count, dtype=np.bool_))
+    seen = _Seen(np.zeros((3, count)), np.full(count, -1), [], np.zeros(count, dtype=np.bool_))
     seen.several[order[close]] = True
     cosine = projected(lighting, hits)
     facing = cosine > 0
@@ -202,7 +202,7 @@ def _look(
     for group in hits.groups:
         cell, part = order[group.sample], group.part
         for k, values in enumerate(shade(lighting, hits, group, falls[:, part])):
-            seen.radiance[cell, k] = values
+            seen.radiance[k, cell] = values
         key = group.owner * 4 + group.face
         for bit in lit[:, part]:
             key = key * 2 + bit
@@ -352,19 +352,23 @@ def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
 
 
 def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
-    """What to add to pixels' centres for the mean, a 24th of the Laplacian; and how rough that is.
+    """What to add to centres (3, rows, columns) for the mean: a 24th of the Laplacian.
 
-    Where a neighbour sees something else, along that row or column it is nothing.
+    Where a neighbour sees something else, along that row or column it is nothing;
+    and how far that may be off.
     """
-    total, rough = np.zeros(radiance.shape), np.zeros(radiance.shape)
+    total, rough = np.zeros(radiance.shape), np.zeros(key.shape)
     for axis in (0, 1):
-        r, k, out, off = (np.moveaxis(m, axis, 0) for m in (radiance, key, total, rough))
-        before, after = r[1:-1] - r[:-2], r[2:] - r[1:-1]
-        as_before, as_after = (k[1:-1] == k[:-2])[..., None], (k[1:-1] == k[2:])[..., None]
-        out[1:-1] += np.where(as_before & as_after, after - before, 0) / 24
-        slope = np.where(as_before, before, np.where(as_after, after, 0))
-        off[1:-1] += np.where(as_before & as_after, 0, np.abs(slope)) / 24
-    return total.reshape(-1, 3), np.maximum(np.abs(total), rough).max(axis=2).ravel()
+        k, off = np.moveaxis(key, axis, 0), np.moveaxis(rough, axis, 0)
+        same = k[1:] == k[:-1]
+        both, either = same[1:] & same[:-1], same[1:] ^ same[:-1]
+        for channel, out in zip(radiance, total, strict=True):
+            step = np.diff(channel, axis=axis)
+            step = np.where(same, np.moveaxis(step, axis, 0), 0) / 24
+            bend = np.diff(step, axis=0)
+            np.moveaxis(out, axis, 0)[1:-1] += np.where(both, bend, 0)
+            np.maximum(off[1:-1], np.where(either, np.abs(bend), 0), out=off[1:-1])
+    return total, np.maximum(np.abs(total).max(axis=0), rough)
 
 
 def _met(
@@ -413,7 +417,7 @@ def _met(
 def _sides(
     view: View, lighting: Lighting, cells: _Cells, single: Lines
 ) -> tuple[Floats, Bools]:
-    """Mean radiance (n, 3) of cells that one line crosses; and whether there are more lines."""
+    """Mean radiance (3, n) of cells that one line crosses; and whether there are more lines."""
     share, moment_x, moment_y = single.halves()
     count = share.size
     shares = np.concatenate([share, 1 - share])
@@ -424,12 +428,22 @@ def _sides(
     row = np.where(b < 0, np.floor((y + 0.5) * _ROWS), np.ceil((y + 0.5) * _ROWS)) / _ROWS - 0.5
     x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)
     at = np.tile(single.cell, 2)
-    samples, order = _sorted(cells.x[at] + cells.size * x, cells.y[at] + cells.size * row)
+    x_at, y_at = cells.x[at] + cells.size * x, cells.y[at] + cells.size * row
+    radiance, more = np.empty((3, at.size)), np.zeros(count, dtype=np.bool_)
+    # All of a surface has been looked at where only a shadow's edge divides it.
+    last = single.kind == Kind.SHADOW
+    known = np.flatnonzero(np.tile(last, 2))
+    samples, order = _sorted(x_at[known], y_at[known])
+    radiance[:, known[order]] = _shaded(view, lighting, samples)
+    rest = np.flatnonzero(~np.tile(last, 2))
+    samples, order = _sorted(x_at[rest], y_at[rest])
     seen = _look(view, lighting, samples, 2 * cells.size, order)
+    radiance[:, rest] = seen.radiance
+    more[rest[seen.several] % count] = True
     found = joined(seen.lines)
+    side = rest[found.cell]
     a, b = found.a / 2, found.b / 2
-    c = found.c - a * x[found.cell] - b * row[found.cell]
-    found = Lines(found.cell % count, found.kind, a, b, c).crossing()
-    more = seen.several[:count] | seen.several[count:]
+    c = found.c - a * x[side] - b * row[side]
+    found = Lines(side % count, found.kind, a, b, c).crossing()
     more[found.cell[found.kind > single.kind[found.cell]]] = True
-    return share[:, None] * seen.radiance[:count] + (1 - share)[:, None] * seen.radiance[count:], more
+    return share * radiance[:, :count] + (1 - share) * radiance[:, count:], more

@@ -121,10 +121,13 @@ class Pencil:
         distance = np.sqrt(dot(offset, offset))
         slope = -nearest / distance
         a, b = slope * dot(offset, self.across), slope * dot(offset, self.down)
-        bend = (a * a + b * b) / radius
+        # Along the line, rays move around the sphere.
+        size = np.sqrt(a * a + b * b)
+        along = each(lambda x, y: nearest * (y * a - x * b) / size, self.across, self.down)
+        ahead = dot(along, self.ray)
+        bend = (dot(along, along) - ahead * ahead / dot(self.ray, self.ray)) / radius
         # A chord as long as the cell lies so far inside its arc on average.
-        lines = self._lines(a, b, distance - radius + bend / 24)
-        return lines, bend / np.sqrt(a * a + b * b)
+        return self._lines(a, b, distance - radius + bend / 24), bend / size
 
     def boxes(self, planes: Triple) -> Lines:
         """Outlines of boxes, one for each ray: planes three (6, n) contain their edges."""
