@@ -139,10 +139,15 @@ def _refined(
 ) -> Floats:
     """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
     lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
-    count = np.bincount(lines.cell, minlength=cells.x.size)
-    several = seen.several | (count > 1) | (cells.rough > _CURVATURE)
+    # The first line of each cell, and whether it is the only one.
+    lines = lines.take(np.argsort(lines.cell, kind="stable"))
+    first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
+    count = np.diff(first, append=lines.cell.size)
+    differ = lines.differ(lines.take(np.repeat(first, count)))
+    several = seen.several | (cells.rough > _CURVATURE)
+    several[lines.cell[differ]] = True
     mean = seen.radiance + correction
-    single = lines.take(np.flatnonzero(((count == 1) & ~several & wanted)[lines.cell]))
+    single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
     if single.cell.size:
         mean[:, single.cell], more = _sides(view, lighting, cells, single)
         several[single.cell[more]] = True
@@ -445,5 +450,5 @@ def _sides(
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[side] - b * row[side]
     found = Lines(side % count, found.kind, a, b, c).crossing()
-    more[found.cell[found.kind > single.kind[found.cell]]] = True
+    more[found.cell[found.differ(single.take(found.cell))]] = True
     return share * radiance[:, :count] + (1 - share) * radiance[:, count:], more

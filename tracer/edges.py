@@ -13,13 +13,17 @@ from enum import IntEnum
 
 import numpy as np
 
-from tracer.groups import Triple, dot, each, pick
+from tracer.groups import Bools, Triple, dot, each, pick
 from tracer.scene import Floats, Ints
 
 __all__ = ["Kind", "Lines", "Pencil", "joined"]
 
 # Slopes of a line are at least so much of each other: then nothing divides by nearly zero.
 _LEAST_SLOPE = 1e-4
+
+# Lines that are nowhere farther apart, in cells, count as one: a light near the eye
+# throws its shadows right behind the outlines.
+_SAME = 0.02
 
 
 class Kind(IntEnum):
@@ -54,6 +58,17 @@ class Lines:
     def crossing(self) -> Lines:
         """Those that do pass through their cells."""
         return self.take(np.flatnonzero(np.abs(self.c) < self.reach()))
+
+    def differ(self, other: Lines) -> Bools:
+        """Whether each is another line than its counterpart."""
+        mine, its = self.reach(), other.reach()
+        sign = np.where(self.a * other.a + self.b * other.b < 0, -1.0, 1.0)
+        off = (
+            np.abs(sign * m / mine - n / its)
+            for m, n in ((self.a, other.a), (self.b, other.b), (self.c, other.c))
+        )
+        differ: Bools = sum(off) > _SAME
+        return differ
 
     def reach(self) -> Floats:
         """The most that a x + b y differs from zero in a cell."""
