@@ -151,9 +151,9 @@ def _refined(
     if single.cell.size:
         mean[:, single.cell], more = _sides(view, lighting, cells, single)
         several[single.cell[more]] = True
-    several = np.flatnonzero(several & wanted)
-    for begin in range(0, several.size, _CHUNK):
-        part = several[begin : begin + _CHUNK]
+    rest = np.flatnonzero(several & wanted)
+    for begin in range(0, rest.size, _CHUNK):
+        part = rest[begin : begin + _CHUNK]
         quarters = cells.split(part)
         samples, order = _sorted(quarters.x, quarters.y)
         radiance = np.empty((3, order.size))
@@ -272,9 +272,7 @@ class _Surface(NamedTuple):
         """Edges of shadows; marks `several` where they are not straight."""
         surfaces, light = self.view.surfaces, self.lighting.positions[number]
         spheres = len(surfaces.radius)
-        pencil = Pencil(
-            Kind.SHADOW, self.cell[at], self.from_light(number, at), *self.steps(at)
-        )
+        pencil = Pencil(Kind.SHADOW, self.cell[at], self.from_light(number, at), *self.steps(at))
         on = np.flatnonzero(other < spheres)
         ball = other[on]
         x, y, z = (surfaces.center[ball] - light).T
@@ -401,7 +399,9 @@ def _met(
     span, row = span[keep], row[keep]
     order = np.lexsort((row, owner[span]))
     span, row = span[order], row[order]
-    first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(owner[span], prepend=-1) != 0))
+    first = np.flatnonzero(
+        (np.diff(row, prepend=-1) != 0) | (np.diff(owner[span], prepend=-1) != 0)
+    )
     if not first.size:
         return first, first, first
     (left_min, left_max), (right_min, right_max) = (
@@ -419,9 +419,7 @@ def _met(
     return row[each_one], start[each_one] + place, owner[each_one]
 
 
-def _sides(
-    view: View, lighting: Lighting, cells: _Cells, single: Lines
-) -> tuple[Floats, Bools]:
+def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tuple[Floats, Bools]:
     """Mean radiance (3, n) of cells that one line crosses; and whether there are more lines."""
     share, moment_x, moment_y = single.halves()
     count = share.size

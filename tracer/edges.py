@@ -63,11 +63,11 @@ class Lines:
         """Whether each is another line than its counterpart."""
         mine, its = self.reach(), other.reach()
         sign = np.where(self.a * other.a + self.b * other.b < 0, -1.0, 1.0)
-        off = (
+        a, b, c = (
             np.abs(sign * m / mine - n / its)
             for m, n in ((self.a, other.a), (self.b, other.b), (self.c, other.c))
         )
-        differ: Bools = sum(off) > _SAME
+        differ: Bools = a + b + c > _SAME
         return differ
 
     def reach(self) -> Floats:
@@ -141,16 +141,16 @@ class Pencil:
         along = each(lambda x, y: nearest * (y * a - x * b) / size, self.across, self.down)
         ahead = dot(along, self.ray)
         bend = (dot(along, along) - ahead * ahead / dot(self.ray, self.ray)) / radius
-        # A chord as long as the cell lies so far inside its arc on average.
-        return self._lines(a, b, distance - radius + bend / 24), bend / size
+        # A chord as long as the cell lies so far inside a flat arc on average.
+        sag = np.where(bend < size, bend / 24, 0)
+        return self._lines(a, b, distance - radius + sag), bend / size
 
     def boxes(self, planes: Triple) -> Lines:
         """Outlines of boxes, one for each ray: planes three (6, n) contain their edges."""
-        edges = []
-        for normal in zip(*planes, strict=True):
-            edges.append(
-                self._lines(dot(normal, self.across), dot(normal, self.down), dot(normal, self.ray))
-            )
+        edges = [
+            self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
+            for normal in zip(*planes, strict=True)
+        ]
         at = np.flatnonzero(np.all([edge.c >= -edge.reach() for edge in edges], axis=0))
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
