@@ -36,7 +36,7 @@ _CURVATURE = 4e-3
 _BEND = 0.2
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
-_ROWS = 8
+_ROWS = 32
 
 
 def antialiased(
@@ -223,7 +223,7 @@ def _look(
                 )
         if group.face < 3:
             seen.lines.extend(surface.ridges())
-        elif lighting.materials.glossy[lighting.shader[group.owner]].any():
+        else:
             seen.lines.extend(surface.terminators(cosine[:, part]))
     return seen
 
@@ -292,11 +292,16 @@ class _Surface(NamedTuple):
 
     def terminators(self, cosine: Floats) -> Iterator[Lines]:
         """Where a sphere turns away from a light (lights, n), and its highlight ends."""
-        radius = self.view.surfaces.radius[self.group.owner]
+        lighting, owner = self.lighting, self.group.owner
+        glossy = lighting.materials.glossy[lighting.shader[owner]]
+        if not glossy.any():
+            return
+        radius = self.view.surfaces.radius[owner]
         for number, row in enumerate(cosine):
             every = np.arange(row.size)
             ray = self.from_light(number, every)
-            near = np.flatnonzero((row * radius) ** 2 < self.footprint**2 * dot(ray, ray))
+            near = (row * radius) ** 2 < self.footprint**2 * dot(ray, ray)
+            near = np.flatnonzero(near & glossy)
             ray, r = self.from_light(number, near), -select(radius, near)
             across, down = self.steps(near)
             kind = np.full(near.size, Kind.SHADOW)
@@ -361,8 +366,9 @@ def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
     and how far that may be off.
     """
     total, rough = np.zeros(radiance.shape), np.zeros(key.shape)
+    lone = np.ones(key.shape, dtype=np.bool_)
     for axis in (0, 1):
-        k, off = np.moveaxis(key, axis, 0), np.moveaxis(rough, axis, 0)
+        k, off, alone = (np.moveaxis(m, axis, 0) for m in (key, rough, lone))
         same = k[1:] == k[:-1]
         both, either = same[1:] & same[:-1], same[1:] ^ same[:-1]
         for channel, out in zip(radiance, total, strict=True):
@@ -371,6 +377,9 @@ def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
             bend = np.diff(step, axis=0)
             np.moveaxis(out, axis, 0)[1:-1] += np.where(both, bend, 0)
             np.maximum(off[1:-1], np.where(either, np.abs(bend), 0), out=off[1:-1])
+        alone[1:-1] &= ~(same[1:] | same[:-1])
+    # Surfaces that coincide may change from one ray to the next.
+    rough[lone] = np.inf
     return total, np.maximum(np.abs(total).max(axis=0), rough)
 
 
