@@ -56,6 +56,7 @@ def antialiased(
     )
     row, column, owner = _met(view.outlines, top, left, rows, columns, depth)
     inner = np.flatnonzero((row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1))
+    # The finer the grid that is asked for, the less a centre may be off.
     pixels = _Cells(
         1.0,
         samples.x,
@@ -331,22 +332,14 @@ def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
     """Outlines across cells; marks `several` where they are not straight."""
     raster, lines = view.raster, view.outlines
     spheres = len(lines.radius)
-    step_u, step_v = raster.step_u * cells.size, raster.step_v * cells.size
     s, g = raster.across(cells.x[cells.cell]), raster.down(cells.y[cells.cell])
-    zero = np.zeros(1)
+    zero, one = np.zeros(s.size), np.ones(s.size)
     pencil = Pencil(
         Kind.OUTLINE,
         cells.cell,
-        (s, g, np.full(s.size, raster.depth)),
-        (zero + step_u, zero, zero),
-        (zero, zero + step_v, zero),
-    )
-    pencil = Pencil(
-        Kind.OUTLINE,
-        cells.cell,
-        (s, g, np.full(s.size, raster.depth)),
-        each(lambda m: np.broadcast_to(m, s.shape), pencil.across),
-        each(lambda m: np.broadcast_to(m, s.shape), pencil.down),
+        (s, g, raster.depth * one),
+        (raster.step_u * cells.size * one, zero, zero),
+        (zero, raster.step_v * cells.size * one, zero),
     )
     at = np.flatnonzero(cells.owner < spheres)
     ball = cells.owner[at]
