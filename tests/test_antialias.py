@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, load_scene, render
+from tracer.render import render_bands
 from tracer.scene import Floats
 
 SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))
@@ -65,9 +66,16 @@ def test_one_sample_is_the_centre() -> None:
     assert np.array_equal(render(scene, samples=1), render(scene))
 
 
-def test_other_numbers_are_rounded_up_to_squares() -> None:
+def test_other_numbers_are_rounded_up_to_powers_of_four() -> None:
     scene = view(BALL)
-    assert np.array_equal(render(scene, samples=5), render(scene, samples=9))
+    assert np.array_equal(render(scene, samples=5), render(scene, samples=16))
+
+
+def test_bands_change_nothing() -> None:
+    # Many spheres and boxes that shade each other, three rows at a time and all at once.
+    scene = small(SCENES[0].parent / "many-objects.xml")
+    bands = np.concatenate(list(render_bands(scene, 16, band_pixels=3 * scene.width)))
+    assert np.array_equal(bands, render(scene, samples=16))
 
 
 def test_fewer_than_one() -> None:
@@ -85,6 +93,14 @@ def test_objects_between_pixel_centres(radius: float) -> None:
     # A Lambertian disc under a light from the front shines with 2/3 on average; its four
     # quarters are spread over pixels of area 1/16.
     assert image[..., 0].sum() / 16 == pytest.approx(2 / 3 * np.pi * radius**2, rel=0.05)
+
+
+def test_straight_edges_are_exact() -> None:
+    # One edge to a pixel, at a slope or upright: its share of the pixel is known in closed form.
+    wall = Box(min_pt=(-9, -9, -1), max_pt=(0.3, 9, 0))
+    image = render(view(wall), samples=4)
+    # The eye is 100 away and the wall in the plane of the picture: 0.3 is 1/5 into column 9.
+    assert image[:, 9] == pytest.approx(0.2 * image[:, 8], abs=0.01)
 
 
 @pytest.mark.parametrize("occluder", ["sphere", "box"])

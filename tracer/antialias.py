@@ -1,164 +1,451 @@
-"""Antialiasing: as many samples as a pixel needs, and no more.
+"""Antialiasing: one sample on either side of an edge, weighted by its share of the pixel.
 
 Most pixels see one smooth surface: there the sample at the centre, with a
-correction for curvature, is worth more than any number of samples.  Where an
-outline, a box edge, a shadow edge or a narrow highlight crosses a pixel, it
-gets the full grid of samples.  Outlines are known in closed form, so objects
-between the pixel centres are found however small they are.
+correction for curvature, is worth more than any number of samples.  Where one
+edge crosses a pixel, its place is known in closed form, and a sample on either
+side is enough.  A pixel that holds more is split into four, and so on down to
+the grid of samples asked for.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 
 from tracer.camera import Raster
-from tracer.groups import Bools, dot
-from tracer.lighting import Keys, Lighting, shade
-from tracer.pencil import Spans
+from tracer.edges import Kind, Lines, Pencil, joined
+from tracer.groups import Bools, Triple, dot, each, expand, pick, select
+from tracer.intersection import OUTSIDE
+from tracer.lighting import Lighting, incidence, narrow, projected, shade
+from tracer.pencil import Outlines, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
-from tracer.visibility import Hits, Samples, View, grid, visible
+from tracer.visibility import Group, Hits, Samples, View, grid, visible
 
 __all__ = ["antialiased"]
 
-_CHUNK = 1 << 15
+# Cells that are split at a time.
+_CHUNK = 1 << 14
 
-# The curvature correction may be off by a part of itself; where that could show, sample.
+# A correction for curvature may be off by a part of itself; where that could show, split.
 _CURVATURE = 4e-3
+
+# An outline that turns by less (in radians) across a cell passes for straight.
+_BEND = 0.2
+
+# Rows of samples in each row of cells, beside edges: the more in a row the better.
+_ROWS = 32
 
 
 def antialiased(
-    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, per_side: int
+    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, depth: int
 ) -> Floats:
     """Radiance (bottom - top, right - left, 3), averaged over each pixel of a rectangle.
 
-    At least as accurate as `per_side` x `per_side` samples in every pixel.
+    At least as accurate as 2^depth x 2^depth samples in every pixel.
     """
-    width, rows = right - left, bottom - top
-    # A pixel more on every side: each pixel is compared with its neighbours.
-    samples = grid(top - 1, bottom + 1, left - 1, right + 1)
-    shape = (rows + 2, width + 2)
-    radiance, key, edge = _pixels(view, lighting, samples)
-    radiance = radiance.reshape(*shape, 3)
-    image = radiance[1:-1, 1:-1]
-    around = radiance[:-2, 1:-1] + radiance[2:, 1:-1] + radiance[1:-1, :-2] + radiance[1:-1, 2:]
-    # The mean over a pixel is the centre's value plus a 24th of the Laplacian.
-    curvature = (around - 4 * image) / 24
-    marked = edge.reshape(shape)[1:-1, 1:-1] | _differ(key.reshape(shape))
-    marked |= np.abs(curvature).max(axis=2) > _CURVATURE / per_side
-    for spans in _spans(view, top, bottom, per_side):
-        marked |= _crossed(spans, rows, left, width, per_side)
-    image = image + curvature
-    row, column = np.nonzero(marked)
-    if row.size:
-        image[row, column] = _sampled(view, lighting, top + row, left + column, per_side)
-    return image
+    # A pixel more on every side: the curvature is that between neighbours.
+    top, left = top - 1, left - 1
+    rows, columns = bottom + 1 - top, right + 1 - left
+    samples = grid(top, bottom + 1, left, right + 1)
+    seen = _look(view, lighting, samples, 1.0)
+    curvature, rough = _curvature(
+        seen.radiance.reshape(3, rows, columns), seen.key.reshape(rows, columns)
+    )
+    row, column, owner = _met(view.outlines, top, left, rows, columns, depth)
+    inner = np.flatnonzero((row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1))
+    # The finer the grid that is asked for, the less a centre may be off.
+    pixels = _Cells(
+        1.0,
+        samples.x,
+        samples.y[samples.row],
+        rough.ravel() * 2.0**depth,
+        (row * columns + column)[inner],
+        owner[inner],
+    )
+    inside = np.zeros((rows, columns), dtype=np.bool_)
+    inside[1:-1, 1:-1] = True
+    image = _refined(view, lighting, pixels, seen, curvature.reshape(3, -1), depth, inside.ravel())
+    return np.moveaxis(image.reshape(3, rows, columns)[:, 1:-1, 1:-1], 0, 2)
 
 
-def _pixels(view: View, lighting: Lighting, samples: Samples) -> tuple[Floats, Ints, Bools]:
-    """Radiance (n, 3) and key (n,) of pixels' centres, and whether pixels hold an edge.
+class _Cells(NamedTuple):
+    """Squares of the picture.
 
-    That is the edge of a shadow, or of one surface where it leaves another;
-    the key is -1 where nothing is seen.
+    Attributes
+    ----------
+    size : float
+        In pixels.
+    x, y : (n,)
+        Their centres.
+    rough : (n,)
+        How far the sample at the centre may be off.
+    cell, owner : (m,)
+        Pairs of a cell and an object whose outline may cross it.
     """
-    radiance, key = np.zeros((samples.x.size, 3)), np.full(samples.x.size, -1)
-    edge = np.zeros(samples.x.size, dtype=np.bool_)
-    for hits in visible(view, samples, close=edge):
-        count = hits.t.size
-        keys = Keys(
-            _footprint(view.raster, hits),
-            np.empty(count, dtype=np.intp),
-            np.zeros(count, dtype=np.bool_),
-        )
-        for k, values in enumerate(shade(lighting, hits, keys)):
-            radiance[hits.sample, k] = values
-        key[hits.sample] = keys.key
-        edge[hits.sample] |= keys.undecided
-    return radiance, key, edge
+
+    size: float
+    x: Floats
+    y: Floats
+    rough: Floats
+    cell: Ints
+    owner: Ints
+
+    def split(self, index: Ints) -> _Cells:
+        """Quarters of some cells, one cell's after the other's."""
+        shift = np.array([-0.25, 0.25]) * self.size
+        x = (self.x[index, None] + np.tile(shift, 2)).ravel()
+        y = (self.y[index, None] + np.repeat(shift, 2)).ravel()
+        place = np.full(self.x.size, -1)
+        place[index] = np.arange(index.size)
+        cell = place[self.cell]
+        kept = np.flatnonzero(cell >= 0)
+        quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
+        rough = np.repeat(self.rough[index] / 4, 4)
+        return _Cells(self.size / 2, x, y, rough, quarters, np.repeat(self.owner[kept], 4))
 
 
-def _footprint(raster: Raster, hits: Hits) -> Floats:
+class _Seen(NamedTuple):
+    """What samples see.
+
+    Attributes
+    ----------
+    radiance : (3, n)
+    key : (n,)
+        -1 where nothing is seen.
+    lines : list of Lines
+        Ridges and shadows near each sample, c being zero at the sample.
+    several : (n,)
+        Whether there may be more than straight lines.
+    """
+
+    radiance: Floats
+    key: Ints
+    lines: list[Lines]
+    several: Bools
+
+
+def _refined(
+    view: View,
+    lighting: Lighting,
+    cells: _Cells,
+    seen: _Seen,
+    correction: Floats | float,
+    depth: int,
+    wanted: Bools,
+) -> Floats:
+    """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
+    lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
+    # The first line of each cell, and whether it is the only one.
+    lines = lines.take(np.argsort(lines.cell, kind="stable"))
+    first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
+    count = np.diff(first, append=lines.cell.size)
+    differ = lines.differ(lines.take(np.repeat(first, count)))
+    several = seen.several | (cells.rough > _CURVATURE)
+    several[lines.cell[differ]] = True
+    mean = seen.radiance + correction
+    single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
+    if single.cell.size:
+        mean[:, single.cell], more = _sides(view, lighting, cells, single)
+        several[single.cell[more]] = True
+    rest = np.flatnonzero(several & wanted)
+    for begin in range(0, rest.size, _CHUNK):
+        part = rest[begin : begin + _CHUNK]
+        quarters = cells.split(part)
+        samples, order = _sorted(quarters.x, quarters.y)
+        radiance = np.empty((3, order.size))
+        if depth > 1:
+            seen = _look(view, lighting, samples, quarters.size, order)
+            every = np.ones(order.size, dtype=np.bool_)
+            radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
+        else:
+            radiance[:, order] = _shaded(view, lighting, samples)
+        mean[:, part] = radiance.reshape(3, -1, 4).mean(axis=2)
+    return mean
+
+
+def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
+    """Positions as samples, and which is which."""
+    order = np.lexsort((x, y))
+    y = y[order]
+    new = np.diff(y, prepend=-np.inf) != 0
+    return Samples(y[new], np.cumsum(new) - 1, x[order]), order
+
+
+def _shaded(view: View, lighting: Lighting, samples: Samples) -> Floats:
+    """Radiance (3, n) at samples."""
+    radiance = np.zeros((3, samples.x.size))
+    hits = visible(view, samples)
+    falls = incidence(lighting, hits)
+    for group in hits.groups:
+        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
+            radiance[k, group.sample] = values
+    return radiance
+
+
+def _look(
+    view: View, lighting: Lighting, samples: Samples, size: float, order: Ints | None = None
+) -> _Seen:
+    """What samples see, and the lines through cells of a size around them."""
+    count = samples.x.size
+    order = np.arange(count) if order is None else order
+    close = np.zeros(count, dtype=np.bool_)
+    hits = visible(view, samples, close, size)
+    seen = _Seen(np.zeros((3, count)), np.full(count, -1), [], np.zeros(count, dtype=np.bool_))
+    seen.several[order[close]] = True
+    cosine = projected(lighting, hits)
+    facing = cosine > 0
+    lit = facing & ~lighting.shadows.blocked(hits, facing)
+    falls = np.where(lit, cosine, 0.0)
+    footprint = np.concatenate(
+        [np.zeros(0), *(size * _footprint(view.raster, group) for group in hits.groups)]
+    )
+    point, light, other = lighting.shadows.grazed(hits, facing, footprint)
+    for group in hits.groups:
+        cell, part = order[group.sample], group.part
+        for k, values in enumerate(shade(lighting, hits, group, falls[:, part])):
+            seen.radiance[k, cell] = values
+        key = group.owner * 4 + group.face
+        for bit in lit[:, part]:
+            key = key * 2 + bit
+        seen.key[cell] = key
+        seen.several[cell] |= narrow(lighting, hits, group, falls[:, part], footprint[part])
+        surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
+        at = np.flatnonzero((point >= part.start) & (point < part.stop))
+        for number in range(len(falls)):
+            some = at[light[at] == number]
+            if some.size:
+                seen.lines.append(
+                    surface.shadows(number, point[some] - part.start, other[some], seen.several)
+                )
+        if group.face < 3:
+            seen.lines.extend(surface.ridges())
+        else:
+            seen.lines.extend(surface.terminators(cosine[:, part]))
+    return seen
+
+
+def _footprint(raster: Raster, group: Group) -> Floats:
     """Radius (n,) on the surface, around each point, of what its pixel sees."""
-    length = np.sqrt(dot(hits.direction, hits.direction))
-    cosine = np.abs(dot(hits.n, hits.direction)) / length
+    length = np.sqrt(dot(group.direction, group.direction))
+    cosine = np.abs(dot(group.n, group.direction)) / length
     # Nearly edge-on, outlines mark the pixel anyway.
     half = 0.5 * float(np.hypot(raster.step_u, raster.step_v))
-    return hits.t * half / np.maximum(cosine, 0.02)
+    return group.t * half / np.maximum(cosine, 0.02)
 
 
-def _differ(key: Ints) -> Bools:
-    """Whether a pixel's key differs from one of its eight neighbours'."""
-    high = np.maximum(np.maximum(key[:-2], key[1:-1]), key[2:])
-    low = np.minimum(np.minimum(key[:-2], key[1:-1]), key[2:])
-    high = np.maximum(np.maximum(high[:, :-2], high[:, 1:-1]), high[:, 2:])
-    low = np.minimum(np.minimum(low[:, :-2], low[:, 1:-1]), low[:, 2:])
-    differ: Bools = high != low
-    return differ
+class _Surface(NamedTuple):
+    """What samples see of one group."""
+
+    view: View
+    lighting: Lighting
+    hits: Hits
+    group: Group
+    cell: Ints
+    footprint: Floats
+    size: float
+
+    def steps(self, at: Ints) -> tuple[Triple, Triple]:
+        """How some points move on their surface, across their cells and down."""
+        raster, group = self.view.raster, self.group
+        ray, n, t = pick(group.direction, at), pick(group.n, at), group.t[at]
+        cosine = dot(n, ray)
+
+        def step(axis: Floats, length: float) -> Triple:
+            x, y, z = (axis * length * self.size).tolist()
+            ratio = (x * n[0] + y * n[1] + z * n[2]) / cosine
+            return t * (x - ratio * ray[0]), t * (y - ratio * ray[1]), t * (z - ratio * ray[2])
+
+        u, v, _ = raster.axes
+        return step(u, raster.step_u), step(v, raster.step_v)
+
+    def from_light(self, number: int, at: Ints) -> Triple:
+        """Rays from a light to some points."""
+        x, y, z = self.hits.p[:, self.group.part.start + at]
+        light = self.lighting.positions[number]
+        return x - light[0], y - light[1], z - light[2]
+
+    def shadows(self, number: int, at: Ints, other: Ints, several: Bools) -> Lines:
+        """Edges of shadows; marks `several` where they are not straight."""
+        surfaces, light = self.view.surfaces, self.lighting.positions[number]
+        spheres = len(surfaces.radius)
+        pencil = Pencil(Kind.SHADOW, self.cell[at], self.from_light(number, at), *self.steps(at))
+        on = np.flatnonzero(other < spheres)
+        ball = other[on]
+        x, y, z = (surfaces.center[ball] - light).T
+        discs, turn = pencil.take(on).discs((x, y, z), surfaces.radius[ball])
+        odd = (turn > _BEND) | (self.lighting.shadows.side[number, ball] != OUTSIDE)
+        several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
+        on = np.flatnonzero(other >= spheres)
+        box = np.flatnonzero(np.bincount(other[on] - spheres))
+        low, high = surfaces.min_pt[box], surfaces.max_pt[box]
+        corners = np.moveaxis(np.array(box_corners(low, high)) - light, 2, 0)
+        planes = silhouette_planes((corners[0], corners[1], corners[2]), light, low, high)
+        place = np.searchsorted(box, other[on] - spheres)
+        planes = each(lambda m: m[:, place], planes)
+        unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
+        several[pencil.cell[on[unknown]]] = True
+        return joined([discs.crossing(), pencil.take(on).boxes(planes)])
+
+    def terminators(self, cosine: Floats) -> Iterator[Lines]:
+        """Where a sphere turns away from a light (lights, n), and its highlight ends."""
+        lighting, owner = self.lighting, self.group.owner
+        glossy = lighting.materials.glossy[lighting.shader[owner]]
+        if not glossy.any():
+            return
+        radius = self.view.surfaces.radius[owner]
+        for number, row in enumerate(cosine):
+            every = np.arange(row.size)
+            ray = self.from_light(number, every)
+            near = (row * radius) ** 2 < self.footprint**2 * dot(ray, ray)
+            near = np.flatnonzero(near & glossy)
+            ray, r = self.from_light(number, near), -select(radius, near)
+            across, down = self.steps(near)
+            kind = np.full(near.size, Kind.SHADOW)
+            yield Lines(
+                self.cell[near], kind, dot(across, ray) / r, dot(down, ray) / r, row[near]
+            ).crossing()
+
+    def ridges(self) -> Iterator[Lines]:
+        """Where a box's face meets another that is seen as well."""
+        surfaces, eye, group = self.view.surfaces, self.view.raster.eye, self.group
+        p = self.hits.p[:, group.part]
+        box = group.owner - len(surfaces.radius)
+        for k in range(3):
+            if k == group.face:
+                continue
+            for corner, sign in ((surfaces.min_pt, -1), (surfaces.max_pt, 1)):
+                level = corner[box, k]
+                shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - level) > 0)
+                at = np.flatnonzero((np.abs(p[k] - level) < self.footprint) & shown)
+                across, down = self.steps(at)
+                c = p[k][at] - select(level, at)
+                kind = np.full(at.size, Kind.RIDGE)
+                yield Lines(self.cell[at], kind, across[k], down[k], c).crossing()
 
 
-def _spans(view: View, top: int, bottom: int, per_side: int) -> tuple[Spans, Spans]:
-    """Outlines in every row of the sampling grid."""
-    y = top + (np.arange((bottom - top) * per_side) + 0.5) / per_side
-    return view.outlines.sphere_spans(y), view.outlines.box_spans(y)
+def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
+    """Outlines across cells; marks `several` where they are not straight."""
+    raster, lines = view.raster, view.outlines
+    spheres = len(lines.radius)
+    s, g = raster.across(cells.x[cells.cell]), raster.down(cells.y[cells.cell])
+    zero, one = np.zeros(s.size), np.ones(s.size)
+    pencil = Pencil(
+        Kind.OUTLINE,
+        cells.cell,
+        (s, g, raster.depth * one),
+        (raster.step_u * cells.size * one, zero, zero),
+        (zero, raster.step_v * cells.size * one, zero),
+    )
+    at = np.flatnonzero(cells.owner < spheres)
+    ball = cells.owner[at]
+    discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
+    several[discs.take(np.flatnonzero(turn > _BEND)).crossing().cell] = True
+    yield discs.crossing()
+    at = np.flatnonzero(cells.owner >= spheres)
+    box = cells.owner[at] - spheres
+    planes = each(lambda m: m[:, box], lines.edges)
+    yield pencil.take(at).boxes((planes[0], planes[1], planes[2] / raster.depth))
 
 
-def _crossed(spans: Spans, rows: int, first_column: int, width: int, per_side: int) -> Bools:
-    """Which pixels an outline crosses, by the spans in each row of the sampling grid.
+def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
+    """What to add to centres (3, rows, columns) for the mean: a 24th of the Laplacian.
 
-    Between the leftmost and the rightmost place at which an object begins (or
-    ends) in the rows of one pixel, its outline crosses; an object that misses
-    some of these rows has its top or bottom there, and crosses wherever it is.
+    Where a neighbour sees something else, along that row or column it is nothing;
+    and how far that may be off.
     """
-    if not spans.owner.size:
-        return np.zeros((rows, width), dtype=np.bool_)
-    pixel_row = spans.row // per_side
-    group = spans.owner * rows + pixel_row
-    order = np.argsort(group, kind="stable")
-    first = np.flatnonzero(np.diff(group[order], prepend=-1))
-    counts = np.diff(first, append=order.size)
-    left, right = spans.left[order], spans.right[order]
-    left_min, left_max = np.minimum.reduceat(left, first), np.maximum.reduceat(left, first)
-    right_min, right_max = np.minimum.reduceat(right, first), np.maximum.reduceat(right, first)
-    whole = (counts < per_side) | (left_max >= right_min)
-    left_max = np.where(whole, right_max, left_max)
-    row = pixel_row[order][first]
-    # +1 where crossed pixels begin and -1 after they end: a running sum marks them.
-    edge = np.zeros((rows, width + 3), dtype=np.intp)
-    for begin, end in ((left_min, left_max), (right_min, right_max)):
-        np.add.at(edge, (row, _pixel(begin - first_column, width)), 1)
-        np.add.at(edge, (row, _pixel(end - first_column, width) + 1), -1)
-    crossed: Bools = edge.cumsum(axis=1)[:, 1 : width + 1] > 0
-    return crossed
+    total, rough = np.zeros(radiance.shape), np.zeros(key.shape)
+    lone = np.ones(key.shape, dtype=np.bool_)
+    for axis in (0, 1):
+        k, off, alone = (np.moveaxis(m, axis, 0) for m in (key, rough, lone))
+        same = k[1:] == k[:-1]
+        both, either = same[1:] & same[:-1], same[1:] ^ same[:-1]
+        for channel, out in zip(radiance, total, strict=True):
+            step = np.diff(channel, axis=axis)
+            step = np.where(same, np.moveaxis(step, axis, 0), 0) / 24
+            bend = np.diff(step, axis=0)
+            np.moveaxis(out, axis, 0)[1:-1] += np.where(both, bend, 0)
+            np.maximum(off[1:-1], np.where(either, np.abs(bend), 0), out=off[1:-1])
+        alone[1:-1] &= ~(same[1:] | same[:-1])
+    # Surfaces that coincide may change from one ray to the next.
+    rough[lone] = np.inf
+    return total, np.maximum(np.abs(total).max(axis=0), rough)
 
 
-def _pixel(x: Floats, width: int) -> Ints:
-    """Column + 1 of the pixel at x; 0 and width + 1 are outside."""
-    column: Ints = np.clip(np.floor(x).astype(np.intp) + 1, 0, width + 1)
-    return column
+def _met(
+    lines: Outlines, top: int, left: int, rows: int, columns: int, depth: int
+) -> tuple[Ints, Ints, Ints]:
+    """Row, column and object: pixels that an outline may cross.
 
-
-def _sampled(view: View, lighting: Lighting, row: Ints, column: Ints, per_side: int) -> Floats:
-    """Mean radiance (n, 3) of a grid of samples in each of some pixels.
-
-    `row` and `column` (n,) are in reading order.
+    Seen in rows of samples, from one above the pixel to one below: between the
+    leftmost and the rightmost place at which an object begins (or ends) there
+    its outline crosses; one that misses some of them crosses wherever it is.
     """
-    mean = np.empty((row.size, 3))
-    steps = (np.arange(per_side) + 0.5) / per_side
-    chunk = max(1, _CHUNK // per_side**2)
-    for begin in range(0, row.size, chunk):
-        end = min(begin + chunk, row.size)
-        new_row = np.diff(row[begin:end], prepend=-1) != 0
-        y = (row[begin:end][new_row][:, None] + steps).ravel()
-        # Each pixel crosses per_side rows of samples: sort these by row, then by column.
-        pixel_row = np.cumsum(new_row) - 1
-        across = (pixel_row[:, None] * per_side + np.arange(per_side)).ravel()
-        order = np.argsort(across, kind="stable")
-        pixel = order // per_side
-        x = (column[begin:end][pixel][:, None] + steps).ravel()
-        samples = Samples(y, np.repeat(across[order], per_side), x)
-        pixel = np.repeat(pixel, per_side)
-        total = np.zeros((3, end - begin))
-        for hits in visible(view, samples):
-            for k, values in enumerate(shade(lighting, hits)):
-                total[k] += np.bincount(pixel[hits.sample], values, minlength=end - begin)
-        mean[begin:end] = total.T / per_side**2
-    return mean
+    per_side = 2**depth
+    y = top + (np.arange(-1, rows * per_side + 1) + 0.5) / per_side
+    spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
+    owner = np.concatenate([spheres.owner, boxes.owner + len(lines.radius)])
+    line = np.concatenate([spheres.row, boxes.row]) - 1
+    begin = np.concatenate([spheres.left, boxes.left])
+    end = np.concatenate([spheres.right, boxes.right])
+    # The first row of a pixel is that below the pixel above, too.
+    above, below = (np.flatnonzero(line % per_side == k) for k in (0, per_side - 1))
+    span = np.concatenate([np.arange(line.size), above, below])
+    row = line // per_side
+    row = np.concatenate([row, row[above] - 1, row[below] + 1])
+    keep = np.flatnonzero((row >= 0) & (row < rows))
+    span, row = span[keep], row[keep]
+    order = np.lexsort((row, owner[span]))
+    span, row = span[order], row[order]
+    first = np.flatnonzero(
+        (np.diff(row, prepend=-1) != 0) | (np.diff(owner[span], prepend=-1) != 0)
+    )
+    if not first.size:
+        return first, first, first
+    (left_min, left_max), (right_min, right_max) = (
+        (np.minimum.reduceat(m[span], first), np.maximum.reduceat(m[span], first))
+        for m in (begin, end)
+    )
+    whole = (np.diff(first, append=row.size) < per_side + 2) | (left_max + 1 >= right_min)
+    apart = np.flatnonzero(~whole)
+    start = np.concatenate([left_min, right_min[apart]])
+    stop = np.concatenate([np.where(whole, right_max, left_max), right_max[apart]])
+    row, owner = (np.concatenate([m, m[apart]]) for m in (row[first], owner[span][first]))
+    start, stop = (np.floor(m).astype(np.intp) - left for m in (start, stop))
+    start = np.maximum(start, 0)
+    each_one, place = expand(np.maximum(np.minimum(stop + 1, columns) - start, 0))
+    return row[each_one], start[each_one] + place, owner[each_one]
+
+
+def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tuple[Floats, Bools]:
+    """Mean radiance (3, n) of cells that one line crosses; and whether there are more lines."""
+    share, moment_x, moment_y = single.halves()
+    count = share.size
+    shares = np.concatenate([share, 1 - share])
+    x = np.concatenate([moment_x, -moment_x]) / np.maximum(shares, 1e-9)
+    y = np.concatenate([moment_y, -moment_y]) / np.maximum(shares, 1e-9)
+    a, b = (np.concatenate([m, -m]) for m in (single.a, single.b))
+    # To the next row on the same side of the line, along it if it is steep.
+    row = np.where(b < 0, np.floor((y + 0.5) * _ROWS), np.ceil((y + 0.5) * _ROWS)) / _ROWS - 0.5
+    x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)
+    at = np.tile(single.cell, 2)
+    x_at, y_at = cells.x[at] + cells.size * x, cells.y[at] + cells.size * row
+    radiance, more = np.empty((3, at.size)), np.zeros(count, dtype=np.bool_)
+    # All of a surface has been looked at where only a shadow's edge divides it.
+    last = single.kind == Kind.SHADOW
+    known = np.flatnonzero(np.tile(last, 2))
+    samples, order = _sorted(x_at[known], y_at[known])
+    radiance[:, known[order]] = _shaded(view, lighting, samples)
+    rest = np.flatnonzero(~np.tile(last, 2))
+    samples, order = _sorted(x_at[rest], y_at[rest])
+    seen = _look(view, lighting, samples, 2 * cells.size, order)
+    radiance[:, rest] = seen.radiance
+    more[rest[seen.several] % count] = True
+    found = joined(seen.lines)
+    side = rest[found.cell]
+    a, b = found.a / 2, found.b / 2
+    c = found.c - a * x[side] - b * row[side]
+    found = Lines(side % count, found.kind, a, b, c).crossing()
+    more[found.cell[found.differ(single.take(found.cell))]] = True
+    return share * radiance[:, :count] + (1 - share) * radiance[:, count:], more

@@ -13,12 +13,12 @@ from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, occluders_of, shadows_of
 from tracer.visibility import Group, Hits
 
-__all__ = ["Lighting", "incidence", "lighting_of", "shade"]
+__all__ = ["Lighting", "incidence", "lighting_of", "narrow", "projected", "shade"]
 
 
 # On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
 # zero, and where it underflows.
-_SMOOTH, _FAINT, _DARK = 0.15, 3.0, 27.0
+_SMOOTH, _FAINT, _DARK = 0.5, 3.0, 27.0
 
 
 class Lighting(NamedTuple):
@@ -55,9 +55,17 @@ def lighting_of(scene: Scene, eye: Floats, eye_inside: Bools, seen: Bools) -> Li
 
 def incidence(lighting: Lighting, hits: Hits) -> Floats:
     """n.l times the distance of each light, (lights, n); zero where it does not reach."""
+    falls = projected(lighting, hits)
+    facing = falls > 0
+    facing &= ~lighting.shadows.blocked(hits, facing)
+    return np.where(facing, falls, 0.0)
+
+
+def projected(lighting: Lighting, hits: Hits) -> Floats:
+    """n.l times the distance of each light, (lights, n), whatever lies between."""
     shadows = lighting.shadows
-    projected = np.empty((len(lighting.positions), hits.p.shape[1]))
-    for light, side, row in zip(lighting.positions.tolist(), shadows.side, projected, strict=True):
+    falls = np.empty((len(lighting.positions), hits.p.shape[1]))
+    for light, side, row in zip(lighting.positions.tolist(), shadows.side, falls, strict=True):
         for group in hits.groups:
             out = row[group.part]
             if group.face < 3:
@@ -69,9 +77,7 @@ def incidence(lighting: Lighting, hits: Hits) -> Floats:
             kept_out = shadows.occluders.eye_inside[group.owner] & (side[group.owner] != INSIDE)
             if kept_out.any():
                 out[np.broadcast_to(kept_out, out.shape)] = 0
-    facing = projected > 0
-    facing &= ~shadows.blocked(hits, facing)
-    return np.where(facing, projected, 0.0)
+    return falls
 
 
 def shade(lighting: Lighting, hits: Hits, group: Group, falls: Floats) -> Triple:
@@ -113,6 +119,39 @@ def shade(lighting: Lighting, hits: Hits, group: Group, falls: Floats) -> Triple
     if gloss:
         radiance = each(np.add, radiance, mirrored.times(materials.specular, shader))
     return radiance
+
+
+def narrow(lighting: Lighting, hits: Hits, group: Group, falls: Floats, footprint: Floats) -> Bools:
+    """Whether there may be a highlight (n,) too narrow for one sample of so large a footprint.
+
+    Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
+    between normal and half vector, which bends with the surface and with the
+    directions to light and eye.
+    """
+    materials, p, surfaces = lighting.materials, hits.p[:, group.part], lighting.shadows.occluders
+    result = np.zeros(group.t.size, dtype=np.bool_)
+    shader = lighting.shader[group.owner]
+    if not np.any(materials.glossy[shader]):
+        return result
+    distance = group.t * np.sqrt(dot(group.direction, group.direction))
+    bending = 1 / distance
+    if group.face == 3:
+        bending = bending + 1 / surfaces.surfaces.radius[group.owner]
+    scale = np.where(materials.glossy[shader], np.sqrt(materials.exponent[shader] / 2), 0)
+    for light, cosine in zip(lighting.positions.tolist(), falls, strict=True):
+        to_light = _to(light, p)
+        inverse = 1 / np.sqrt(dot(to_light, to_light))
+        change = footprint * (bending + inverse) * scale
+        at = np.flatnonzero((change > _SMOOTH) & (cosine > 0))
+        if at.size:
+            power = highlight(
+                pick(group.n, at),
+                scaled(pick(to_light, at), inverse[at]),
+                scaled(pick(group.direction, at), -group.t[at] / distance[at]),
+                materials.exponent[select(shader, at)],
+            )
+            result[at] |= np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
+    return result
 
 
 def _to(light: list[float], p: Floats) -> Triple:

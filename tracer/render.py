@@ -8,13 +8,12 @@ in any order, side by side, and written out as they come.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator
 
 import numpy as np
 
-# from tracer.antialias import antialiased
+from tracer.antialias import antialiased
 from tracer.camera import raster_of
 from tracer.lighting import Lighting, incidence, lighting_of, shade
 from tracer.pencil import outlines
@@ -92,7 +91,8 @@ def render_bands(
     if samples < 1:
         raise ValueError(f"samples must be at least 1, is {samples}")
     view, lighting = _prepare(scene, offset)
-    per_side = math.isqrt(samples - 1) + 1
+    # The least power of four that is as many.
+    depth = ((samples - 1).bit_length() + 1) // 2
     step = max(1, band_pixels // scene.width)
     if threads is None:
         worth = scene.width * scene.height * samples >= _SAMPLES_WORTH_TWO
@@ -107,8 +107,8 @@ def render_bands(
         bottom = min(top + step, scene.height)
 
         def part(left: int, right: int) -> Floats:
-            if per_side > 1:
-                return antialiased(view, lighting, top, bottom, left, right, per_side)
+            if depth:
+                return antialiased(view, lighting, top, bottom, left, right, depth)
             return _centres(view, lighting, top, bottom, left, right)
 
         if scene.width <= band_pixels:

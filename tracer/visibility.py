@@ -147,11 +147,11 @@ class Hits(NamedTuple):
     column: Ints
 
 
-def visible(view: View, samples: Samples, close: Bools | None = None) -> Hits:
+def visible(view: View, samples: Samples, close: Bools | None = None, size: float = 1.0) -> Hits:
     """Nearest surface at each sample; of exactly equal ones the first in the file.
 
     `close` (n,), if given, is set where a second surface lies so near behind
-    the first that they may change places within a pixel.
+    the first that they may change places within `size` pixels.
     """
     groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
     # Larger than any distance, and less than the infinity of what misses.
@@ -166,7 +166,7 @@ def visible(view: View, samples: Samples, close: Bools | None = None) -> Hits:
     if close is not None:
         for group in groups:
             first = nearest[group.sample]
-            step = _CLOSE * max(view.raster.step_u, view.raster.step_v)
+            step = _CLOSE * size * max(view.raster.step_u, view.raster.step_v)
             gap = (group.t - first) * np.sqrt(dot(group.direction, group.direction))
             close[group.sample[(gap > 0) & (gap < step * first)]] = True
     groups = [group.where(group.t == nearest[group.sample]) for group in groups]

@@ -1,0 +1,159 @@
+"""Edges in closed form: the lines that outlines and shadows draw across a pixel.
+
+Whatever bounds what is seen touches a sphere or an edge of a box, in a pencil
+of rays from the eye or from a light.  How far a pixel's ray passes it by, and
+how fast that changes across the pixel, gives a straight line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from tracer.groups import Bools, Triple, dot, each, pick
+from tracer.scene import Floats, Ints
+
+__all__ = ["Kind", "Lines", "Pencil", "joined"]
+
+# Slopes of a line are at least so much of each other: then nothing divides by nearly zero.
+_LEAST_SLOPE = 1e-4
+
+# Lines that are nowhere farther apart, in cells, count as one: a light near the eye
+# throws its shadows right behind the outlines.
+_SAME = 0.02
+
+
+class Kind(IntEnum):
+    """What draws a line: beyond it there may be lines of a later kind."""
+
+    OUTLINE = 0
+    RIDGE = 1
+    SHADOW = 2
+
+
+class Lines(NamedTuple):
+    """Lines c + a x + b y = 0 across cells, with x and y from -1/2 to 1/2.
+
+    Attributes
+    ----------
+    cell, kind, a, b, c : (n,)
+    """
+
+    cell: Ints
+    kind: Ints
+    a: Floats
+    b: Floats
+    c: Floats
+
+    def take(self, index: Ints) -> Lines:
+        """Some of them."""
+        return Lines(
+            self.cell[index], self.kind[index], self.a[index], self.b[index], self.c[index]
+        )
+
+    def crossing(self) -> Lines:
+        """Those that do pass through their cells."""
+        return self.take(np.flatnonzero(np.abs(self.c) < self.reach()))
+
+    def differ(self, other: Lines) -> Bools:
+        """Whether each is another line than its counterpart."""
+        mine, its = self.reach(), other.reach()
+        sign = np.where(self.a * other.a + self.b * other.b < 0, -1.0, 1.0)
+        a, b, c = (
+            np.abs(sign * m / mine - n / its)
+            for m, n in ((self.a, other.a), (self.b, other.b), (self.c, other.c))
+        )
+        differ: Bools = a + b + c > _SAME
+        return differ
+
+    def reach(self) -> Floats:
+        """The most that a x + b y differs from zero in a cell."""
+        reach: Floats = 0.5 * (np.abs(self.a) + np.abs(self.b))
+        return reach
+
+    def halves(self) -> tuple[Floats, Floats, Floats]:
+        """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
+
+        Integrated twice, the step at the line is a ramp max(z, 0)^2 / 2, of which
+        the square leaves the values at its corners.
+        """
+        size = np.maximum(np.abs(self.a), np.abs(self.b))
+        a, b = (
+            np.copysign(np.maximum(np.abs(m / size), _LEAST_SLOPE), m) for m in (self.a, self.b)
+        )
+        share, moment_x, moment_y = np.zeros(size.size), np.zeros(size.size), np.zeros(size.size)
+        for x in (-0.5, 0.5):
+            for y in (-0.5, 0.5):
+                z = np.maximum(self.c / size + a * x + b * y, 0)
+                square = 4 * x * y * z * z / 2
+                share += square
+                moment_x += x * square - square * z / (3 * a)
+                moment_y += y * square - square * z / (3 * b)
+        return share / (a * b), moment_x / (a * b), moment_y / (a * b)
+
+
+def joined(lines: Iterable[Lines]) -> Lines:
+    """All lines in one."""
+    none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
+    parts = [Lines(none, none, nothing, nothing, nothing), *lines]
+    cell, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("cell", "kind"))
+    a, b, c = (np.concatenate([getattr(p, name) for p in parts]) for name in "abc")
+    return Lines(cell, kind, a, b, c)
+
+
+class Pencil(NamedTuple):
+    """Rays from one apex through cells.
+
+    Attributes
+    ----------
+    kind : Kind
+    cell : (n,)
+    ray : three (n,)
+    across, down : three (n,), or numbers
+        How the ray changes from one side of the cell to the other.
+    """
+
+    kind: Kind
+    cell: Ints
+    ray: Triple
+    across: Triple
+    down: Triple
+
+    def take(self, index: Ints) -> Pencil:
+        """Some of them."""
+        across, down = pick(self.across, index), pick(self.down, index)
+        return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down)
+
+    def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats]:
+        """Outlines of spheres, one for each ray, and how far they turn in the cell (radians)."""
+        nearest = dot(center, self.ray) / dot(self.ray, self.ray)
+        offset = each(lambda c, d: c - nearest * d, center, self.ray)
+        distance = np.sqrt(dot(offset, offset))
+        slope = -nearest / distance
+        a, b = slope * dot(offset, self.across), slope * dot(offset, self.down)
+        # Along the line, rays move around the sphere.
+        size = np.sqrt(a * a + b * b)
+        along = each(lambda x, y: nearest * (y * a - x * b) / size, self.across, self.down)
+        ahead = dot(along, self.ray)
+        bend = (dot(along, along) - ahead * ahead / dot(self.ray, self.ray)) / radius
+        # A chord as long as the cell lies so far inside a flat arc on average.
+        sag = np.where(bend < size, bend / 24, 0)
+        return self._lines(a, b, distance - radius + sag), bend / size
+
+    def boxes(self, planes: Triple) -> Lines:
+        """Outlines of boxes, one for each ray: planes three (6, n) contain their edges."""
+        edges = [
+            self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
+            for normal in zip(*planes, strict=True)
+        ]
+        at = np.flatnonzero(np.all([edge.c >= -edge.reach() for edge in edges], axis=0))
+        for k in (4, 5):
+            # Outlines of four edges repeat the first two.
+            edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
+        return joined(edge.take(at).crossing() for edge in edges)
+
+    def _lines(self, a: Floats, b: Floats, c: Floats) -> Lines:
+        return Lines(self.cell, np.full(self.cell.size, self.kind), a, b, c)
