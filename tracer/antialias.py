@@ -196,12 +196,12 @@ def _look(
     seen.several[order[close]] = True
     cosine = projected(lighting, hits)
     facing = cosine > 0
-    lit = facing & ~lighting.shadows.blocked(hits, facing)
-    falls = np.where(lit, cosine, 0.0)
     footprint = np.concatenate(
         [np.zeros(0), *(size * _footprint(view.raster, group) for group in hits.groups)]
     )
-    point, light, other = lighting.shadows.grazed(hits, facing, footprint)
+    blocked, (point, light, other) = lighting.shadows.edges(hits, facing, footprint)
+    lit = facing & ~blocked
+    falls = np.where(lit, cosine, 0.0)
     for group in hits.groups:
         cell, part = order[group.sample], group.part
         for k, values in enumerate(shade(lighting, hits, group, falls[:, part])):

@@ -175,27 +175,31 @@ class Shadows(NamedTuple):
             blocked[light[blocks], point[blocks]] = True
         return blocked | dark
 
-    def grazed(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Ints, Ints, Ints]:
-        """Point, light and object: an edge of a shadow within a distance (n,) of the point.
+    def edges(
+        self, hits: Hits, facing: Bools, footprint: Floats
+    ) -> tuple[Bools, tuple[Ints, Ints, Ints]]:
+        """`blocked`, and where it may change within a distance (n,) of a point.
 
-        An object that blocks when it is larger by as much, and does not when
-        smaller by as much, has the edge of its shadow there; unless another
-        blocks, too, when smaller.
+        That is a point, a light and an object that blocks when it is larger by
+        as much, and does not when smaller by as much; unless another blocks,
+        too, when smaller.
         """
-        solid, dark = np.zeros((2, *facing.shape), dtype=np.bool_)
+        blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         none = np.zeros(0, dtype=np.intp)
-        edges = [(none, none, none)]
+        found = [(none, none, none)]
         for pairs in self._pairs(hits, facing, dark, footprint):
             point, light, other = pairs.points()
             larger = footprint[point]
             may = self._blocks(hits, pairs, point, light, other, larger)
+            does = self._blocks(hits, pairs, point, light, other)
             must = self._blocks(hits, pairs, point, light, other, -larger)
+            blocked[light[does], point[does]] = True
             solid[light[must], point[must]] = True
             edge = np.flatnonzero(may & ~must & facing[light, point])
-            edges.append((point[edge], light[edge], other[edge]))
-        point, light, other = (np.concatenate(m) for m in zip(*edges, strict=True))
-        open_ = np.flatnonzero(~(solid | dark)[light, point])
-        return point[open_], light[open_], other[open_]
+            found.append((point[edge], light[edge], other[edge]))
+        point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
+        seen = np.flatnonzero(~(solid | dark)[light, point])
+        return blocked | dark, (point[seen], light[seen], other[seen])
 
     def _pairs(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None

@@ -21,6 +21,9 @@ _PAD = 0.5
 # Surfaces may cross within a pixel if their distance is less than so many pixels' size.
 _CLOSE = 8.0
 
+# Samples farther apart, in pixels, are no neighbours.
+_GAP = 4.0
+
 # From so many samples on, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 16384
 
@@ -377,9 +380,13 @@ def _hits(samples: Samples, p: Floats, groups: list[Group]) -> Hits:
     """Put the runs of all groups one after the other."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
+    piece = None if samples.columns else np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
     for group in groups:
-        full = np.flatnonzero(np.diff(group.first))
-        first = group.first[full]
+        first = group.first[np.flatnonzero(np.diff(group.first))]
+        if piece is not None:
+            # Samples in a row may be far apart.
+            gaps = np.flatnonzero(np.diff(piece[group.sample])) + 1
+            first = np.union1d(first, gaps)
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(select(group.owner, first), first.shape))
         begins.append(group.sample[first])
