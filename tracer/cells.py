@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, expand, scaled
+from tracer.groups import Bools, Triple, dot, each, expand, pick, scaled
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
@@ -27,7 +27,7 @@ _SLACK = 1e-9
 _LEAST_ANGLE = 1e-5
 
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
-_SIDE_LEAST, _SIDE_MOST = 32, 1024
+_SIDE_FEW, _SIDE_MOST = 256, 1024
 
 NONE, MANY = -1, -2
 
@@ -99,6 +99,36 @@ class Cells(NamedTuple):
         row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
         return total * (1 + _SLACK), (octant * self.side + column) * self.side + row
 
+    def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints]:
+        """Distance of balls (1-norm), and pairs of a ball and a cell that it reaches into."""
+        x, y, z = to_light
+        total = sum(each(np.abs, to_light)) + 2 * radius
+        none = np.zeros(0, dtype=np.intp)
+        balls, cells = [none], [none]
+        for number in range(8):
+            a, b, c = (-m if number >> k & 1 else m for k, m in enumerate((x, y, z)))
+            ball = np.flatnonzero((a >= -radius) & (b >= -radius) & (c >= -radius))
+            if not ball.size:
+                continue
+            middle, r = pick((a, b, c), ball), radius[ball]
+            low = each(np.maximum, each(np.subtract, middle, (r, r, r)), (0 * r, 0 * r, 0 * r))
+            bounds = _octahedral(low, each(np.add, middle, (r, r, r)))
+            west, east, north, south = (
+                np.clip(
+                    np.floor(bounds[k] * self.scale[k // 2, number] + self.shift[k // 2, number]),
+                    0,
+                    self.side - 1,
+                ).astype(np.intp)
+                for k in range(4)
+            )
+            tall = south - north + 1
+            owner, place = expand((east - west + 1) * tall)
+            over, down = np.divmod(place, tall[owner])
+            row = number * self.side + west[owner] + over
+            balls.append(ball[owner])
+            cells.append(row * self.side + north[owner] + down)
+        return total * (1 + _SLACK), np.concatenate(balls), np.concatenate(cells)
+
     def objects(self, cell: Ints) -> tuple[Ints, Ints]:
         """All pairs of a cell (its index in `cell`) and an object listed there."""
         first = self.first[cell]
@@ -122,8 +152,8 @@ def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouette
     `silhouettes`: three (6, B), planes through the light around every box.
     """
     count = len(surfaces)
-    # A lone object has nothing to be kept apart from.
-    side = int(np.clip(2 * np.sqrt(count), _SIDE_LEAST, _SIDE_MOST)) if count > 1 else 1
+    root = np.sqrt(count)
+    side = int(min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST))
     scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
     hits = np.zeros((8, side * side), dtype=np.intp)
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
@@ -191,13 +221,20 @@ def _octant(number: int, light: Floats, extents: Extents) -> _Octant:
     objects = np.flatnonzero((high >= 0).all(axis=0))
     x0, y0, z0 = np.maximum(low[:, objects], 0)
     x1, y1, z1 = high[:, objects]
+    bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
+    return _Octant(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+
+
+def _octahedral(low: Triple, high: Triple) -> Floats:
+    """Least and greatest of both octahedral coordinates (4, n) of bounding boxes."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
     bounds = np.array(
         [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0), y0 / (y0 + x1 + z1), y1 / (y1 + x0 + z0)]
     )
     # Around the light itself there is no bound: all of the octant.
     whole = np.array([[0.0], [1.0], [0.0], [1.0]])
     bounds = np.where(np.isnan(bounds), whole, bounds) + _SLACK * (2 * whole - 1)
-    return _Octant(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+    return bounds
 
 
 def _reach(octant: _Octant, seen: Ints) -> Floats:

@@ -13,7 +13,6 @@ meet are listed by cells of direction around the light instead.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -412,18 +411,21 @@ class Shadows(NamedTuple):
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number] & ~cells.safe[own])
             p = _rows(hits.p, asked)
-            to_light = each(np.subtract, tuple(self.lights[:, number].tolist()), p)
-            point, other = _listed(cells, own[asked], to_light)
-            if footprint is not None:
+            x, y, z = self.lights[:, number].tolist()
+            to_light = x - p[0], y - p[1], z - p[2]
+            if footprint is None:
+                point, other = _listed(cells, own[asked], to_light)
+            else:
                 point, other = _around(cells, own[asked], to_light, footprint[asked])
-            point = asked[point]
             for of_kind in (other < spheres, other >= spheres):
                 at = np.flatnonzero(of_kind)
                 if at.size:
-                    start = point[at]
-                    balls = self._balls(hits, own[start], start, np.ones_like(start))
+                    start = asked[point[at]]
+                    radius = self.occluders.slack[own[start]]
                     if footprint is not None:
-                        balls.radius[:] += footprint[start]
+                        radius = radius + footprint[start]
+                    ones = np.ones_like(start)
+                    balls = _Balls(own[start], start, ones, pick(p, point[at]), radius)
                     yield _Pairs(balls, np.full(at.size, number), other[at])
 
 
@@ -517,13 +519,16 @@ def _listed(cells: Cells, own: Ints, to_light: Triple) -> tuple[Ints, Ints]:
 
 def _around(cells: Cells, own: Ints, to_light: Triple, footprint: Floats) -> tuple[Ints, Ints]:
     """The same for all that is as near to each point as its footprint (n,)."""
-    pairs = [_listed(cells, own, to_light)]
-    for signs in product((-1.0, 1.0), repeat=3):
-        x, y, z = (d + sign * footprint for d, sign in zip(to_light, signs, strict=True))
-        pairs.append(_listed(cells, own, (x, y, z)))
-    point, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    # Each pair once.
-    return np.divmod(np.unique(point * len(cells.near) + other), len(cells.near))
+    distance, point, cell = cells.around(to_light, footprint)
+    sole = cells.sole[cell]
+    some = np.flatnonzero((sole != NONE) & (sole != own[point]))
+    owner, other = cells.objects(cell[some])
+    point = point[some[owner]]
+    keep = (other != own[point]) & (cells.near[other] <= distance[point])
+    # Each pair once, though they share several cells.
+    count = len(cells.near)
+    pair = np.sort(point[keep] * count + other[keep])
+    return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 
 
 def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluders:
