@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,17 +18,25 @@ from tracer.camera import raster_of
 
 
 def assert_same(scene: Scene) -> None:
-    """Hold the tracer's picture against that of all pairs."""
-    image, expected = render(scene), brute_force(scene)
-    different = np.argwhere((image != expected).any(axis=2)).tolist()
-    assert not different, (
-        f"{len(different)} pixels differ; at row {different[0][0]}, column {different[0][1]}"
-        f" {image[tuple(different[0])]} is not {expected[tuple(different[0])]}"
-    )
+    """Hold the tracer's picture against that of all pairs.
+
+    Made in both ways that there are: as with many pixels for each object, and with few.
+    """
+    expected = brute_force(scene)
+    for pixels_each, large in ((0.001, 100), (1e9, 1e9)):
+        with (
+            patch("tracer.shadow._PIXELS_EACH", pixels_each),
+            patch("tracer.visibility._LARGE", large),
+        ):
+            image = render(scene)
+        different = np.argwhere((image != expected).any(axis=2)).tolist()
+        assert not different, (
+            f"{len(different)} pixels differ; at row {different[0][0]}, column {different[0][1]}"
+            f" {image[tuple(different[0])]} is not {expected[tuple(different[0])]}"
+        )
 
 
 @pytest.mark.parametrize("kind", KINDS)
-# Objects of many pixels are treated apart from small ones, so pictures of both sizes.
 @pytest.mark.parametrize(("width", "height"), [(23, 31), (160, 120)])
 def test_random_scenes(kind: str, width: int, height: int) -> None:
     for seed in range(2 if kind == "crowd" else 12):

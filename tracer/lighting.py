@@ -47,7 +47,11 @@ def lighting_of(scene: Scene, eye: Floats, eye_inside: Bools, seen: Bools) -> Li
     return Lighting(
         positions,
         np.array([light.intensity for light in lights]).reshape(-1, 3),
-        shadows_of(positions, occluders_of(eye, surfaces, eye_inside, seen)),
+        shadows_of(
+            positions,
+            occluders_of(eye, surfaces, eye_inside, seen),
+            scene.width * scene.height,
+        ),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )

@@ -38,8 +38,11 @@ from tracer.visibility import Hits
 
 __all__ = ["Occluders", "Shadows", "occluders_of", "shadows_of"]
 
-# Up to so many objects, all are tried against each other.
-_MOST_IN_PAIRS = 512
+# Objects are tried against each other where each has so many pixels, and they are not too many.
+_PIXELS_EACH, _MOST = 1000, 1024
+
+# Pairs of objects that are tried at a time.
+_PAIRS = 1 << 17
 
 # Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
 _LONG, _SHORT, _TILE = 32, 8, 32
@@ -550,8 +553,8 @@ def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools
     )
 
 
-def shadows_of(lights: Floats, occluders: Occluders) -> Shadows:
-    """Prepare lights (n, 3) for their shadows."""
+def shadows_of(lights: Floats, occluders: Occluders, pixels: int) -> Shadows:
+    """Prepare lights (n, 3) for their shadows in a picture of so many pixels."""
     surfaces, spheres = occluders.surfaces, len(occluders.surfaces.radius)
     every = lights[:, None, :]
     away = surfaces.center - every
@@ -565,7 +568,7 @@ def shadows_of(lights: Floats, occluders: Occluders) -> Shadows:
         ],
         axis=1,
     )
-    if len(surfaces) <= _MOST_IN_PAIRS:
+    if len(surfaces) <= min(pixels / _PIXELS_EACH, _MOST):
         return Shadows(occluders, lights.T, side, _lists(lights, occluders), ())
     cells = []
     extents = Extents.of(surfaces, occluders.seen)
@@ -578,23 +581,32 @@ def shadows_of(lights: Floats, occluders: Occluders) -> Shadows:
 
 def _lists(lights: Floats, occluders: Occluders) -> tuple[_Lists, ...]:
     """What may keep each light from each object, by trying all against each other."""
-    surfaces = occluders.surfaces
+    surfaces, count = occluders.surfaces, len(occluders.surfaces)
     # A row for each light and each object it may light, a column for each that may shade it.
-    end = each(lambda c: c[:, None, None], _columns(lights, slice(None)))
-    middle = each(lambda m: m[:, None], occluders.middle)
-    thickness = occluders.radius + 2 * occluders.slack
-    thickness = (thickness + _SLACK * np.abs(lights).sum(axis=1)[:, None])[:, :, None]
+    light, own = (m.ravel() for m in np.indices((len(lights), count)))
+    step = max(1, _PAIRS // max(1, count))
     center, low, high = (
         _columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
     )
-    balls, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
-    boxes, _ = box_and_capsule(middle, end, thickness, low, high)
-    lists = []
-    for spheres, may in ((True, balls), (False, boxes)):
-        before = 0 if spheres else len(surfaces.radius)
-        own = np.arange(may.shape[2])
-        may[:, own + before, own] = False
-        may[:, ~occluders.seen] = False
-        first = np.concatenate([[0], np.cumsum(np.count_nonzero(may, axis=2))])
-        lists.append(_Lists(spheres, first, np.nonzero(may)[2] + before))
-    return tuple(part for part in lists if part.listed.size)
+    many: list[list[Ints]] = [[], []]
+    listed: list[list[Ints]] = [[], []]
+    for start in range(0, light.size, step):
+        row = slice(start, start + step)
+        end = each(lambda c: c[:, None], _columns(lights, light[row]))
+        middle = each(lambda c: c[:, None], pick(occluders.middle, own[row]))
+        thickness = occluders.radius[own[row]] + 2 * occluders.slack[own[row]]
+        thickness = (thickness + _SLACK * np.abs(lights).sum(axis=1)[light[row]])[:, None]
+        balls, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
+        boxes, _ = box_and_capsule(middle, end, thickness, low, high)
+        may = np.concatenate([balls, boxes], axis=1)
+        may[np.arange(len(may)), own[row]] = False
+        may &= occluders.seen[own[row], None]
+        spheres = len(surfaces.radius)
+        for kind, part, before in ((0, may[:, :spheres], 0), (1, may[:, spheres:], spheres)):
+            many[kind].append(np.count_nonzero(part, axis=1))
+            listed[kind].append(np.nonzero(part)[1] + before)
+    return tuple(
+        _Lists(kind == 0, np.cumsum([0, *np.concatenate(many[kind])]), np.concatenate(listed[kind]))
+        for kind in (0, 1)
+        if any(part.size for part in listed[kind])
+    )
