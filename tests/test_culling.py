@@ -20,12 +20,12 @@ from tracer.camera import raster_of
 def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
-    Made in both ways that there are: as with many pixels for each object, and with few.
+    Made in both ways that there are: as with many samples for each object, and with few.
     """
     expected = brute_force(scene)
-    for pixels_each, large in ((0.001, 100), (1e9, 1e9)):
+    for samples_each, large in ((0.001, 100), (1e9, 1e9)):
         with (
-            patch("tracer.shadow._PIXELS_EACH", pixels_each),
+            patch("tracer.shadow._SAMPLES_EACH", samples_each),
             patch("tracer.visibility._LARGE", large),
         ):
             image = render(scene)

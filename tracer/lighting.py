@@ -11,7 +11,7 @@ from tracer.intersection import INSIDE
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, occluders_of, shadows_of
-from tracer.visibility import Group, Hits
+from tracer.visibility import Group, Hits, View
 
 __all__ = ["Lighting", "incidence", "lighting_of", "narrow", "projected", "shade"]
 
@@ -40,18 +40,14 @@ class Lighting(NamedTuple):
     materials: Materials
 
 
-def lighting_of(scene: Scene, eye: Floats, eye_inside: Bools, seen: Bools) -> Lighting:
-    """Prepare a scene's lights; of its objects, `seen` (n,) may be in the picture."""
+def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
+    """Prepare a scene's lights, for so many samples a pixel."""
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
         positions,
         np.array([light.intensity for light in lights]).reshape(-1, 3),
-        shadows_of(
-            positions,
-            occluders_of(eye, surfaces, eye_inside, seen),
-            scene.width * scene.height,
-        ),
+        shadows_of(positions, occluders_of(view), scene.width * scene.height * samples),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )

@@ -90,7 +90,7 @@ def render_bands(
     _keep_heap()
     if samples < 1:
         raise ValueError(f"samples must be at least 1, is {samples}")
-    view, lighting = _prepare(scene, offset)
+    view, lighting = _prepare(scene, offset, samples)
     # The least power of four that is as many.
     depth = ((samples - 1).bit_length() + 1) // 2
     step = max(1, band_pixels // scene.width)
@@ -152,7 +152,7 @@ def _keep_heap() -> None:
 
 
 @_QUIET
-def _prepare(scene: Scene, offset: tuple[float, float]) -> tuple[View, Lighting]:
+def _prepare(scene: Scene, offset: tuple[float, float], samples: int) -> tuple[View, Lighting]:
     """Everything that all bands share."""
     surfaces = scene.surfaces
     raster = raster_of(scene.camera, scene.width, scene.height, offset)
@@ -165,4 +165,4 @@ def _prepare(scene: Scene, offset: tuple[float, float]) -> tuple[View, Lighting]
         eye_inside=np.concatenate([lines.power <= 0, in_box]),
         order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
     )
-    return view, lighting_of(scene, raster.eye, view.eye_inside, lines.in_picture())
+    return view, lighting_of(scene, view, samples)

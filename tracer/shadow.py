@@ -34,12 +34,12 @@ from tracer.intersection import (
 )
 from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
-from tracer.visibility import Hits
+from tracer.visibility import Hits, View
 
 __all__ = ["Occluders", "Shadows", "occluders_of", "shadows_of"]
 
-# Objects are tried against each other where each has so many pixels, and they are not too many.
-_PIXELS_EACH, _MOST = 1000, 1024
+# Objects are tried against each other where each has so many samples, and they are not too many.
+_SAMPLES_EACH, _MOST = 1000, 1024
 
 # Pairs of objects that are tried at a time.
 _PAIRS = 1 << 17
@@ -191,13 +191,16 @@ class Shadows(NamedTuple):
         found = [(none, none, none)]
         for pairs in self._pairs(hits, facing, dark, footprint):
             point, light, other = pairs.points()
-            larger = footprint[point]
-            may = self._blocks(hits, pairs, point, light, other, larger)
+            may = np.flatnonzero(self._blocks(hits, pairs, point, light, other, footprint[point]))
+            point, light, other = point[may], light[may], other[may]
+            if not may.size:
+                continue
+            pairs = self._pairs_of_points(hits, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
-            must = self._blocks(hits, pairs, point, light, other, -larger)
+            must = self._blocks(hits, pairs, point, light, other, -footprint[point])
             blocked[light[does], point[does]] = True
             solid[light[must], point[must]] = True
-            edge = np.flatnonzero(may & ~must & facing[light, point])
+            edge = np.flatnonzero(~must & facing[light, point])
             found.append((point[edge], light[edge], other[edge]))
         point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
         seen = np.flatnonzero(~(solid | dark)[light, point])
@@ -423,13 +426,19 @@ class Shadows(NamedTuple):
             for of_kind in (other < spheres, other >= spheres):
                 at = np.flatnonzero(of_kind)
                 if at.size:
-                    start = asked[point[at]]
-                    radius = self.occluders.slack[own[start]]
-                    if footprint is not None:
-                        radius = radius + footprint[start]
-                    ones = np.ones_like(start)
-                    balls = _Balls(own[start], start, ones, pick(p, point[at]), radius)
-                    yield _Pairs(balls, np.full(at.size, number), other[at])
+                    light = np.full(at.size, number)
+                    yield self._pairs_of_points(hits, asked[point[at]], light, other[at], footprint)
+
+    def _pairs_of_points(
+        self, hits: Hits, point: Ints, light: Ints, other: Ints, footprint: Floats | None
+    ) -> _Pairs:
+        """Stretches of one point."""
+        owner = np.repeat(hits.owner, np.diff(hits.first))[point]
+        radius = self.occluders.slack[owner]
+        if footprint is not None:
+            radius = radius + footprint[point]
+        p = _rows(hits.p, point)
+        return _Pairs(_Balls(owner, point, np.ones_like(point), p, radius), light, other)
 
 
 class _Tiles(NamedTuple):
@@ -534,8 +543,9 @@ def _around(cells: Cells, own: Ints, to_light: Triple, footprint: Floats) -> tup
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 
 
-def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools) -> Occluders:
-    """Gather spheres and boxes; `seen` (n,) are those that may be in the picture."""
+def occluders_of(view: View) -> Occluders:
+    """Gather spheres and boxes."""
+    surfaces, eye = view.surfaces, view.raster.eye
     center, radius = surfaces.center.T, surfaces.radius
     corner = np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt))
     size = np.concatenate([np.abs(center).sum(axis=0) + radius, corner.sum(axis=1)])
@@ -544,8 +554,8 @@ def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools
     return Occluders(
         surfaces,
         eye,
-        eye_inside,
-        seen,
+        view.eye_inside,
+        view.outlines.in_picture(),
         (x, y, z),
         np.concatenate([radius, half]),
         size,
@@ -553,8 +563,8 @@ def occluders_of(eye: Floats, surfaces: Surfaces, eye_inside: Bools, seen: Bools
     )
 
 
-def shadows_of(lights: Floats, occluders: Occluders, pixels: int) -> Shadows:
-    """Prepare lights (n, 3) for their shadows in a picture of so many pixels."""
+def shadows_of(lights: Floats, occluders: Occluders, samples: int) -> Shadows:
+    """Prepare lights (n, 3) for the shadows at so many samples."""
     surfaces, spheres = occluders.surfaces, len(occluders.surfaces.radius)
     every = lights[:, None, :]
     away = surfaces.center - every
@@ -568,7 +578,7 @@ def shadows_of(lights: Floats, occluders: Occluders, pixels: int) -> Shadows:
         ],
         axis=1,
     )
-    if len(surfaces) <= min(pixels / _PIXELS_EACH, _MOST):
+    if len(surfaces) <= min(samples / _SAMPLES_EACH, _MOST):
         return Shadows(occluders, lights.T, side, _lists(lights, occluders), ())
     cells = []
     extents = Extents.of(surfaces, occluders.seen)
