@@ -102,6 +102,14 @@ class Outlines(NamedTuple):
             [(rows[0] <= bottom) & (rows[1] >= top) for rows in (self.sphere_rows, self.box_rows)]
         )
 
+    def crossed(self) -> float:
+        """Roughly the share of the picture's pixels that outlines cross, hidden ones too."""
+        rows = np.concatenate([self.sphere_rows, self.box_rows], axis=1)
+        top, bottom = np.clip(rows, 0, self.raster.height)
+        # As wide as they are high, more or less, and crossed on both sides.
+        total = 4 * np.maximum(bottom - top, 0).sum()
+        return float(total / (self.raster.width * self.raster.height))
+
     def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
         # One column more on either side than the picture has: antialiasing looks there.
         left = np.maximum(self.raster.column(low) - pad, -1.0)
