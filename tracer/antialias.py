@@ -292,7 +292,7 @@ class _Surface(NamedTuple):
         ball = other[on]
         x, y, z = (surfaces.center[ball] - light).T
         discs, turn = pencil.take(on).discs((x, y, z), surfaces.radius[ball])
-        odd = (turn > _BEND) | (self.lighting.shadows.side[number, ball] != OUTSIDE)
+        odd = (turn > _BEND) | (self.lighting.shadows.occluders.side[number, ball] != OUTSIDE)
         several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
         on = np.flatnonzero(other >= spheres)
         box = np.flatnonzero(np.bincount(other[on] - spheres))

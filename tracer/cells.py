@@ -11,14 +11,18 @@ an object: they leave out only pairs that cannot meet.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, expand, pick, scaled
+from tracer.groups import Bools, Triple, dot, each, expand, pick, rows, scaled
+from tracer.occluders import Occluders, Pairs, pairs_of_points
+from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
+from tracer.visibility import Hits
 
-__all__ = ["MANY", "NONE", "Cells", "Extents", "list_objects"]
+__all__ = ["Cells", "InCells", "in_cells"]
 
 # Widens bounds by more than all roundings between a point and its cell.
 _SLACK = 1e-9
@@ -29,10 +33,10 @@ _LEAST_ANGLE = 1e-5
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 256, 1024
 
-NONE, MANY = -1, -2
+_NONE, _MANY = -1, -2
 
 
-class Extents(NamedTuple):
+class _Extents(NamedTuple):
     """Bounding boxes of all objects, spheres first.
 
     Attributes
@@ -47,7 +51,7 @@ class Extents(NamedTuple):
     seen: Bools
 
     @classmethod
-    def of(cls, surfaces: Surfaces, seen: Bools) -> Extents:
+    def of(cls, surfaces: Surfaces, seen: Bools) -> _Extents:
         """Gather spheres and boxes."""
         center, radius = surfaces.center.T, surfaces.radius
         low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
@@ -69,7 +73,7 @@ class Cells(NamedTuple):
     listed : (m,)
         Objects.
     sole : (8 * side * side,)
-        The only object in a cell; `MANY` or `NONE`.
+        The only object in a cell; `_MANY` or `_NONE`.
     near : (n,)
         Each object's least distance to the light, in the 1-norm.
     safe : (n,)
@@ -146,7 +150,9 @@ class _Octant(NamedTuple):
     farthest: Floats
 
 
-def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouettes: Triple) -> Cells:
+def _cells_around(
+    light: Floats, surfaces: Surfaces, extents: _Extents, silhouettes: Triple
+) -> Cells:
     """Fill the cells around a light (3,).
 
     `silhouettes`: three (6, B), planes through the light around every box.
@@ -202,12 +208,12 @@ def list_objects(light: Floats, surfaces: Surfaces, extents: Extents, silhouette
     np.cumsum(hits, out=first[1:])
     ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells), kind="stable")]
     single = np.diff(first) == 1
-    sole = np.where(np.diff(first) == 0, NONE, MANY)
+    sole = np.where(np.diff(first) == 0, _NONE, _MANY)
     sole[single] = ordered[first[:-1][single]]
     return Cells(side, scale, shift, first, ordered, sole, near * (1 - _SLACK), safe)
 
 
-def _octant(number: int, light: Floats, extents: Extents) -> _Octant:
+def _octant(number: int, light: Floats, extents: _Extents) -> _Octant:
     """Bounds of all objects that reach into an octant.
 
     Bit k of the octant's number is set where the way to the light is negative
@@ -319,3 +325,80 @@ def _beyond(plane: Triple, column: Ints, row: Ints) -> Bools:
     most = a + b * column + c * row + np.maximum(b, 0) + np.maximum(c, 0)
     beyond: Bools = most < -_SLACK
     return beyond
+
+
+class InCells(NamedTuple):
+    """Finds what may shade points by the cells they lie in.
+
+    Attributes
+    ----------
+    occluders : Occluders
+    cells : tuple of Cells
+        Around each light.
+    """
+
+    occluders: Occluders
+    cells: tuple[Cells, ...]
+
+    def pairs(
+        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
+    ) -> Iterator[Pairs]:
+        """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
+        own = np.repeat(hits.owner, np.diff(hits.first))
+        spheres = len(self.occluders.surfaces.radius)
+        for number, cells in enumerate(self.cells):
+            asked = np.flatnonzero(facing[number] & ~cells.safe[own])
+            x, y, z = self.occluders.lights[:, number].tolist()
+            p = rows(hits.p, asked)
+            to_light = x - p[0], y - p[1], z - p[2]
+            if footprint is None:
+                point, other = _listed(cells, own[asked], to_light)
+            else:
+                point, other = _around(cells, own[asked], to_light, footprint[asked])
+            point = asked[point]
+            for of_kind in (other < spheres, other >= spheres):
+                at = np.flatnonzero(of_kind)
+                if at.size:
+                    light = np.full(at.size, number)
+                    yield pairs_of_points(
+                        self.occluders, hits, point[at], light, other[at], footprint
+                    )
+
+
+def _listed(cells: Cells, own: Ints, to_light: Triple) -> tuple[Ints, Ints]:
+    """Pairs (point, object) that the cells do not rule out."""
+    distance, cell = cells.locate(to_light)
+    # Most cells hold nothing, or the object itself.
+    sole = cells.sole[cell]
+    point = np.flatnonzero((sole != _NONE) & (sole != own))
+    owner, other = cells.objects(cell[point])
+    point = point[owner]
+    keep = (other != own[point]) & (cells.near[other] <= distance[point])
+    return point[keep], other[keep]
+
+
+def _around(cells: Cells, own: Ints, to_light: Triple, footprint: Floats) -> tuple[Ints, Ints]:
+    """The same for all that is as near to each point as its footprint (n,)."""
+    distance, point, cell = cells.around(to_light, footprint)
+    sole = cells.sole[cell]
+    some = np.flatnonzero((sole != _NONE) & (sole != own[point]))
+    owner, other = cells.objects(cell[some])
+    point = point[some[owner]]
+    keep = (other != own[point]) & (cells.near[other] <= distance[point])
+    # Each pair once, though they share several cells.
+    count = len(cells.near)
+    pair = np.sort(point[keep] * count + other[keep])
+    return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
+
+
+def in_cells(occluders: Occluders) -> InCells:
+    """Fill the cells around all lights."""
+    surfaces = occluders.surfaces
+    extents = _Extents.of(surfaces, occluders.seen)
+    corners = np.array(box_corners(surfaces.min_pt, surfaces.max_pt))
+    cells = []
+    for light in occluders.lights.T:
+        x, y, z = np.moveaxis(corners - light, 2, 0)
+        silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
+        cells.append(_cells_around(light, surfaces, extents, silhouettes))
+    return InCells(occluders, tuple(cells))

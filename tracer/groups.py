@@ -22,10 +22,12 @@ __all__ = [
     "Bools",
     "Index",
     "Triple",
+    "columns",
     "dot",
     "each",
     "expand",
     "pick",
+    "rows",
     "runs",
     "scaled",
     "select",
@@ -99,3 +101,13 @@ def runs(start: Ints, counts: Ints) -> Ints:
     places: Ints = np.repeat(skip, counts)
     places += np.arange(places.size)
     return places
+
+
+def columns(points: Floats, index: Ints | slice) -> Triple:
+    """Some of the points (n, 3), as a triple."""
+    return points[index, 0], points[index, 1], points[index, 2]
+
+
+def rows(points: Floats, index: Ints | slice) -> Triple:
+    """Some of the points (3, n), as a triple."""
+    return points[0][index], points[1][index], points[2][index]

@@ -8,9 +8,10 @@ import numpy as np
 
 from tracer.groups import Bools, Index, Triple, dot, each, pick, scaled, select, where
 from tracer.intersection import INSIDE
+from tracer.occluders import occluders_of
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
-from tracer.shadow import Shadows, occluders_of, shadows_of
+from tracer.shadow import Shadows, shadows_of
 from tracer.visibility import Group, Hits, View
 
 __all__ = ["Lighting", "incidence", "lighting_of", "narrow", "projected", "shade"]
@@ -47,7 +48,7 @@ def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
     return Lighting(
         positions,
         np.array([light.intensity for light in lights]).reshape(-1, 3),
-        shadows_of(positions, occluders_of(view), scene.width * scene.height * samples),
+        shadows_of(occluders_of(view, positions), scene.width * scene.height * samples),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )
@@ -63,9 +64,9 @@ def incidence(lighting: Lighting, hits: Hits) -> Floats:
 
 def projected(lighting: Lighting, hits: Hits) -> Floats:
     """n.l times the distance of each light, (lights, n), whatever lies between."""
-    shadows = lighting.shadows
+    occluders = lighting.shadows.occluders
     falls = np.empty((len(lighting.positions), hits.p.shape[1]))
-    for light, side, row in zip(lighting.positions.tolist(), shadows.side, falls, strict=True):
+    for light, side, row in zip(lighting.positions.tolist(), occluders.side, falls, strict=True):
         for group in hits.groups:
             out = row[group.part]
             if group.face < 3:
@@ -74,7 +75,7 @@ def projected(lighting: Lighting, hits: Hits) -> Floats:
             else:
                 out[:] = dot(group.n, _to(light, hits.p[:, group.part]))
             # Seen from inside, an object keeps out all light that is not inside as well.
-            kept_out = shadows.occluders.eye_inside[group.owner] & (side[group.owner] != INSIDE)
+            kept_out = occluders.eye_inside[group.owner] & (side[group.owner] != INSIDE)
             if kept_out.any():
                 out[np.broadcast_to(kept_out, out.shape)] = 0
     return falls

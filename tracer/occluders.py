@@ -1,0 +1,144 @@
+"""What stands between lights and points: the data that all of the shadow test shares."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.groups import Bools, Triple, columns, pick, rows, runs
+from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
+from tracer.scene import Floats, Ints, Surfaces
+from tracer.visibility import Hits, View
+
+__all__ = ["SLACK", "Balls", "Occluders", "Pairs", "occluders_of", "pairs_of_points"]
+
+SLACK = 1e-9
+"""Bounds are wider by so much of all sizes around: far more than all roundings."""
+
+
+class Occluders(NamedTuple):
+    """All surfaces, spheres first, as whatever may cast a shadow, and the lights.
+
+    Attributes
+    ----------
+    surfaces : Surfaces
+    eye : (3,)
+    lights : (3, lights)
+    side : (lights, n)
+        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to
+        each box `INSIDE`, or else `ON`.
+    eye_inside, seen : (n,)
+        Which of them are seen from inside, and which may be seen at all.
+    middle, radius : three (n,) and (n,)
+        A ball around each.
+    size : (n,)
+        What a point's tolerance at each object scales with.
+    slack : (n,)
+        More than rounding displaces a point on each object.
+    """
+
+    surfaces: Surfaces
+    eye: Floats
+    lights: Floats
+    side: NDArray[np.int8]
+    eye_inside: Bools
+    seen: Bools
+    middle: Triple
+    radius: Floats
+    size: Floats
+    slack: Floats
+
+
+class Balls(NamedTuple):
+    """Stretches of neighbouring points of one object, each in a ball.
+
+    Attributes
+    ----------
+    owner : (m,)
+        The object.
+    start, length : (m,)
+        The points.
+    middle, radius : three (m,) and (m,)
+    """
+
+    owner: Ints
+    start: Ints
+    length: Ints
+    middle: Triple
+    radius: Floats
+
+    def take(self, index: Ints) -> Balls:
+        """Some of them."""
+        return Balls(
+            self.owner[index],
+            self.start[index],
+            self.length[index],
+            pick(self.middle, index),
+            self.radius[index],
+        )
+
+
+class Pairs(NamedTuple):
+    """Balls, each with a light and an object that may come between: all spheres, or all boxes."""
+
+    balls: Balls
+    light: Ints
+    other: Ints
+
+    def points(self) -> tuple[Ints, Ints, Ints]:
+        """All points of all balls, with their light and object."""
+        length = self.balls.length
+        return (
+            runs(self.balls.start, length),
+            np.repeat(self.light, length),
+            np.repeat(self.other, length),
+        )
+
+
+def pairs_of_points(
+    occluders: Occluders,
+    hits: Hits,
+    point: Ints,
+    light: Ints,
+    other: Ints,
+    footprint: Floats | None,
+) -> Pairs:
+    """Stretches of one point."""
+    owner = np.repeat(hits.owner, np.diff(hits.first))[point]
+    radius = occluders.slack[owner]
+    if footprint is not None:
+        radius = radius + footprint[point]
+    p = rows(hits.p, point)
+    return Pairs(Balls(owner, point, np.ones_like(point), p, radius), light, other)
+
+
+def occluders_of(view: View, lights: Floats) -> Occluders:
+    """Gather spheres and boxes, and lights (n, 3)."""
+    surfaces, eye = view.surfaces, view.raster.eye
+    center, radius = surfaces.center, surfaces.radius
+    corner = np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt))
+    half = 0.5 * np.sqrt(((surfaces.max_pt - surfaces.min_pt) ** 2).sum(axis=1))
+    middle = np.concatenate([center, 0.5 * (surfaces.min_pt + surfaces.max_pt)])
+    size = np.concatenate([np.abs(center).sum(axis=1) + radius, corner.sum(axis=1)])
+    every = lights[:, None, :]
+    away = center - every
+    strictly = ((surfaces.min_pt < every) & (every < surfaces.max_pt)).all(axis=2)
+    around = np.abs(every).sum(axis=2) + size[: radius.size]
+    side = [
+        sphere_side(np.sqrt((away * away).sum(axis=2)), radius, SURFACE_TOLERANCE * around),
+        np.where(strictly, INSIDE, ON).astype(np.int8),
+    ]
+    return Occluders(
+        surfaces,
+        eye,
+        lights.T,
+        np.concatenate(side, axis=1),
+        view.eye_inside,
+        view.outlines.in_picture(),
+        columns(middle, slice(None)),
+        np.concatenate([radius, half]),
+        size,
+        SLACK * (size + np.abs(eye).sum()),
+    )

@@ -1,0 +1,281 @@
+"""What may shade points, found from coarse to fine.
+
+One test decides, for whole objects, for tiles of the picture, for stretches of
+neighbouring points, each in a ball: the segments from a ball to a light lie in
+a capsule, which an object misses, meets or cuts.  Missed, it casts no shadow
+there; cut, the shadow is certain; only what is met goes to the next finer step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, runs
+from tracer.intersection import box_and_capsule, sphere_and_capsule
+from tracer.occluders import SLACK, Balls, Occluders, Pairs
+from tracer.scene import Floats, Ints
+from tracer.visibility import Hits
+
+__all__ = ["InStretches", "in_stretches"]
+
+# Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
+_LONG, _SHORT, _TILE = 32, 8, 32
+
+# Pairs of objects, and pairs of a stretch and an object, that are tried at a time.
+_OBJECTS, _BATCH = 1 << 17, 1 << 15
+
+
+class _List(NamedTuple):
+    """Which spheres, or which boxes, may keep each light from each object.
+
+    Attributes
+    ----------
+    spheres : bool
+    first, listed : (lights * n + 1,) and (m,)
+        For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
+    """
+
+    spheres: bool
+    first: Ints
+    listed: Ints
+
+
+class InStretches(NamedTuple):
+    """Finds what may shade points, from coarse to fine.
+
+    Attributes
+    ----------
+    occluders : Occluders
+    lists : tuple of _List
+        For the spheres and for the boxes, if there are any.
+    """
+
+    occluders: Occluders
+    lists: tuple[_List, ...]
+
+    def pairs(
+        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
+    ) -> Iterator[Pairs]:
+        """Stretches of points and what may shade them.
+
+        Parameters
+        ----------
+        facing : (lights, n)
+            Which points face which light.
+        dark : (lights, n)
+            Set where a shadow is certain; the rest of the answer leaves that out.
+        footprint : (n,), optional
+            What may shade anything so near to a point is of interest.
+        """
+        if not (hits.owner.size and self.lists):
+            return
+        start, length, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
+        balls = _balls(self.occluders, hits, hits.owner[run], start, length)
+        margin = np.zeros(start.size)
+        if footprint is not None:
+            margin = np.maximum.reduceat(footprint, start)
+        balls.radius[:] += margin
+        asked = np.logical_or.reduceat(facing, start, axis=1)
+        search = _Search(self.occluders, hits, balls, margin, asked, dark)
+        tiles = _tiles(hits, balls, run)
+        for kind in self.lists:
+            light, tile, other = search.of_tiles(tiles, kind)
+            for batch in _batches(tiles.length[tile]):
+                part, place = expand(tiles.length[tile[batch]])
+                stretch = tiles.order[tiles.first[tile[batch]][part] + place]
+                found = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
+                if found.other.size:
+                    yield found
+
+
+class _Search(NamedTuple):
+    """Long stretches of some hits, and what is still to be decided about them.
+
+    Attributes
+    ----------
+    balls : Balls
+        The stretches (m,).
+    margin : (m,)
+        What a footprint adds to their radius.
+    asked : (lights, m)
+        Whether any of their points may still be lit.
+    dark : (lights, n)
+        Whether a point certainly is not.
+    """
+
+    occluders: Occluders
+    hits: Hits
+    balls: Balls
+    margin: Floats
+    asked: Bools
+    dark: Bools
+
+    def of_tiles(self, tiles: _Tiles, kind: _List) -> tuple[Ints, Ints, Ints]:
+        """Light, tile and object that may come between."""
+        lights, objects = self.occluders.side.shape
+        # Every tile for every light.
+        key = np.add.outer(np.arange(lights) * objects, tiles.owner).ravel()
+        place, rest = expand(kind.first[key + 1] - kind.first[key])
+        other = kind.listed[kind.first[key][place] + rest]
+        light, tile = np.divmod(place, tiles.owner.size)
+        middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
+        may, _ = _near(self.occluders, kind, middle, radius, light, other)
+        near = np.flatnonzero(may)
+        return light[near], tile[near], other[near]
+
+    def of_stretches(self, kind: _List, light: Ints, stretch: Ints, other: Ints) -> Pairs:
+        """Short stretches, of these, that may be shaded; marks what certainly is."""
+        some = np.flatnonzero(self.asked[light, stretch])
+        light, stretch, other = light[some], stretch[some], other[some]
+        balls = self.balls.take(stretch)
+        may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
+        self.asked[light[cut], stretch[cut]] = False
+        self._darken(light, balls, cut)
+        near = np.flatnonzero(may & self.asked[light, stretch])
+        start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
+        at = near[parent]
+        light, stretch, other = light[at], stretch[at], other[at]
+        balls = _balls(self.occluders, self.hits, self.balls.owner[stretch], start, length)
+        balls.radius[:] += self.margin[stretch]
+        may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
+        self._darken(light, balls, cut)
+        near = np.flatnonzero(may & ~self.dark[light, start])
+        return Pairs(balls.take(near), light[near], other[near])
+
+    def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
+        """All points of some stretches are in shadow."""
+        start, length = balls.start[mask], balls.length[mask]
+        self.dark[np.repeat(light[mask], length), runs(start, length)] = True
+
+
+def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
+    """Put balls around stretches of points of some objects."""
+    # The points of a row lie on a line, or on an arc of less than half a circle.
+    a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
+    middle = each(lambda a, b: 0.5 * (a + b), a, b)
+    across = each(np.subtract, b, a)
+    radius = 0.5 * np.sqrt(dot(across, across))
+    spheres = len(occluders.surfaces.radius)
+    if occluders.eye_inside[:spheres].any():
+        # Seen from inside, an arc may be longer.
+        inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres))
+        for m, c in zip(middle, occluders.middle, strict=True):
+            m[inside] = c[owner[inside]]
+        radius[inside] = occluders.radius[owner[inside]]
+    return Balls(owner, start, count, middle, radius + occluders.slack[owner])
+
+
+def _near(
+    occluders: Occluders, kind: _List, middle: Triple, radius: Floats, light: Ints, other: Ints
+) -> tuple[Bools, Bools]:
+    """Whether objects may come between balls and lights, and whether they surely do."""
+    surfaces = occluders.surfaces
+    x, y, z = occluders.lights
+    end = x[light], y[light], z[light]
+    if kind.spheres:
+        center = columns(surfaces.center, other)
+        return sphere_and_capsule(middle, end, radius, center, surfaces.radius[other])
+    box = other - len(surfaces.radius)
+    low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
+    return box_and_capsule(middle, end, radius, low, high)
+
+
+class _Tiles(NamedTuple):
+    """The stretches of one object in a tile of the picture, in a ball.
+
+    Attributes
+    ----------
+    owner : (m,)
+        The object.
+    order : (n,)
+        The stretches, tile by tile.
+    first, length : (m,)
+        Those of each tile.
+    middle, radius : three (m,) and (m,)
+    """
+
+    owner: Ints
+    order: Ints
+    first: Ints
+    length: Ints
+    middle: Triple
+    radius: Floats
+
+
+def _tiles(hits: Hits, balls: Balls, run: Ints) -> _Tiles:
+    """Sort stretches into tiles by where they begin."""
+    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE + 1
+    row = hits.row[run] // _TILE + 1
+    owner = hits.owner[run]
+    key = (owner * (row.max() + 1) + row) * (column.max() + 1) + column
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    radius = balls.radius[order]
+    middle = pick(balls.middle, order)
+    low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
+    high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
+    half = each(lambda a, b: 0.5 * (b - a), low, high)
+    return _Tiles(
+        owner[order[first]],
+        order,
+        first,
+        np.diff(first, append=order.size),
+        each(lambda a, b: 0.5 * (a + b), low, high),
+        np.sqrt(dot(half, half)),
+    )
+
+
+def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
+    """Cut runs into pieces: their start and length, and the run of each."""
+    run, place = expand(-(-count // longest))
+    offset = place * longest
+    return start[run] + offset, np.minimum(count[run] - offset, longest), run
+
+
+def _batches(sizes: Ints) -> Iterator[slice]:
+    """Ranges of so many pairs at a time as stay in cache."""
+    total = np.cumsum(sizes)
+    start = 0
+    while start < sizes.size:
+        before = total[start] - sizes[start]
+        stop = max(start + 1, int(np.searchsorted(total, before + _BATCH, side="right")))
+        yield slice(start, stop)
+        start = stop
+
+
+def in_stretches(occluders: Occluders) -> InStretches:
+    """Prepare the coarsest step: all objects tried against each other."""
+    lights = occluders.lights.T
+    surfaces, count = occluders.surfaces, len(occluders.surfaces)
+    # A row for each light and each object it may light, a column for each that may shade it.
+    light, own = (m.ravel() for m in np.indices((len(lights), count)))
+    step = max(1, _OBJECTS // max(1, count))
+    center, low, high = (
+        columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
+    )
+    many: list[list[Ints]] = [[], []]
+    listed: list[list[Ints]] = [[], []]
+    for start in range(0, light.size, step):
+        row = slice(start, start + step)
+        end = each(lambda c: c[:, None], columns(lights, light[row]))
+        middle = each(lambda c: c[:, None], pick(occluders.middle, own[row]))
+        thickness = occluders.radius[own[row]] + 2 * occluders.slack[own[row]]
+        thickness = (thickness + SLACK * np.abs(lights).sum(axis=1)[light[row]])[:, None]
+        balls, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
+        boxes, _ = box_and_capsule(middle, end, thickness, low, high)
+        may = np.concatenate([balls, boxes], axis=1)
+        may[np.arange(len(may)), own[row]] = False
+        may &= occluders.seen[own[row], None]
+        spheres = len(surfaces.radius)
+        for kind, part, before in ((0, may[:, :spheres], 0), (1, may[:, spheres:], spheres)):
+            many[kind].append(np.count_nonzero(part, axis=1))
+            listed[kind].append(np.nonzero(part)[1] + before)
+    lists = (
+        _List(kind == 0, np.cumsum([0, *np.concatenate(many[kind])]), np.concatenate(listed[kind]))
+        for kind in (0, 1)
+        if any(part.size for part in listed[kind])
+    )
+    return InStretches(occluders, tuple(lists))
