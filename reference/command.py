@@ -5,6 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from tqdm import tqdm
+
+# Its own thread would keep the tracer from using both processors.
+tqdm.monitor_interval = 0
+
 __all__ = ["BUILD", "HERE", "SCENES", "built", "parser"]
 
 HERE = Path(__file__).resolve().parent

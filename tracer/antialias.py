@@ -16,7 +16,7 @@ import numpy as np
 
 from tracer.camera import Raster
 from tracer.edges import Kind, Lines, Pencil, joined
-from tracer.groups import Bools, Triple, dot, each, expand, pick, select
+from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, select
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Lighting, incidence, narrow, projected, shade
 from tracer.pencil import Outlines, box_corners, silhouette_planes
@@ -52,27 +52,27 @@ def antialiased(
         return _grid_everywhere(view, lighting, top, bottom, left, right)
     # A pixel more on every side: the curvature is that between neighbours.
     top, left = top - 1, left - 1
-    rows, columns = bottom + 1 - top, right + 1 - left
+    height, width = bottom + 1 - top, right + 1 - left
     samples = grid(top, bottom + 1, left, right + 1)
     seen = _look(view, lighting, samples, 1.0)
     curvature, rough = _curvature(
-        seen.radiance.reshape(3, rows, columns), seen.key.reshape(rows, columns)
+        seen.radiance.reshape(3, height, width), seen.key.reshape(height, width)
     )
-    row, column, owner = _met(view.outlines, top, left, rows, columns, depth)
-    inner = np.flatnonzero((row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1))
+    row, column, owner = _met(view.outlines, top, left, height, width, depth)
+    inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     # The finer the grid that is asked for, the less a centre may be off.
     pixels = _Cells(
         1.0,
         samples.x,
         samples.y[samples.row],
         rough.ravel() * 2.0**depth,
-        (row * columns + column)[inner],
+        (row * width + column)[inner],
         owner[inner],
     )
-    inside = np.zeros((rows, columns), dtype=np.bool_)
+    inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
     image = _refined(view, lighting, pixels, seen, curvature.reshape(3, -1), depth, inside.ravel())
-    return np.moveaxis(image.reshape(3, rows, columns)[:, 1:-1, 1:-1], 0, 2)
+    return np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
 def _grid_everywhere(
@@ -230,12 +230,9 @@ def _look(
         seen.several[cell] |= narrow(lighting, hits, group, falls[:, part], footprint[part])
         surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
         at = np.flatnonzero((point >= part.start) & (point < part.stop))
-        for number in range(len(falls)):
-            some = at[light[at] == number]
-            if some.size:
-                seen.lines.append(
-                    surface.shadows(number, point[some] - part.start, other[some], seen.several)
-                )
+        if at.size:
+            places = point[at] - part.start
+            seen.lines.append(surface.shadows(light[at], places, other[at], seen.several))
         if group.face < 3:
             seen.lines.extend(surface.ridges())
         else:
@@ -277,29 +274,31 @@ class _Surface(NamedTuple):
         u, v, _ = raster.axes
         return step(u, raster.step_u), step(v, raster.step_v)
 
-    def from_light(self, number: int, at: Ints) -> Triple:
-        """Rays from a light to some points."""
-        x, y, z = self.hits.p[:, self.group.part.start + at]
-        light = self.lighting.positions[number]
-        return x - light[0], y - light[1], z - light[2]
+    def from_light(self, light: Ints | int, at: Ints) -> Triple:
+        """Rays from lights to some points."""
+        x, y, z = self.lighting.positions[light].T
+        p = rows(self.hits.p, self.group.part.start + at)
+        return p[0] - x, p[1] - y, p[2] - z
 
-    def shadows(self, number: int, at: Ints, other: Ints, several: Bools) -> Lines:
+    def shadows(self, light: Ints, at: Ints, other: Ints, several: Bools) -> Lines:
         """Edges of shadows; marks `several` where they are not straight."""
-        surfaces, light = self.view.surfaces, self.lighting.positions[number]
+        surfaces, lights = self.view.surfaces, self.lighting.positions
         spheres = len(surfaces.radius)
-        pencil = Pencil(Kind.SHADOW, self.cell[at], self.from_light(number, at), *self.steps(at))
+        pencil = Pencil(Kind.SHADOW, self.cell[at], self.from_light(light, at), *self.steps(at))
         on = np.flatnonzero(other < spheres)
         ball = other[on]
-        x, y, z = (surfaces.center[ball] - light).T
-        discs, turn = pencil.take(on).discs((x, y, z), surfaces.radius[ball])
-        odd = (turn > _BEND) | (self.lighting.shadows.occluders.side[number, ball] != OUTSIDE)
+        center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
+        discs, turn = pencil.take(on).discs(center, surfaces.radius[ball])
+        odd = (turn > _BEND) | (self.lighting.shadows.occluders.side[light[on], ball] != OUTSIDE)
         several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
         on = np.flatnonzero(other >= spheres)
-        box = np.flatnonzero(np.bincount(other[on] - spheres))
+        # Every box and light once.
+        pair, place = np.unique(light[on] * len(surfaces) + other[on], return_inverse=True)
+        number, box = np.divmod(pair, len(surfaces))
+        box, apex = box - spheres, lights[number]
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        corners = np.moveaxis(np.array(box_corners(low, high)) - light, 2, 0)
-        planes = silhouette_planes((corners[0], corners[1], corners[2]), light, low, high)
-        place = np.searchsorted(box, other[on] - spheres)
+        corners = np.moveaxis(np.array(box_corners(low, high)) - apex, 2, 0)
+        planes = silhouette_planes((corners[0], corners[1], corners[2]), apex, low, high)
         planes = each(lambda m: m[:, place], planes)
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
         several[pencil.cell[on[unknown]]] = True
@@ -367,7 +366,7 @@ def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
 
 
 def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
-    """What to add to centres (3, rows, columns) for the mean: a 24th of the Laplacian.
+    """What to add to centres (3, height, width) for the mean: a 24th of the Laplacian.
 
     Where a neighbour sees something else, along that row or column it is nothing;
     and how far that may be off.
@@ -391,7 +390,7 @@ def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
 
 
 def _met(
-    lines: Outlines, top: int, left: int, rows: int, columns: int, depth: int
+    lines: Outlines, top: int, left: int, height: int, width: int, depth: int
 ) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: pixels that an outline may cross.
 
@@ -400,7 +399,7 @@ def _met(
     its outline crosses; one that misses some of them crosses wherever it is.
     """
     per_side = 2**depth
-    y = top + (np.arange(-1, rows * per_side + 1) + 0.5) / per_side
+    y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
     spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
     owner = np.concatenate([spheres.owner, boxes.owner + len(lines.radius)])
     line = np.concatenate([spheres.row, boxes.row]) - 1
@@ -411,7 +410,7 @@ def _met(
     span = np.concatenate([np.arange(line.size), above, below])
     row = line // per_side
     row = np.concatenate([row, row[above] - 1, row[below] + 1])
-    keep = np.flatnonzero((row >= 0) & (row < rows))
+    keep = np.flatnonzero((row >= 0) & (row < height))
     span, row = span[keep], row[keep]
     order = np.lexsort((row, owner[span]))
     span, row = span[order], row[order]
@@ -431,7 +430,7 @@ def _met(
     row, owner = (np.concatenate([m, m[apart]]) for m in (row[first], owner[span][first]))
     start, stop = (np.floor(m).astype(np.intp) - left for m in (start, stop))
     start = np.maximum(start, 0)
-    each_one, place = expand(np.maximum(np.minimum(stop + 1, columns) - start, 0))
+    each_one, place = expand(np.maximum(np.minimum(stop + 1, width) - start, 0))
     return row[each_one], start[each_one] + place, owner[each_one]
 
 

@@ -199,7 +199,7 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     ----------
     corners : three (8, n)
         The boxes' corners seen from the apex, in any axes.
-    apex : (3,)
+    apex : (3,), or (n, 3)
     min_pt, max_pt : (n, 3)
 
     Returns

@@ -27,7 +27,8 @@ __all__ = ["render", "render_bands"]
 _QUIET = np.errstate(all="ignore")
 
 _BAND_PIXELS = 3 << 15
-_SAMPLES_WORTH_TWO = 1 << 19
+# From so many pixels on, two processors pay; with antialiasing from fewer.
+_PIXELS_WORTH_TWO = 1 << 19
 
 
 def render(
@@ -95,7 +96,7 @@ def render_bands(
     depth = ((samples - 1).bit_length() + 1) // 2
     step = max(1, band_pixels // scene.width)
     if threads is None:
-        worth = scene.width * scene.height * samples >= _SAMPLES_WORTH_TWO
+        worth = scene.width * scene.height * (1 + 10 * depth) >= _PIXELS_WORTH_TWO
         threads = 2 if worth and can_fork() else 1
     if threads > 1:
         # Enough bands for all to end at much the same time.
