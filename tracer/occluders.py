@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits, View
 
 __all__ = ["SLACK", "Balls", "Occluders", "Pairs", "occluders_of", "pairs_of_points"]
+
+Array = TypeVar("Array", bound=NDArray[Any])
 
 SLACK = 1e-9
 """Bounds are wider by so much of all sizes around: far more than all roundings."""
@@ -89,12 +91,21 @@ class Pairs(NamedTuple):
 
     def points(self) -> tuple[Ints, Ints, Ints]:
         """All points of all balls, with their light and object."""
-        length = self.balls.length
-        return (
-            runs(self.balls.start, length),
-            np.repeat(self.light, length),
-            np.repeat(self.other, length),
-        )
+        start = self.balls.start
+        point = start if self.single else runs(start, self.balls.length)
+        return point, self.spread(self.light), self.spread(self.other)
+
+    @property
+    def single(self) -> bool:
+        """Whether every ball holds one point."""
+        return bool(self.balls.length.max() == 1)
+
+    def spread(self, values: Array) -> Array:
+        """What belongs to balls, for each of their points."""
+        if self.single:
+            return values
+        repeated: Any = np.repeat(values, self.balls.length)
+        return repeated  # type: ignore[no-any-return]
 
 
 def pairs_of_points(

@@ -103,20 +103,19 @@ class Shadows(NamedTuple):
         """
         occluders, surfaces = self.occluders, self.occluders.surfaces
         spheres = len(surfaces.radius)
-        count = pairs.balls.length
         p = rows(hits.p, point)
-        end = each(lambda c: np.repeat(c, count), rows(occluders.lights, pairs.light))
+        end = each(pairs.spread, rows(occluders.lights, pairs.light))
         if pairs.other[0] >= spheres:
             box = pairs.other - spheres
             low, high = (
-                each(lambda c: np.repeat(c, count), columns(corner, box))
+                each(pairs.spread, columns(corner, box))
                 for corner in (surfaces.min_pt, surfaces.max_pt)
             )
             if larger is not None:
                 low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
             blocks = box_blocks(p, end, low, high)
             # Ends that may be on a face's plane are looked at more closely.
-            at = np.flatnonzero(np.repeat(self._on_planes(pairs), count))
+            at = np.flatnonzero(pairs.spread(self._on_planes(pairs)))
             if at.size:
                 blocks[at] = box_blocks(
                     pick(p, at),
@@ -131,8 +130,8 @@ class Shadows(NamedTuple):
             return blocks
         to_light = each(np.subtract, end, p)
         center = columns(surfaces.center, pairs.other)
-        to_center = each(lambda c, p: np.repeat(c, count) - p, center, p)
-        radius = np.repeat(surfaces.radius[pairs.other], count)
+        to_center = each(lambda c, p: pairs.spread(c) - p, center, p)
+        radius = pairs.spread(surfaces.radius[pairs.other])
         if larger is not None:
             radius = np.maximum(radius + larger, 0)
         blocks = sphere_crosses(to_light, to_center, radius)
@@ -141,7 +140,7 @@ class Shadows(NamedTuple):
         reach = surfaces.radius[pairs.other] + pairs.balls.radius
         closely = occluders.side[pairs.light, pairs.other] != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
-        at = np.flatnonzero(np.repeat(closely, count))
+        at = np.flatnonzero(pairs.spread(closely))
         if at.size:
             ball = other[at]
             distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))

@@ -157,25 +157,11 @@ def visible(view: View, samples: Samples, close: Bools | None = None, size: floa
     the first that they may change places within `size` pixels.
     """
     groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
-    # Larger than any distance, and less than the infinity of what misses.
-    nearest = np.full(samples.x.size, np.finfo(np.float64).max)
-    for i, group in enumerate(groups):
-        if isinstance(group.owner, int):
-            # No sample meets the same object twice.
-            before = nearest[group.sample] if i else np.finfo(np.float64).max
-            nearest[group.sample] = np.minimum(before, group.t)
-        else:
-            np.minimum.at(nearest, group.sample, group.t)
-    if close is not None:
-        for group in groups:
-            first = nearest[group.sample]
-            step = _CLOSE * size * max(view.raster.step_u, view.raster.step_v)
-            gap = (group.t - first) * np.sqrt(dot(group.direction, group.direction))
-            close[group.sample[(gap > 0) & (gap < step * first)]] = True
-    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
-    seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
-    if sum(group.t.size for group in groups) > seen:
-        groups = _first_of_equals(view, groups)
+    if len(groups) == 1 and isinstance(groups[0].owner, int):
+        # Nothing can hide a lone object.
+        groups = [groups[0].where(groups[0].t < np.inf)]
+    else:
+        groups = _nearest(view, samples, groups, close, size)
     parts = [part for group in groups if group.t.size for part in _faces(group)]
     ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
     p = np.empty((3, ends[-1]))
@@ -224,6 +210,32 @@ class _Fragments(NamedTuple):
             (x[index], y[index], z[index]),
             np.searchsorted(index, self.first),
         )
+
+
+def _nearest(
+    view: View, samples: Samples, groups: list[_Fragments], close: Bools | None, size: float
+) -> list[_Fragments]:
+    """Of all fragments those that are seen; sets `close` as `visible` says."""
+    # Larger than any distance, and less than the infinity of what misses.
+    nearest = np.full(samples.x.size, np.finfo(np.float64).max)
+    for i, group in enumerate(groups):
+        if isinstance(group.owner, int):
+            # No sample meets the same object twice.
+            before = nearest[group.sample] if i else np.finfo(np.float64).max
+            nearest[group.sample] = np.minimum(before, group.t)
+        else:
+            np.minimum.at(nearest, group.sample, group.t)
+    if close is not None:
+        for group in groups:
+            first = nearest[group.sample]
+            step = _CLOSE * size * max(view.raster.step_u, view.raster.step_v)
+            gap = (group.t - first) * np.sqrt(dot(group.direction, group.direction))
+            close[group.sample[(gap > 0) & (gap < step * first)]] = True
+    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
+    seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
+    if sum(group.t.size for group in groups) > seen:
+        groups = _first_of_equals(view, groups)
+    return groups
 
 
 def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
