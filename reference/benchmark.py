@@ -21,7 +21,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 from statistics import geometric_mean
-from time import perf_counter
+from time import perf_counter, sleep
 from typing import Any, TypeAlias
 
 import mitsuba as mi
@@ -321,11 +321,35 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def peak(*command: str) -> float:
-    """Peak resident memory of a process, MB."""
-    watch = [sys.executable, "-c", _WATCH, *command]
-    peak = int(subprocess.run(watch, check=True, capture_output=True).stdout)
+    """Peak resident memory of a process and its workers, MB; what they share counts once."""
+    watch = subprocess.Popen([sys.executable, "-c", _WATCH, *command], stdout=subprocess.PIPE)
+    together = 0.0
+    while watch.poll() is None:
+        together = max(together, sum(map(_resident, _below(watch.pid))))
+        sleep(0.005)
+    if watch.returncode or not watch.stdout:
+        raise subprocess.CalledProcessError(watch.returncode, command)
     # Linux counts kilobytes, macOS bytes.
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+    alone = int(watch.stdout.read()) / (1e6 if sys.platform == "darwin" else 1e3)
+    return max(alone, together)
+
+
+def _below(pid: int) -> list[int]:
+    """All processes that a process has started, where the system tells."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [process for child in map(int, children) for process in (child, *_below(child))]
+
+
+def _resident(pid: int) -> float:
+    """A process's share of resident memory (its proportional set size), MB."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1e3
 
 
 def memory(rounds: int, quick: bool) -> Table:
@@ -344,7 +368,8 @@ def memory(rounds: int, quick: bool) -> Table:
     base = peak(sys.executable, "-c", "import numpy")
     return Table(
         "Memory",
-        f"Peak resident MB of `python -m tracer`; Python with NumPy alone takes {base:.0f}.",
+        f"Peak resident MB of `python -m tracer` with its workers; Python with NumPy alone takes"
+        f" {base:.0f}.",
         ("scene", "tracer"),
         rows,
     )
