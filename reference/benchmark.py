@@ -322,16 +322,17 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 def peak(*command: str) -> float:
     """Peak resident memory of a process and its workers, MB; what they share counts once."""
-    watch = subprocess.Popen([sys.executable, "-c", _WATCH, *command], stdout=subprocess.PIPE)
+    command = (sys.executable, "-c", _WATCH, *command)
     together = 0.0
-    while watch.poll() is None:
-        together = max(together, sum(map(_resident, _below(watch.pid))))
-        sleep(0.005)
-    if watch.returncode or not watch.stdout:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watch:
+        while watch.poll() is None:
+            together = max(together, sum(map(_resident, _below(watch.pid))))
+            sleep(0.005)
+        alone, _ = watch.communicate()
+    if watch.returncode:
         raise subprocess.CalledProcessError(watch.returncode, command)
     # Linux counts kilobytes, macOS bytes.
-    alone = int(watch.stdout.read()) / (1e6 if sys.platform == "darwin" else 1e3)
-    return max(alone, together)
+    return max(int(alone) / (1e6 if sys.platform == "darwin" else 1e3), together)
 
 
 def _below(pid: int) -> list[int]:
