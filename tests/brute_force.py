@@ -27,7 +27,7 @@ from tracer.intersection import (
 from tracer.scene import Box, Floats, Ints, Phong, Scene, Sphere
 from tracer.shading import highlight
 
-__all__ = ["brute_force"]
+__all__ = ["blocks", "brute_force", "light_side", "size_of"]
 
 
 @np.errstate(all="ignore")
@@ -59,11 +59,11 @@ def brute_force(scene: Scene) -> Floats:
     for light in scene.lights:
         to_light = _triple([light.position[k] - p[k] for k in range(3)])
         projected = dot(n, to_light)
-        sides = np.array([_light_side(surface, light.position) for surface in surfaces])
+        sides = np.array([light_side(surface, light.position) for surface in surfaces])
         lit = (projected > 0) & ~(inside & (sides != INSIDE))[own]
         for i, other in enumerate(surfaces):
             open_ = np.flatnonzero(lit & (own != i))
-            lit[open_] = ~_blocks(
+            lit[open_] = ~blocks(
                 other,
                 bool(inside[i]),
                 int(sides[i]),
@@ -165,7 +165,7 @@ def _points(
     return _triple([*p]), _triple([*n])
 
 
-def _size(surface: Surface) -> Floats:
+def size_of(surface: Surface) -> Floats:
     """What a point's tolerance at a surface scales with."""
     if isinstance(surface, Sphere):
         size: Floats = np.abs(np.array(surface.center)).sum() + surface.radius
@@ -175,17 +175,17 @@ def _size(surface: Surface) -> Floats:
     return size
 
 
-def _light_side(surface: Surface, light: Vector) -> int:
+def light_side(surface: Surface, light: Vector) -> int:
     position = np.array(light)
     if isinstance(surface, Box):
         low, high = np.array(surface.min_pt), np.array(surface.max_pt)
         return INSIDE if ((low < position) & (position < high)).all() else ON
     distance = np.sqrt(((np.array([surface.center]) - position) ** 2).sum(axis=1))
-    tolerance = SURFACE_TOLERANCE * (np.abs(position).sum() + _size(surface))
+    tolerance = SURFACE_TOLERANCE * (np.abs(position).sum() + size_of(surface))
     return int(sphere_side(distance, np.array([surface.radius]), np.array([tolerance]))[0])
 
 
-def _blocks(
+def blocks(
     surface: Surface,
     eye_inside: bool,
     light_side: int,
@@ -197,7 +197,7 @@ def _blocks(
     """Whether the surface keeps each point from the light."""
     if light_side == ON:
         reach = np.maximum(reach, np.abs(np.array(light)).sum())
-    tolerance = SURFACE_TOLERANCE * (reach + _size(surface))
+    tolerance = SURFACE_TOLERANCE * (reach + size_of(surface))
     if isinstance(surface, Box):
         low, high, end = (
             _triple([np.asarray(c) for c in v]) for v in (surface.min_pt, surface.max_pt, light)

@@ -191,6 +191,17 @@ def test_thin_tiny_and_enormous(hair: Sphere | Box, light: tuple[float, float, f
     assert_same(scene(hair, FLOOR, light=light))
 
 
+@pytest.mark.parametrize("size", [1.0, 2.0**27, 2.0**60])
+def test_light_straight_over_an_enormous_floor(size: float) -> None:
+    # Straight up, the inverse of the direction is infinite, or nearly so.
+    floor = Box(min_pt=(-10 * size, -size, -10 * size), max_pt=(10 * size, 0, 10 * size))
+    beam = Box(min_pt=(3 * size, 2 * size, -size), max_pt=(5 * size, 2.5 * size, size))
+    camera = Camera(
+        view_point=(0, 20 * size, 0), view_dir=(0, -1, 0), view_up=(0, 0, 1), view_width=2
+    )
+    assert_same(scene(floor, beam, light=(0, 10 * size, 0), camera=camera))
+
+
 def test_in_one_direction() -> None:
     # A hundred objects behind each other, as seen by the eye and as seen by the light.
     row = [Sphere(center=(0.01 * i, 1, -0.05 * i), radius=0.02) for i in range(100)]
