@@ -34,6 +34,9 @@ _CURVATURE = 4e-3
 # An outline that turns by less (in radians) across a cell passes for straight.
 _BEND = 0.2
 
+# The deepest splitting for which a sphere's limb may be one of two sides.
+_LIMB = 1
+
 # Where outlines cross a larger share of the pixels, four samples in all cost less than a look.
 _DENSE = 0.12
 
@@ -54,18 +57,20 @@ def antialiased(
     top, left = top - 1, left - 1
     height, width = bottom + 1 - top, right + 1 - left
     samples = grid(top, bottom + 1, left, right + 1)
-    seen = _look(view, lighting, samples, 1.0)
+    # The finer the grid that is asked for, the less a sample may be off.
+    tolerance = _CURVATURE / 2**depth
+    seen = _look(view, lighting, samples, 1.0, tolerance)
     curvature, rough = _curvature(
         seen.radiance.reshape(3, height, width), seen.key.reshape(height, width)
     )
     row, column, owner = _met(view.outlines, top, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
-    # The finer the grid that is asked for, the less a centre may be off.
     pixels = _Cells(
         1.0,
+        tolerance,
         samples.x,
         samples.y[samples.row],
-        rough.ravel() * 2.0**depth,
+        rough.ravel(),
         (row * width + column)[inner],
         owner[inner],
     )
@@ -94,6 +99,8 @@ class _Cells(NamedTuple):
     ----------
     size : float
         In pixels.
+    tolerance : float
+        What a sample may be off, in radiance.
     x, y : (n,)
         Their centres.
     rough : (n,)
@@ -103,6 +110,7 @@ class _Cells(NamedTuple):
     """
 
     size: float
+    tolerance: float
     x: Floats
     y: Floats
     rough: Floats
@@ -120,7 +128,9 @@ class _Cells(NamedTuple):
         kept = np.flatnonzero(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
         rough = np.repeat(self.rough[index] / 4, 4)
-        return _Cells(self.size / 2, x, y, rough, quarters, np.repeat(self.owner[kept], 4))
+        return _Cells(
+            self.size / 2, self.tolerance, x, y, rough, quarters, np.repeat(self.owner[kept], 4)
+        )
 
 
 class _Seen(NamedTuple):
@@ -153,13 +163,13 @@ def _refined(
     wanted: Bools,
 ) -> Floats:
     """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
-    lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
+    lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
     first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
     count = np.diff(first, append=lines.cell.size)
     differ = lines.differ(lines.take(np.repeat(first, count)))
-    several = seen.several | (cells.rough > _CURVATURE)
+    several = seen.several | (cells.rough > cells.tolerance)
     several[lines.cell[differ]] = True
     mean = seen.radiance + correction
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
@@ -173,7 +183,7 @@ def _refined(
         samples, order = _sorted(quarters.x, quarters.y)
         radiance = np.empty((3, order.size))
         if depth > 1:
-            seen = _look(view, lighting, samples, quarters.size, order)
+            seen = _look(view, lighting, samples, quarters.size, cells.tolerance, order)
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
         else:
@@ -202,7 +212,12 @@ def _shaded(view: View, lighting: Lighting, samples: Samples) -> Floats:
 
 
 def _look(
-    view: View, lighting: Lighting, samples: Samples, size: float, order: Ints | None = None
+    view: View,
+    lighting: Lighting,
+    samples: Samples,
+    size: float,
+    tolerance: float,
+    order: Ints | None = None,
 ) -> _Seen:
     """What samples see, and the lines through cells of a size around them."""
     count = samples.x.size
@@ -236,6 +251,7 @@ def _look(
         if group.face < 3:
             seen.lines.extend(surface.ridges())
         else:
+            seen.several[cell] |= surface.kinks(cosine[:, part], tolerance)
             seen.lines.extend(surface.terminators(cosine[:, part]))
     return seen
 
@@ -304,18 +320,34 @@ class _Surface(NamedTuple):
         several[pencil.cell[on[unknown]]] = True
         return joined([discs.crossing(), pencil.take(on).boxes(planes)])
 
-    def terminators(self, cosine: Floats) -> Iterator[Lines]:
-        """Where a sphere turns away from a light (lights, n), and its highlight ends."""
+    def turning(self, number: int, falls: Floats) -> Bools:
+        """Where a sphere turns away from a light (n,), given n.l times its distance."""
+        radius = self.view.surfaces.radius[self.group.owner]
+        x, y, z = self.from_light(number, np.arange(falls.size))
+        near: Bools = (falls * radius) ** 2 < self.footprint**2 * (x * x + y * y + z * z)
+        return near
+
+    def kinks(self, falls: Floats, tolerance: float) -> Bools:
+        """Where light (lights, n) begins so fast that one sample is off by more."""
+        lighting, owner = self.lighting, self.group.owner
+        # On either side of the middle by a quarter of the cell, half of the time.
+        change = self.footprint / self.view.surfaces.radius[owner] / 8
+        change = change * lighting.materials.diffuse.max(axis=0)[lighting.shader[owner]]
+        result = np.zeros(self.cell.size, dtype=np.bool_)
+        for number, (row, intensity) in enumerate(zip(falls, lighting.intensities, strict=True)):
+            if np.any(steep := change * intensity.max() > tolerance):
+                result |= steep & self.turning(number, row)
+        return result
+
+    def terminators(self, falls: Floats) -> Iterator[Lines]:
+        """Where a highlight ends because the sphere turns away from its light."""
         lighting, owner = self.lighting, self.group.owner
         glossy = lighting.materials.glossy[lighting.shader[owner]]
         if not glossy.any():
             return
         radius = self.view.surfaces.radius[owner]
-        for number, row in enumerate(cosine):
-            every = np.arange(row.size)
-            ray = self.from_light(number, every)
-            near = (row * radius) ** 2 < self.footprint**2 * dot(ray, ray)
-            near = np.flatnonzero(near & glossy)
+        for number, row in enumerate(falls):
+            near = np.flatnonzero(self.turning(number, row) & glossy)
             ray, r = self.from_light(number, near), -select(radius, near)
             across, down = self.steps(near)
             kind = np.full(near.size, Kind.SHADOW)
@@ -341,8 +373,8 @@ class _Surface(NamedTuple):
                 yield Lines(self.cell[at], kind, across[k], down[k], c).crossing()
 
 
-def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
-    """Outlines across cells; marks `several` where they are not straight."""
+def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
+    """Outlines across cells; marks `several` where they are not straight enough."""
     raster, lines = view.raster, view.outlines
     spheres = len(lines.radius)
     s, g = raster.across(cells.x[cells.cell]), raster.down(cells.y[cells.cell])
@@ -357,7 +389,9 @@ def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
     at = np.flatnonzero(cells.owner < spheres)
     ball = cells.owner[at]
     discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
-    several[discs.take(np.flatnonzero(turn > _BEND)).crossing().cell] = True
+    # Towards a limb, light changes like a root: one sample is not enough for high hopes.
+    odd = turn > (_BEND if depth <= _LIMB else 0)
+    several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
     box = cells.owner[at] - spheres
@@ -455,7 +489,7 @@ def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tupl
     radiance[:, known[order]] = _shaded(view, lighting, samples)
     rest = np.flatnonzero(~np.tile(last, 2))
     samples, order = _sorted(x_at[rest], y_at[rest])
-    seen = _look(view, lighting, samples, 2 * cells.size, order)
+    seen = _look(view, lighting, samples, 2 * cells.size, cells.tolerance, order)
     radiance[:, rest] = seen.radiance
     more[rest[seen.several] % count] = True
     found = joined(seen.lines)
