@@ -33,8 +33,11 @@ __all__ = [
 
 OUTSIDE, ON, INSIDE = 1, 0, -1
 
-# Any number next to nothing, whose inverse is finite.
-_LEAST = 1e-300
+# Relative error of a squared distance that is the difference of two.
+_CANCELLED = 1e-14
+
+# A slope next to nothing.
+_NEARLY = 1e-30
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 """A point this near to a surface, relative to the sizes that went into it, is
@@ -233,13 +236,16 @@ def sphere_and_capsule(
     d = each(np.subtract, end, start)
     to_center = each(np.subtract, center, start)
     along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
-    # Not a number for a segment that is a point.
-    t = np.fmin(np.fmax(along / length2, 0), 1)
-    offset = each(lambda c, x: c - t * x, to_center, d)
-    offset2, to_end2 = dot(offset, offset), distance2 - 2 * along + length2
+    to_end2 = distance2 - 2 * along + length2
+    # From the centre to the line, and how far that may be off.
+    aside2, error = distance2 - along * along / length2, _CANCELLED * distance2
     outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
-    meets = (offset2 <= outer) & (np.maximum(distance2, to_end2) >= inner)
-    cuts = (offset2 < inner) & (distance2 > outer) & (to_end2 > outer)
+    from_start, from_end = distance2 > outer, to_end2 > outer
+    # Where the segment is a point, `aside2` is not a number.
+    apart = (aside2 - error > outer) | (from_start & (along < 0)) | (from_end & (along > length2))
+    meets = ~apart & (np.maximum(distance2, to_end2) >= inner)
+    between = from_start & from_end & (along > 0) & (along < length2)
+    cuts = between & (aside2 + error < inner)
     return meets, cuts
 
 
@@ -253,10 +259,12 @@ def box_and_capsule(
     held: Bools = np.ones((), dtype=np.bool_)
     for k in range(3):
         d = end[k] - start[k]
+        below, above = low[k] - start[k], high[k] - start[k]
         # Nearly parallel in place of parallel: no quotient is 0 / 0.
-        inverse = 1 / (d + (d == 0) * _LEAST)
+        size = np.abs(below) + np.abs(above) + thickness
+        inverse = 1 / (d + (d == 0) * (_NEARLY * size))
         margin = thickness * np.abs(inverse)
-        a, b = (low[k] - start[k]) * inverse, (high[k] - start[k]) * inverse
+        a, b = below * inverse, above * inverse
         near, far = np.minimum(a, b), np.maximum(a, b)
         enter, leave = np.maximum(enter, near - margin), np.minimum(leave, far + margin)
         near, far = near + margin, far - margin
