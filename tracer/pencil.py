@@ -90,9 +90,10 @@ class Outlines(NamedTuple):
             # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
             # the plane contains the whole row.
             slack = ROUNDING * (np.abs(tilted) + np.abs(level))
-            bound = -(tilted + level + slack) / slope
-            np.maximum(low, bound, out=low, where=slope > 0)
-            np.minimum(high, bound, out=high, where=slope < 0)
+            # A level plane, of slope 0, lets all of the row in or none; without one it is 0 / 0.
+            bound = -(tilted + level + slack) / (slope + 0.0)
+            np.fmax(low, bound, out=low, where=slope >= 0)
+            np.fmin(high, bound, out=high, where=slope < 0)
         return self._clip(owner, row, low, high, pad)
 
     def in_picture(self) -> NDArray[np.bool_]:

@@ -137,7 +137,7 @@ class Shadows(NamedTuple):
         blocks = sphere_crosses(to_light, to_center, radius)
         # Ends that may be in or on a sphere are looked at more closely.
         aside = each(np.subtract, pairs.balls.middle, center)
-        reach = surfaces.radius[pairs.other] + pairs.balls.radius
+        reach = surfaces.radius[pairs.other] + pairs.balls.radius + occluders.slack[pairs.other]
         closely = occluders.side[pairs.light, pairs.other] != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
         at = np.flatnonzero(pairs.spread(closely))
@@ -169,7 +169,7 @@ class Shadows(NamedTuple):
             end = light[pairs.light]
             for corner in (surfaces.min_pt, surfaces.max_pt):
                 plane = corner[box, k]
-                result |= np.abs(middle - plane) <= pairs.balls.radius
+                result |= np.abs(middle - plane) <= pairs.balls.radius + slack
                 result |= np.abs(end - plane) <= slack + SLACK * np.abs(end)
         return result
 
