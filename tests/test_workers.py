@@ -9,18 +9,16 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tracer.workers import forked
+from tracer.workers import forked, shared
 
-SHAPES = [(3 + i % 2, 5) for i in range(11)]
+COUNT = 11
 
 
-def numbered(number: int) -> np.ndarray:
-    """Slower for some, so that workers get out of step."""
+def patiently(number: int) -> None:
+    """Take longer for some, so that workers get out of step."""
     time.sleep(0.01 * (number % 3))
-    return np.full(SHAPES[number], float(number))
 
 
 def children() -> int:
@@ -33,38 +31,47 @@ def children() -> int:
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 20])
-def test_results_in_order(workers: int) -> None:
-    results = list(forked(numbered, SHAPES, workers))
-    assert [r.shape for r in results] == SHAPES
-    for number, result in enumerate(results):
-        assert (result == number).all()
+@pytest.mark.parametrize("ahead", [1, 2, COUNT])
+def test_results_in_order(workers: int, ahead: int) -> None:
+    slots = shared((workers * ahead, 3))
+
+    def work(number: int) -> None:
+        patiently(number)
+        slots[number % len(slots)] = number
+
+    numbers = []
+    for number in forked(work, COUNT, workers, ahead):
+        numbers.append(number)
+        # Not yet overwritten by one that comes later.
+        assert (slots[number % len(slots)] == number).all()
+    assert numbers == list(range(COUNT))
 
 
 def test_an_error_is_raised_here() -> None:
-    def fails(number: int) -> np.ndarray:
+    def fails(number: int) -> None:
         if number == 4:
             raise MemoryError("too little")
-        return numbered(number)
+        patiently(number)
 
     with pytest.raises(MemoryError, match="too little"):
-        list(forked(fails, SHAPES, 2))
+        list(forked(fails, COUNT, 2, 2))
     assert children() == 0
 
 
 def test_a_killed_worker_is_reported() -> None:
-    def dies(number: int) -> np.ndarray:
+    def dies(number: int) -> None:
         if number == 3:
             os.kill(os.getpid(), signal.SIGKILL)
-        return numbered(number)
+        patiently(number)
 
     with pytest.raises(ChildProcessError, match="a worker was killed"):
-        list(forked(dies, SHAPES, 2))
+        list(forked(dies, COUNT, 2, 2))
     assert children() == 0
 
 
 def test_nothing_is_left_when_no_more_is_asked_for() -> None:
-    results = forked(numbered, SHAPES, 3)
-    assert len(list(islice(results, 2))) == 2
+    numbers = forked(patiently, COUNT, 3, 2)
+    assert list(islice(numbers, 2)) == [0, 1]
     assert children() == 3
-    results.close()
+    numbers.close()
     assert children() == 0

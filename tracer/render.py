@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,14 +20,14 @@ from tracer.lighting import Lighting, incidence, lighting_of, shade
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid, visible
-from tracer.workers import can_fork, forked
+from tracer.workers import can_fork, forked, shared
 
 __all__ = ["render", "render_bands"]
 
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-_BAND_PIXELS = 3 << 15
+_BAND_PIXELS = 1 << 16
 # From so many pixels on, two processors pay; with antialiasing from fewer.
 _PIXELS_WORTH_TWO = 1 << 19
 
@@ -62,11 +63,21 @@ def render(
     image : (height, width, 3) float64
         Linear RGB radiance; row 0 is the top.
     """
-    image = np.zeros((scene.height, scene.width, 3))
-    row = 0
-    for band in render_bands(scene, samples, threads=threads, offset=offset):
-        image[row : row + len(band)] = band
-        row += len(band)
+    bands = _Bands.of(scene, samples, threads, offset, _BAND_PIXELS)
+    shape = (scene.height, scene.width, 3)
+    if bands.workers == 1:
+        image = np.empty(shape)
+        for number in range(len(bands.tops)):
+            image[bands.rows(number)] = bands.render(number)
+        return image
+    image = shared(shape)
+
+    def work(number: int) -> None:
+        image[bands.rows(number)] = bands.render(number)
+
+    count = len(bands.tops)
+    for _ in forked(work, count, bands.workers, ahead=count):
+        pass
     return image
 
 
@@ -88,44 +99,104 @@ def render_bands(
     band : (rows, width, 3) float64
         The next rows of the picture.
     """
-    _keep_heap()
-    if samples < 1:
-        raise ValueError(f"samples must be at least 1, is {samples}")
-    view, lighting = _prepare(scene, offset, samples)
-    # The least power of four that is as many.
-    depth = ((samples - 1).bit_length() + 1) // 2
-    step = max(1, band_pixels // scene.width)
-    if threads is None:
-        worth = scene.width * scene.height * (1 + 10 * depth) >= _PIXELS_WORTH_TWO
-        threads = 2 if worth and can_fork() else 1
-    if threads > 1:
-        # Enough bands for all to end at much the same time.
-        step = min(step, max(1, scene.height // (4 * threads)))
-    tops = range(0, scene.height, step)
+    bands = _Bands.of(scene, samples, threads, offset, band_pixels)
+    count = len(bands.tops)
+    if bands.workers == 1:
+        yield from map(bands.render, range(count))
+        return
+    # While one is read, each worker fills another.
+    slots = shared((bands.workers * 2, bands.step, scene.width, 3))
 
-    @_QUIET
-    def band(top: int) -> Floats:
-        bottom = min(top + step, scene.height)
+    def slot(number: int) -> Floats:
+        rows = bands.rows(number)
+        part: Floats = slots[number % len(slots), : rows.stop - rows.start]
+        return part
 
-        def part(left: int, right: int) -> Floats:
-            if depth:
-                return antialiased(view, lighting, top, bottom, left, right, depth)
-            return _centres(view, lighting, top, bottom, left, right)
+    def work(number: int) -> None:
+        slot(number)[:] = bands.render(number)
 
-        if scene.width <= band_pixels:
-            return part(0, scene.width)
+    for number in forked(work, count, bands.workers, ahead=2):
+        yield slot(number).copy()
+
+
+class _Bands(NamedTuple):
+    """A picture's bands, and all that they share.
+
+    Attributes
+    ----------
+    scene : Scene
+    view : View
+    lighting : Lighting
+    depth : int
+        How often pixels are split at most.
+    band_pixels : int
+    step : int
+        Rows in a band.
+    tops : range
+        The first row of each.
+    workers : int
+        Processes that are to render them.
+    """
+
+    scene: Scene
+    view: View
+    lighting: Lighting
+    depth: int
+    band_pixels: int
+    step: int
+    tops: range
+    workers: int
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        samples: int,
+        threads: int | None,
+        offset: tuple[float, float],
+        band_pixels: int,
+    ) -> _Bands:
+        """Prepare a scene."""
+        if samples < 1:
+            raise ValueError(f"samples must be at least 1, is {samples}")
+        _keep_heap()
+        view, lighting = _prepare(scene, offset, samples)
+        # The least power of four that is as many.
+        depth = ((samples - 1).bit_length() + 1) // 2
+        step = max(1, band_pixels // scene.width)
+        if threads is None:
+            worth = scene.width * scene.height * (1 + 10 * depth) >= _PIXELS_WORTH_TWO
+            threads = 2 if worth and can_fork() else 1
+        if threads > 1:
+            # Enough bands for all to end at much the same time.
+            step = min(step, max(1, scene.height // (4 * threads)))
+        tops = range(0, scene.height, step)
+        workers = min(threads, len(tops)) if hasattr(os, "fork") else 1
+        return cls(scene, view, lighting, depth, band_pixels, step, tops, workers)
+
+    def rows(self, number: int) -> slice:
+        """The rows of a band."""
+        top = self.tops[number]
+        return slice(top, min(top + self.step, self.scene.height))
+
+    def render(self, number: int) -> Floats:
+        """Radiance (rows, width, 3) of a band."""
+        width, rows = self.scene.width, self.rows(number)
+        if width <= self.band_pixels:
+            return self._part(rows, 0, width)
         # Rows longer than a band are rendered in parts.
-        radiance = np.empty((bottom - top, scene.width, 3))
-        for left in range(0, scene.width, band_pixels):
-            right = min(left + band_pixels, scene.width)
-            radiance[:, left:right] = part(left, right)
+        radiance = np.empty((rows.stop - rows.start, width, 3))
+        for left in range(0, width, self.band_pixels):
+            right = min(left + self.band_pixels, width)
+            radiance[:, left:right] = self._part(rows, left, right)
         return radiance
 
-    if threads == 1 or len(tops) == 1 or not hasattr(os, "fork"):
-        yield from map(band, tops)
-    else:
-        shapes = [(min(step, scene.height - top), scene.width, 3) for top in tops]
-        yield from forked(lambda number: band(tops[number]), shapes, threads)
+    @_QUIET
+    def _part(self, rows: slice, left: int, right: int) -> Floats:
+        view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
+        if self.depth:
+            return antialiased(view, lighting, top, bottom, left, right, self.depth)
+        return _centres(view, lighting, top, bottom, left, right)
 
 
 def _centres(

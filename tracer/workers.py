@@ -1,4 +1,4 @@
-"""Work shared among processes, its results in order.
+"""Work shared among processes.
 
 NumPy in threads gains little: between two array operations a thread waits for
 the interpreter's lock.  A forked process has its own, starts within
@@ -7,12 +7,13 @@ milliseconds and has all that was prepared; results come back in shared memory.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from mmap import mmap
 
@@ -20,10 +21,7 @@ import numpy as np
 
 from tracer.scene import Floats
 
-__all__ = ["can_fork", "forked"]
-
-# Results that a worker may be ahead.
-_SLOTS = 2
+__all__ = ["can_fork", "forked", "shared"]
 
 # Not how a pickle begins.
 _DONE = b"."
@@ -34,23 +32,38 @@ def can_fork() -> bool:
     return sys.platform == "linux" and threading.active_count() == 1
 
 
-def forked(
-    work: Callable[[int], Floats],
-    shapes: Sequence[tuple[int, ...]],
-    workers: int,
-) -> Iterator[Floats]:
-    """The results of work(0), work(1), ... one after the other, made in forked processes.
+def shared(shape: tuple[int, ...]) -> Floats:
+    """An array of zeros that workers forked later share with this process."""
+    count = int(np.prod(shape))
+    return np.frombuffer(mmap(-1, max(8 * count, 1)), np.float64, count).reshape(shape)
+
+
+def _forget() -> None:
+    """Give back memory that the parent had used and freed.
+
+    Pages of its own are made faster than copies of the parent's.
+    """
+    with suppress(AttributeError, OSError):  # glibc only
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def forked(work: Callable[[int], None], count: int, workers: int, ahead: int) -> Iterator[int]:
+    """Do work(0), work(1), ... in forked processes.
 
     Parameters
     ----------
     work : callable
-        Returns float64 of the shape of that number.
-    shapes : sequence of tuple
+        Leaves what it makes in `shared` arrays.
+    count : int
+        How often it is called.
     workers : int
+    ahead : int
+        Calls that may be done or under way, for each worker, after the last that was yielded.
 
     Yields
     ------
-    result : float64
+    number : int
+        Of the call that is done: 0, 1, ...
 
     Raises
     ------
@@ -59,15 +72,6 @@ def forked(
     ChildProcessError
         If a worker was killed.
     """
-    room = max(8 * int(np.prod(shape)) for shape in shapes)
-    shared = mmap(-1, workers * _SLOTS * room)
-
-    def slot(number: int) -> Floats:
-        turn, worker = divmod(number, workers)
-        place = (worker * _SLOTS + turn % _SLOTS) * room
-        count = int(np.prod(shapes[number]))
-        return np.frombuffer(shared, np.float64, count, place).reshape(shapes[number])
-
     pids: list[int] = []
     done: list[int] = []
     free: list[int] = []
@@ -82,10 +86,11 @@ def forked(
                     signal.signal(signal.SIGINT, signal.SIG_IGN)
                     for end in (done_in, free_out, *done, *free):
                         os.close(end)
-                    for number in range(worker, len(shapes), workers):
-                        if number // workers >= _SLOTS and not os.read(free_in, 1):
+                    _forget()
+                    for number in range(worker, count, workers):
+                        if number // workers >= ahead and not os.read(free_in, 1):
                             break
-                        slot(number)[:] = work(number)
+                        work(number)
                         os.write(done_out, _DONE)
                 except BaseException as error:
                     os.write(done_out, pickle.dumps(error))
@@ -96,7 +101,7 @@ def forked(
             free.append(free_out)
             os.close(done_out)
             os.close(free_in)
-        for number in range(len(shapes)):
+        for number in range(count):
             worker = number % workers
             message = os.read(done[worker], 1)
             if not message:
@@ -104,11 +109,9 @@ def forked(
             if message != _DONE:
                 with open(done[worker], "rb", closefd=False) as rest:
                     raise pickle.loads(message + rest.read())
-            result = slot(number).copy()
-            if number + _SLOTS * workers < len(shapes):
-                with suppress(BrokenPipeError):  # killed: found out when it is asked again
-                    os.write(free[worker], _DONE)
-            yield result
+            yield number
+            with suppress(BrokenPipeError):  # killed: found out when it is asked again
+                os.write(free[worker], _DONE)
     finally:
         for end in (*done, *free):
             os.close(end)
