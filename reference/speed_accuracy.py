@@ -116,12 +116,11 @@ def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.
     shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
     for dx, dy in product(shifts, shifts):
         moved = (dx + step * offset[0], dy + step * offset[1])
-        rows = max(1, (1 << 17) // (large.width * step)) * step
         top = 0
-        for band in render_bands(large, offset=moved, band_pixels=rows * large.width):
-            block = band.reshape(-1, step, width, step, 3).sum(axis=(1, 3))
-            total[top : top + len(block)] += block
-            top += len(block)
+        for band in render_bands(large, offset=moved):
+            sums = band.reshape(len(band), width, step, 3).sum(axis=2)
+            np.add.at(total, (top + np.arange(len(band))) // step, sums)
+            top += len(band)
     return total / side**2
 
 
