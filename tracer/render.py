@@ -28,7 +28,7 @@ __all__ = ["render", "render_bands"]
 _QUIET = np.errstate(all="ignore")
 
 _BAND_PIXELS = 1 << 16
-# From so many pixels on, two processors pay; with antialiasing from fewer.
+# From so many pixels on, two processors pay, however many samples each has.
 _PIXELS_WORTH_TWO = 1 << 19
 
 
@@ -165,7 +165,7 @@ class _Bands(NamedTuple):
         depth = ((samples - 1).bit_length() + 1) // 2
         step = max(1, band_pixels // scene.width)
         if threads is None:
-            worth = scene.width * scene.height * (1 + 10 * depth) >= _PIXELS_WORTH_TWO
+            worth = scene.width * scene.height >= _PIXELS_WORTH_TWO
             threads = 2 if worth and can_fork() else 1
         if threads > 1:
             # Enough bands for all to end at much the same time.
