@@ -28,8 +28,9 @@ __all__ = ["render", "render_bands"]
 _QUIET = np.errstate(all="ignore")
 
 _BAND_PIXELS = 1 << 16
-# From so many pixels on, two processors pay, however many samples each has.
-_PIXELS_WORTH_TWO = 1 << 19
+# What a picture takes is roughly in proportion to pixels, lights and (a few) objects: from so many
+# together on, a second processor pays.
+_WORTH_TWO, _FEW_OBJECTS = 1 << 22, 8
 
 
 def render(
@@ -165,7 +166,8 @@ class _Bands(NamedTuple):
         depth = ((samples - 1).bit_length() + 1) // 2
         step = max(1, band_pixels // scene.width)
         if threads is None:
-            worth = scene.width * scene.height >= _PIXELS_WORTH_TWO
+            each = len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
+            worth = scene.width * scene.height * each >= _WORTH_TWO
             threads = 2 if worth and can_fork() else 1
         if threads > 1:
             # Enough bands for all to end at much the same time.
