@@ -28,6 +28,7 @@ __all__ = ["render", "render_bands"]
 _QUIET = np.errstate(all="ignore")
 
 _BAND_PIXELS = 1 << 16
+
 # What a picture takes is roughly in proportion to pixels, lights and (a few) objects: from so many
 # together on, a second processor pays.
 _WORTH_TWO, _FEW_OBJECTS = 1 << 22, 8
