@@ -18,7 +18,7 @@ from tracer.camera import Raster
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, select
 from tracer.intersection import OUTSIDE
-from tracer.lighting import Lighting, incidence, narrow, projected, shade
+from tracer.lighting import Lighting, narrow, projected, radiance_at, shade
 from tracer.pencil import Outlines, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, Samples, View, grid, visible
@@ -88,7 +88,7 @@ def _grid_everywhere(
     total = np.zeros((3, samples.x.size))
     for y in (-0.25, 0.25):
         for x in (-0.25, 0.25):
-            total += _shaded(view, lighting, samples._replace(y=samples.y + y, x=samples.x + x))
+            total += radiance_at(view, lighting, samples._replace(y=samples.y + y, x=samples.x + x))
     return np.moveaxis(total.reshape(3, bottom - top, right - left) / 4, 0, 2)
 
 
@@ -187,7 +187,7 @@ def _refined(
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
         else:
-            radiance[:, order] = _shaded(view, lighting, samples)
+            radiance[:, order] = radiance_at(view, lighting, samples)
         mean[:, part] = radiance.reshape(3, -1, 4).mean(axis=2)
     return mean
 
@@ -198,17 +198,6 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
     y = y[order]
     new = np.diff(y, prepend=-np.inf) != 0
     return Samples(y[new], np.cumsum(new) - 1, x[order]), order
-
-
-def _shaded(view: View, lighting: Lighting, samples: Samples) -> Floats:
-    """Radiance (3, n) at samples."""
-    radiance = np.zeros((3, samples.x.size))
-    hits = visible(view, samples)
-    falls = incidence(lighting, hits)
-    for group in hits.groups:
-        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
-            radiance[k, group.sample] = values
-    return radiance
 
 
 def _look(
@@ -464,8 +453,8 @@ def _met(
     row, owner = (np.concatenate([m, m[apart]]) for m in (row[first], owner[span][first]))
     start, stop = (np.floor(m).astype(np.intp) - left for m in (start, stop))
     start = np.maximum(start, 0)
-    each_one, place = expand(np.maximum(np.minimum(stop + 1, width) - start, 0))
-    return row[each_one], start[each_one] + place, owner[each_one]
+    each_one, column = expand(np.maximum(np.minimum(stop + 1, width) - start, 0), start)
+    return row[each_one], column, owner[each_one]
 
 
 def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tuple[Floats, Bools]:
@@ -486,7 +475,7 @@ def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tupl
     last = single.kind == Kind.SHADOW
     known = np.flatnonzero(np.tile(last, 2))
     samples, order = _sorted(x_at[known], y_at[known])
-    radiance[:, known[order]] = _shaded(view, lighting, samples)
+    radiance[:, known[order]] = radiance_at(view, lighting, samples)
     rest = np.flatnonzero(~np.tile(last, 2))
     samples, order = _sorted(x_at[rest], y_at[rest])
     seen = _look(view, lighting, samples, 2 * cells.size, cells.tolerance, order)

@@ -136,8 +136,8 @@ class Cells(NamedTuple):
     def objects(self, cell: Ints) -> tuple[Ints, Ints]:
         """All pairs of a cell (its index in `cell`) and an object listed there."""
         first = self.first[cell]
-        owner, place = expand(self.first[cell + 1] - first)
-        return owner, self.listed[first[owner] + place]
+        owner, place = expand(self.first[cell + 1] - first, first)
+        return owner, self.listed[place]
 
 
 class _Octant(NamedTuple):
@@ -344,7 +344,7 @@ class InCells(NamedTuple):
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
     ) -> Iterator[Pairs]:
         """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
-        own = np.repeat(hits.owner, np.diff(hits.first))
+        own = hits.own
         spheres = len(self.occluders.surfaces.radius)
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number] & ~cells.safe[own])
@@ -352,42 +352,36 @@ class InCells(NamedTuple):
             p = rows(hits.p, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
-                point, other = _listed(cells, own[asked], to_light)
+                distance, cell = cells.locate(to_light)
+                at, other = _listed(cells, own[asked], cell, distance)
+                point = asked[at]
             else:
-                point, other = _around(cells, own[asked], to_light, footprint[asked])
-            point = asked[point]
+                distance, ball, cell = cells.around(to_light, footprint[asked])
+                at, other = _listed(cells, own[asked[ball]], cell, distance[ball])
+                point, other = _once(asked[ball[at]], other, len(cells.near))
             for of_kind in (other < spheres, other >= spheres):
                 at = np.flatnonzero(of_kind)
                 if at.size:
                     light = np.full(at.size, number)
                     yield pairs_of_points(
-                        self.occluders, hits, point[at], light, other[at], footprint
+                        self.occluders, hits, own, point[at], light, other[at], footprint
                     )
 
 
-def _listed(cells: Cells, own: Ints, to_light: Triple) -> tuple[Ints, Ints]:
-    """Pairs (point, object) that the cells do not rule out."""
-    distance, cell = cells.locate(to_light)
+def _listed(cells: Cells, own: Ints, cell: Ints, distance: Floats) -> tuple[Ints, Ints]:
+    """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
     # Most cells hold nothing, or the object itself.
     sole = cells.sole[cell]
-    point = np.flatnonzero((sole != _NONE) & (sole != own))
-    owner, other = cells.objects(cell[point])
-    point = point[owner]
+    asked = np.flatnonzero((sole != _NONE) & (sole != own))
+    owner, other = cells.objects(cell[asked])
+    point = asked[owner]
     keep = (other != own[point]) & (cells.near[other] <= distance[point])
     return point[keep], other[keep]
 
 
-def _around(cells: Cells, own: Ints, to_light: Triple, footprint: Floats) -> tuple[Ints, Ints]:
-    """The same for all that is as near to each point as its footprint (n,)."""
-    distance, point, cell = cells.around(to_light, footprint)
-    sole = cells.sole[cell]
-    some = np.flatnonzero((sole != _NONE) & (sole != own[point]))
-    owner, other = cells.objects(cell[some])
-    point = point[some[owner]]
-    keep = (other != own[point]) & (cells.near[other] <= distance[point])
-    # Each pair once, though they share several cells.
-    count = len(cells.near)
-    pair = np.sort(point[keep] * count + other[keep])
+def _once(point: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
+    """Each pair once, though it shares several cells; `count` objects there are."""
+    pair = np.sort(point * count + other)
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 
 

@@ -88,14 +88,12 @@ def where(mask: Bools) -> Ints | slice:
     return slice(None) if index.size == mask.size else index
 
 
-def expand(counts: Ints) -> tuple[Ints, Ints]:
-    """For each i, counts[i] elements: their i, and their place 0 ... counts[i] - 1."""
-    owner = np.repeat(np.arange(counts.size), counts)
-    place = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    return owner, place
+def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
+    """For each i, counts[i] elements: their i, and their place start[i], start[i] + 1, ..."""
+    return np.repeat(np.arange(counts.size), counts), runs(start, counts)
 
 
-def runs(start: Ints, counts: Ints) -> Ints:
+def runs(start: Ints | int, counts: Ints) -> Ints:
     """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
     skip = start - (np.cumsum(counts) - counts)
     places: Ints = np.repeat(skip, counts)

@@ -12,9 +12,9 @@ from tracer.occluders import occluders_of
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, shadows_of
-from tracer.visibility import Group, Hits, View
+from tracer.visibility import Group, Hits, Samples, View, visible
 
-__all__ = ["Lighting", "incidence", "lighting_of", "narrow", "projected", "shade"]
+__all__ = ["Lighting", "lighting_of", "narrow", "projected", "radiance_at", "shade"]
 
 
 # On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
@@ -153,6 +153,17 @@ def narrow(lighting: Lighting, hits: Hits, group: Group, falls: Floats, footprin
             )
             result[at] |= np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
     return result
+
+
+def radiance_at(view: View, lighting: Lighting, samples: Samples) -> Floats:
+    """Radiance (3, n) at samples, towards the eye."""
+    radiance = np.zeros((3, samples.x.size))
+    hits = visible(view, samples)
+    falls = incidence(lighting, hits)
+    for group in hits.groups:
+        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
+            radiance[k, group.sample] = values
+    return radiance
 
 
 def _to(light: list[float], p: Floats) -> Triple:

@@ -111,13 +111,14 @@ class Pairs(NamedTuple):
 def pairs_of_points(
     occluders: Occluders,
     hits: Hits,
+    own: Ints,
     point: Ints,
     light: Ints,
     other: Ints,
     footprint: Floats | None,
 ) -> Pairs:
-    """Stretches of one point."""
-    owner = np.repeat(hits.owner, np.diff(hits.first))[point]
+    """Stretches of one point; `own` are those of all hits."""
+    owner = own[point]
     radius = occluders.slack[owner]
     if footprint is not None:
         radius = radius + footprint[point]

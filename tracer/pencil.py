@@ -136,8 +136,7 @@ def _meetings(extent: tuple[Floats, Floats], rows: Floats, pad: float) -> tuple[
     """Pairs (object, row) with the row inside the object's vertical extent."""
     first = np.searchsorted(rows, extent[0] - pad)
     last = np.searchsorted(rows, extent[1] + pad, side="right")
-    owner, place = expand(np.maximum(last - first, 0))
-    return owner, first[owner] + place
+    return expand(np.maximum(last - first, 0), first)
 
 
 def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:

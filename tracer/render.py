@@ -16,10 +16,10 @@ import numpy as np
 
 from tracer.antialias import antialiased
 from tracer.camera import raster_of
-from tracer.lighting import Lighting, incidence, lighting_of, shade
+from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
-from tracer.visibility import View, grid, visible
+from tracer.visibility import View, grid
 from tracer.workers import can_fork, forked, shared
 
 __all__ = ["render", "render_bands"]
@@ -199,21 +199,8 @@ class _Bands(NamedTuple):
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
         if self.depth:
             return antialiased(view, lighting, top, bottom, left, right, self.depth)
-        return _centres(view, lighting, top, bottom, left, right)
-
-
-def _centres(
-    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int
-) -> Floats:
-    """Radiance (bottom - top, right - left, 3) at the centres of pixels."""
-    samples = grid(top, bottom, left, right)
-    radiance = np.zeros((samples.x.size, 3))
-    hits = visible(view, samples)
-    falls = incidence(lighting, hits)
-    for group in hits.groups:
-        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
-            radiance[group.sample, k] = values
-    return radiance.reshape(bottom - top, right - left, 3)
+        radiance = radiance_at(view, lighting, grid(top, bottom, left, right))
+        return np.moveaxis(radiance.reshape(3, bottom - top, right - left), 0, 2)
 
 
 def _keep_heap() -> None:

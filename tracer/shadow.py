@@ -69,7 +69,7 @@ class Shadows(NamedTuple):
         too, when smaller.
         """
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
-        none = np.zeros(0, dtype=np.intp)
+        own, none = hits.own, np.zeros(0, dtype=np.intp)
         found = [(none, none, none)]
         for pairs in self.finder.pairs(hits, facing, dark, footprint):
             point, light, other = pairs.points()
@@ -77,7 +77,7 @@ class Shadows(NamedTuple):
             point, light, other = point[may], light[may], other[may]
             if not may.size:
                 continue
-            pairs = pairs_of_points(self.occluders, hits, point, light, other, footprint)
+            pairs = pairs_of_points(self.occluders, hits, own, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
             must = self._blocks(hits, pairs, point, light, other, -footprint[point])
             blocked[light[does], point[does]] = True
@@ -163,9 +163,7 @@ class Shadows(NamedTuple):
         box = pairs.other - len(surfaces.radius)
         slack = occluders.slack[pairs.other]
         result = np.zeros(box.size, dtype=np.bool_)
-        for k, (middle, light) in enumerate(
-            zip(pairs.balls.middle, self.occluders.lights, strict=True)
-        ):
+        for k, (middle, light) in enumerate(zip(pairs.balls.middle, occluders.lights, strict=True)):
             end = light[pairs.light]
             for corner in (surfaces.min_pt, surfaces.max_pt):
                 plane = corner[box, k]
@@ -180,9 +178,8 @@ class Shadows(NamedTuple):
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
         at_light = np.abs(occluders.lights).sum(axis=0)[light]
-        reach = np.where(
-            self.occluders.side[light, other] == ON, np.maximum(reach, at_light), reach
-        )
+        on = occluders.side[light, other] == ON
+        reach = np.where(on, np.maximum(reach, at_light), reach)
         return SURFACE_TOLERANCE * (reach + occluders.size[other])
 
 

@@ -84,8 +84,8 @@ class InStretches(NamedTuple):
         for kind in self.lists:
             light, tile, other = search.of_tiles(tiles, kind)
             for batch in _batches(tiles.length[tile]):
-                part, place = expand(tiles.length[tile[batch]])
-                stretch = tiles.order[tiles.first[tile[batch]][part] + place]
+                part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
+                stretch = tiles.order[place]
                 found = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
                 if found.other.size:
                     yield found
@@ -118,8 +118,8 @@ class _Search(NamedTuple):
         lights, objects = self.occluders.side.shape
         # Every tile for every light.
         key = np.add.outer(np.arange(lights) * objects, tiles.owner).ravel()
-        place, rest = expand(kind.first[key + 1] - kind.first[key])
-        other = kind.listed[kind.first[key][place] + rest]
+        place, listed = expand(kind.first[key + 1] - kind.first[key], kind.first[key])
+        other = kind.listed[listed]
         light, tile = np.divmod(place, tiles.owner.size)
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
         may, _ = _near(self.occluders, kind, middle, radius, light, other)

@@ -149,6 +149,11 @@ class Hits(NamedTuple):
     row: Ints
     column: Ints
 
+    @property
+    def own(self) -> Ints:
+        """The object (n,) that each point lies on."""
+        return np.repeat(self.owner, np.diff(self.first))
+
 
 def visible(view: View, samples: Samples, close: Bools | None = None, size: float = 1.0) -> Hits:
     """Nearest surface at each sample; of exactly equal ones the first in the file.
