@@ -223,8 +223,8 @@ def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
         sys.modules["tracer.render"],
-        "render_bands",
-        lambda *_, **__: iter([np.full((30, 40, 3), np.nan)]),
+        "render_each",
+        lambda _, work, *__, **___: iter([work(np.full((30, 40, 3), np.nan))]),
     )
     assert command_line.main([str(scene)]) == 1
     assert capsys.readouterr().err.startswith(f"{scene}.png: cannot be written: an image must not")

@@ -113,7 +113,7 @@ def test_bands(kind: str, band_pixels: int) -> None:
 @pytest.mark.parametrize("threads", [2, 3])
 def test_threads(kind: str, threads: int) -> None:
     scene, image = picture(kind, 6)
-    bands = list(render_bands(scene, threads=threads, band_pixels=31))
+    bands = [b.copy() for b in render_bands(scene, threads=threads, band_pixels=31)]
     assert len(bands) == scene.height
     assert np.array_equal(np.concatenate(bands), image)
 
@@ -122,5 +122,5 @@ def test_threads(kind: str, threads: int) -> None:
 def test_samples_in_bands_and_threads(samples: int) -> None:
     scene, _ = picture("scattered", 5)
     image = render(scene, samples, threads=1)
-    bands = render_bands(scene, samples, threads=2, band_pixels=100)
-    assert np.array_equal(np.concatenate(list(bands)), image)
+    bands = [b.copy() for b in render_bands(scene, samples, threads=2, band_pixels=100)]
+    assert np.array_equal(np.concatenate(bands), image)

@@ -9,16 +9,19 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tracer.scene import Floats
 from tracer.workers import forked, shared
 
 COUNT = 11
 
 
-def patiently(number: int) -> None:
+def patiently(number: int) -> int:
     """Take longer for some, so that workers get out of step."""
     time.sleep(0.01 * (number % 3))
+    return number
 
 
 def children() -> int:
@@ -33,45 +36,51 @@ def children() -> int:
 @pytest.mark.parametrize("workers", [1, 2, 3, 20])
 @pytest.mark.parametrize("ahead", [1, 2, COUNT])
 def test_results_in_order(workers: int, ahead: int) -> None:
-    slots = shared((workers * ahead, 3))
+    def work(number: int) -> Floats:
+        return np.full((1 + patiently(number) % 4, 3), float(number))
 
-    def work(number: int) -> None:
-        patiently(number)
-        slots[number % len(slots)] = number
-
-    numbers = []
-    for number in forked(work, COUNT, workers, ahead):
-        numbers.append(number)
+    slots = shared((workers - 1, ahead, 4, 3))
+    count = 0
+    for number, result in enumerate(forked(work, COUNT, workers, slots)):
         # Not yet overwritten by one that comes later.
-        assert (slots[number % len(slots)] == number).all()
-    assert numbers == list(range(COUNT))
+        assert np.array_equal(result, work(number))
+        count += 1
+    assert count == COUNT
 
 
-def test_an_error_is_raised_here() -> None:
-    def fails(number: int) -> None:
-        if number == 4:
+def test_results_larger_than_a_pipe_holds() -> None:
+    def work(number: int) -> bytes:
+        return bytes([number]) * 300_000
+
+    assert list(forked(work, COUNT, 3)) == [work(number) for number in range(COUNT)]
+
+
+@pytest.mark.parametrize("failing", [4, 5])
+def test_an_error_is_raised_here(failing: int) -> None:
+    def fails(number: int) -> int:
+        if number == failing:
             raise MemoryError("too little")
-        patiently(number)
+        return patiently(number)
 
     with pytest.raises(MemoryError, match="too little"):
-        list(forked(fails, COUNT, 2, 2))
+        list(forked(fails, COUNT, 2))
     assert children() == 0
 
 
 def test_a_killed_worker_is_reported() -> None:
-    def dies(number: int) -> None:
+    def dies(number: int) -> int:
         if number == 3:
             os.kill(os.getpid(), signal.SIGKILL)
-        patiently(number)
+        return patiently(number)
 
     with pytest.raises(ChildProcessError, match="a worker was killed"):
-        list(forked(dies, COUNT, 2, 2))
+        list(forked(dies, COUNT, 2))
     assert children() == 0
 
 
 def test_nothing_is_left_when_no_more_is_asked_for() -> None:
-    numbers = forked(patiently, COUNT, 3, 2)
+    numbers = forked(patiently, COUNT, 3)
     assert list(islice(numbers, 2)) == [0, 1]
-    assert children() == 3
+    assert children() == 2
     numbers.close()
     assert children() == 0

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NoReturn, TextIO
 from tracer import __version__
 
 if TYPE_CHECKING:
-    from tracer.scene import Floats
+    from tracer.image import Packed
 
 __all__ = ["main", "run"]
 
@@ -157,9 +157,9 @@ def _is_folder(path: str) -> bool:
 
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
-    from tracer.image import write_bands
+    from tracer.image import packed, write_bands
     from tracer.reader import SceneFileError, load_scene, printable
-    from tracer.render import render_bands
+    from tracer.render import render_each
 
     start = perf_counter()
     shown = printable(output)
@@ -172,7 +172,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     try:
         if arguments.output is not None and _is_folder(arguments.output):
             os.makedirs(arguments.output, exist_ok=True)
-        bands = render_bands(scene, arguments.samples, threads=arguments.threads or None)
+        bands = render_each(scene, packed, arguments.samples, threads=arguments.threads or None)
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
             bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
@@ -193,7 +193,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     return None
 
 
-def _with_progress(bands: Iterator[Floats], rows: int, name: str) -> Iterator[Floats]:
+def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Packed]:
     """The same bands; shows a bar as soon as the picture turns out to take long."""
     start = perf_counter()
     bar = None
@@ -201,7 +201,7 @@ def _with_progress(bands: Iterator[Floats], rows: int, name: str) -> Iterator[Fl
     try:
         for band in bands:
             yield band
-            done += len(band)
+            done += band.rows
             seconds = perf_counter() - start
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 from tqdm import tqdm  # takes longer to import than a small picture to render

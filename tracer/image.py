@@ -16,17 +16,20 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import Floats
 
-__all__ = ["quantise", "write_bands", "write_png"]
+__all__ = ["Packed", "packed", "quantise", "write_bands", "write_png"]
 
 # Values worked on at a time: what stays in a core's cache.
 _BLOCK = 1 << 15
+
+# The largest prime below 2^16.
+_ADLER = 65521
 
 
 def _reaches(x: float, code: int) -> bool:
@@ -124,12 +127,50 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     radiance = _checked(image)
     height, width, _ = radiance.shape
     rows = max(1, _BLOCK // (3 * max(1, width)))
-    bands = (radiance[row : row + rows] for row in range(0, height, rows))
+    bands = (packed(radiance[row : row + rows]) for row in range(0, height, rows))
     write_bands(path, width, height, bands)
 
 
+class Packed(NamedTuple):
+    """Some rows of a picture, compressed: a part of a PNG file's pixels.
+
+    Attributes
+    ----------
+    rows, width : int
+    data : bytes
+        Deflate blocks (RFC 1951) that end on a byte, none of them the last.
+    check : int
+        Adler-32 (RFC 1950) of what they hold.
+    """
+
+    rows: int
+    width: int
+    data: bytes
+    check: int
+
+
+def packed(band: Floats) -> Packed:
+    """Quantise and compress some rows (rows, width, 3), linear RGB.
+
+    Raises
+    ------
+    ValueError
+        For another shape, or a NaN.
+    """
+    codes = quantise(band)
+    rows, width, _ = codes.shape
+    # Every row starts with the number of its filter, 0 for none: rendered pictures are full of
+    # exact repeats, which filters disturb.
+    lines = np.zeros((rows, 1 + 3 * width), dtype=np.uint8)
+    lines[:, 1:] = codes.reshape(rows, 3 * width)
+    # Level 3 takes no longer than 1.
+    stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
+    data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
+    return Packed(rows, width, data, zlib.adler32(lines.data))
+
+
 def write_bands(
-    path: str | os.PathLike[str], width: int, height: int, bands: Iterable[Floats]
+    path: str | os.PathLike[str], width: int, height: int, bands: Iterable[Packed]
 ) -> None:
     """Write a picture that comes in bands of rows, from the top, as `write_png` does.
 
@@ -138,13 +179,12 @@ def write_bands(
     path : str or path-like
     width, height : int
         Size of the picture in pixels.
-    bands : iterable of (rows, width, 3) float64
-        Linear RGB; each band is done with before the next is asked for.
+    bands : iterable of Packed
 
     Raises
     ------
     ValueError
-        For a picture of no pixels, bands that do not make it up, or a NaN.
+        For a picture of no pixels, or bands that do not make it up.
     OSError
         If the file cannot be written.
     """
@@ -154,26 +194,26 @@ def write_bands(
         file.write(b"\x89PNG\r\n\x1a\n")
         # 8 bits a channel, RGB, the only methods there are, not interlaced.
         _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-        # No filter: rendered pictures are full of exact repeats, which filters disturb.
-        # Level 3 takes no longer than 1.
-        stream = zlib.compressobj(3)
-        written = 0
+        # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
+        start, check, written = b"\x78\x5e", 1, 0
         for band in bands:
-            codes = quantise(band)
-            rows = len(codes)
-            written += rows
-            if codes.shape[1] != width or written > height:
-                raise ValueError(f"a band of shape {codes.shape} does not fit {width} x {height}")
-            # Every row starts with the number of its filter, 0 for none.
-            lines = np.zeros((rows, 1 + 3 * width), dtype=np.uint8)
-            lines[:, 1:] = codes.reshape(rows, 3 * width)
-            data = stream.compress(lines.data)
-            if data:
-                _write_chunk(file, b"IDAT", data)
+            written += band.rows
+            if band.width != width or written > height:
+                size = f"{band.rows} rows of {band.width} pixels"
+                raise ValueError(f"a band of {size} does not fit {width} x {height}")
+            _write_chunk(file, b"IDAT", start + band.data)
+            start, check = b"", _adler_of_both(check, band.check, band.rows * (1 + 3 * width))
         if written < height:
             raise ValueError(f"the bands have {written} rows, not {height}")
-        _write_chunk(file, b"IDAT", stream.flush())
+        _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
         _write_chunk(file, b"IEND", b"")
+
+
+def _adler_of_both(first: int, second: int, size: int) -> int:
+    """Adler-32 of data followed by `size` bytes more, from that of either."""
+    a, b = first & 0xFFFF, first >> 16
+    total = (a + (second & 0xFFFF) - 1) % _ADLER
+    return ((b + (second >> 16) + size * (a - 1)) % _ADLER) << 16 | total
 
 
 def _checked(image: ArrayLike) -> Floats:

@@ -9,8 +9,8 @@ in any order, side by side, and written out as they come.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid
 from tracer.workers import can_fork, forked, shared
 
-__all__ = ["render", "render_bands"]
+__all__ = ["render", "render_bands", "render_each"]
+
+T = TypeVar("T")
 
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
@@ -31,7 +33,10 @@ _BAND_PIXELS = 1 << 16
 
 # What a picture takes is roughly in proportion to pixels, lights and (a few) objects: from so many
 # together on, a second processor pays.
-_WORTH_TWO, _FEW_OBJECTS = 1 << 22, 8
+_WORTH_TWO, _FEW_OBJECTS = 3 << 20, 8
+
+# Bands that a worker may have done before they are asked for.
+_AHEAD = 4
 
 
 def render(
@@ -65,21 +70,11 @@ def render(
     image : (height, width, 3) float64
         Linear RGB radiance; row 0 is the top.
     """
-    bands = _Bands.of(scene, samples, threads, offset, _BAND_PIXELS)
-    shape = (scene.height, scene.width, 3)
-    if bands.workers == 1:
-        image = np.empty(shape)
-        for number in range(len(bands.tops)):
-            image[bands.rows(number)] = bands.render(number)
-        return image
-    image = shared(shape)
-
-    def work(number: int) -> None:
-        image[bands.rows(number)] = bands.render(number)
-
-    count = len(bands.tops)
-    for _ in forked(work, count, bands.workers, ahead=count):
-        pass
+    image = np.empty((scene.height, scene.width, 3))
+    top = 0
+    for band in render_bands(scene, samples, threads=threads, offset=offset):
+        image[top : top + len(band)] = band
+        top += len(band)
     return image
 
 
@@ -99,26 +94,35 @@ def render_bands(
     Yields
     ------
     band : (rows, width, 3) float64
-        The next rows of the picture.
+        The next rows of the picture, there until more are asked for.
     """
     bands = _Bands.of(scene, samples, threads, offset, band_pixels)
     count = len(bands.tops)
     if bands.workers == 1:
         yield from map(bands.render, range(count))
         return
-    # While one is read, each worker fills another.
-    slots = shared((bands.workers * 2, bands.step, scene.width, 3))
+    slots = shared((bands.workers - 1, _AHEAD, bands.step, scene.width, 3))
+    yield from forked(bands.render, count, bands.workers, slots)
 
-    def slot(number: int) -> Floats:
-        rows = bands.rows(number)
-        part: Floats = slots[number % len(slots), : rows.stop - rows.start]
-        return part
 
-    def work(number: int) -> None:
-        slot(number)[:] = bands.render(number)
+def render_each(
+    scene: Scene, work: Callable[[Floats], T], samples: int = 1, *, threads: int | None = None
+) -> Iterator[T]:
+    """Render a scene from the top, band by band, and yield what becomes of each.
 
-    for number in forked(work, count, bands.workers, ahead=2):
-        yield slot(number).copy()
+    Parameters are those of `render`; `work` is called with each band (rows,
+    width, 3) on the processor that renders it, and returns something small.
+    """
+    bands = _Bands.of(scene, samples, threads, (0.0, 0.0), _BAND_PIXELS)
+
+    def result(number: int) -> T:
+        return work(bands.render(number))
+
+    count = len(bands.tops)
+    if bands.workers == 1:
+        yield from map(result, range(count))
+    else:
+        yield from forked(result, count, bands.workers)
 
 
 class _Bands(NamedTuple):

@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from mmap import mmap
+from typing import Any, BinaryIO, NoReturn, TypeVar
 
 import numpy as np
 
@@ -23,8 +24,10 @@ from tracer.scene import Floats
 
 __all__ = ["can_fork", "forked", "shared"]
 
-# Not how a pickle begins.
-_DONE = b"."
+T = TypeVar("T")
+
+# Calls that may be done or under way, for each worker, after the last whose result was yielded.
+_AHEAD = 8
 
 
 def can_fork() -> bool:
@@ -47,23 +50,56 @@ def _forget() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def forked(work: Callable[[int], None], count: int, workers: int, ahead: int) -> Iterator[int]:
-    """Do work(0), work(1), ... in forked processes.
+def _live(
+    work: Callable[[int], Any],
+    numbers: range,
+    ahead: int,
+    free: int,
+    done: int,
+    slots: Floats | None,
+) -> NoReturn:
+    """What a worker does, from its first breath to its last."""
+    with os.fdopen(done, "wb") as results:
+        try:
+            # The parent decides what an interrupt means.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            _forget()
+            for turn, number in enumerate(numbers):
+                if turn >= ahead and not os.read(free, 1):
+                    break
+                result = work(number)
+                if slots is not None:
+                    slots[turn % ahead, : len(result)] = result
+                    result = len(result)
+                pickle.dump((True, result), results)
+                results.flush()
+        except BaseException as error:
+            pickle.dump((False, error), results)
+            results.flush()
+        finally:
+            os._exit(0)
+
+
+def forked(
+    work: Callable[[int], T], count: int, workers: int, slots: Floats | None = None
+) -> Iterator[T]:
+    """Do work(0), work(1), ... in several processes, of which this is the first.
 
     Parameters
     ----------
     work : callable
-        Leaves what it makes in `shared` arrays.
     count : int
         How often it is called.
     workers : int
-    ahead : int
-        Calls that may be done or under way, for each worker, after the last that was yielded.
+        How many processes.
+    slots : (workers - 1, ahead, ...), optional
+        `shared` memory for results that are arrays with no more than so many rows; others are
+        pickled.
 
     Yields
     ------
-    number : int
-        Of the call that is done: 0, 1, ...
+    result
+        Of work(0), work(1), ...  In `slots`, they stay until the next is asked for.
 
     Raises
     ------
@@ -72,49 +108,47 @@ def forked(work: Callable[[int], None], count: int, workers: int, ahead: int) ->
     ChildProcessError
         If a worker was killed.
     """
+    ahead = _AHEAD if slots is None else slots.shape[1]
     pids: list[int] = []
-    done: list[int] = []
+    done: list[BinaryIO] = []
     free: list[int] = []
     try:
-        for worker in range(workers):
+        for worker in range(1, workers):
             done_in, done_out = os.pipe()
             free_in, free_out = os.pipe()
+            done.append(os.fdopen(done_in, "rb"))
+            free.append(free_out)
             pid = os.fork()
             if not pid:
-                try:
-                    # The parent decides what an interrupt means.
-                    signal.signal(signal.SIGINT, signal.SIG_IGN)
-                    for end in (done_in, free_out, *done, *free):
-                        os.close(end)
-                    _forget()
-                    for number in range(worker, count, workers):
-                        if number // workers >= ahead and not os.read(free_in, 1):
-                            break
-                        work(number)
-                        os.write(done_out, _DONE)
-                except BaseException as error:
-                    os.write(done_out, pickle.dumps(error))
-                finally:
-                    os._exit(0)
+                for end in free:
+                    os.close(end)
+                turns = range(worker, count, workers)
+                part = None if slots is None else slots[worker - 1]
+                _live(work, turns, ahead, free_in, done_out, part)
             pids.append(pid)
-            done.append(done_in)
-            free.append(free_out)
             os.close(done_out)
             os.close(free_in)
         for number in range(count):
-            worker = number % workers
-            message = os.read(done[worker], 1)
-            if not message:
-                raise ChildProcessError("a worker was killed")
-            if message != _DONE:
-                with open(done[worker], "rb", closefd=False) as rest:
-                    raise pickle.loads(message + rest.read())
-            yield number
+            turn, worker = divmod(number, workers)
+            if not worker:
+                yield work(number)
+                continue
+            try:
+                well, result = pickle.load(done[worker - 1])
+            except EOFError:
+                raise ChildProcessError("a worker was killed") from None
+            if not well:
+                raise result
+            if slots is not None:
+                result = slots[worker - 1, turn % ahead, :result]
+            yield result
             with suppress(BrokenPipeError):  # killed: found out when it is asked again
-                os.write(free[worker], _DONE)
+                os.write(free[worker - 1], b".")
     finally:
-        for end in (*done, *free):
-            os.close(end)
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
+        for end in free:
+            os.close(end)
+        for pipe in done:
+            pipe.close()
