@@ -7,7 +7,7 @@ must be the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from probe import Surface, Vector
@@ -20,6 +20,7 @@ from tracer.intersection import (
     SURFACE_TOLERANCE,
     box_blocks,
     box_hit,
+    disc_in_row,
     sphere_blocks,
     sphere_hit,
     sphere_side,
@@ -41,56 +42,83 @@ def brute_force(scene: Scene) -> Floats:
     u, v, w = raster.axes.tolist()
     d = _triple([s * u[k] + (g * v[k] + raster.depth * w[k]) for k in range(3)])
 
-    nearest = np.full(s.size, np.inf)
+    nearest, rise = np.full(s.size, np.inf), np.zeros(s.size)
     owner, face = np.full(s.size, -1), np.full(s.size, 3)
     for i, surface in enumerate(surfaces):
-        t, axis = _hit(raster, s, g, d, surface)
+        t, axis, its_rise = _hit(raster, s, g, d, surface)
         first = t < nearest
         nearest[first], owner[first], face[first] = t[first], i, axis[first]
+        rise[first] = its_rise[first]
 
     at = np.flatnonzero(owner >= 0)
-    own, face, t, d = owner[at], face[at], nearest[at], _part(d, at)
-    p, n = _points(raster, surfaces, own, face, t, d, inside)
-    length = np.sqrt(dot(d, d))
-    view = _triple([c * (-1 / length) for c in d])
-    ray = _triple([p[k] - raster.eye[k] for k in range(3)])
+    own, face, t, s, g = owner[at], face[at], nearest[at], s[at], g[at]
+    length = np.sqrt(s * s + (g * g + raster.depth**2))
+    seen, distance = _triple([t * s, t * g, t * raster.depth]), t * length
+    n, slope, sign, level = np.zeros((3, at.size)), *np.zeros((3, at.size))
+    for i in np.unique(own).tolist():
+        surface, mine = surfaces[i], np.flatnonzero(own == i)
+        if isinstance(surface, Sphere):
+            center, inverse = raster.local(np.array([surface.center])), 1 / surface.radius
+            for k in range(3):
+                outward = (seen[k][mine] - center[k]) * inverse
+                n[k, mine] = -outward if inside[i] else outward
+            slope[mine] = rise[at[mine]] * inverse / length[mine]
+            continue
+        for axis in range(3):
+            on = np.flatnonzero((own == i) & (face == axis))
+            forward = d[axis][at[on]] > 0
+            low, high = surface.min_pt[axis], surface.max_pt[axis]
+            sign[on], level[on] = (
+                np.where(forward, -1.0, 1.0),
+                np.where(forward == inside[i], high, low),
+            )
+            n[:, on] = sign[on] * raster.axes[:, axis, None]
+            slope[on] = sign[on] * (raster.eye[axis] - level[on]) / distance[on]
+
+    eye, turned = raster.eye.tolist(), raster.turned(seen)
+    p = _triple([eye[k] + turned[k] for k in range(3)])
+    ray = _triple([p[k] - eye[k] for k in range(3)])
     reach = np.sqrt(dot(ray, ray)) + sum(np.abs(c) for c in p)
     fallen, mirrored = np.zeros((2, at.size, 3))
     for light in scene.lights:
-        to_light = _triple([light.position[k] - p[k] for k in range(3)])
-        projected = dot(n, to_light)
+        x, y, z = (float(c[0]) for c in raster.local(np.array([light.position])))
+        to_light = _triple([x - seen[0], y - seen[1], z - seen[2]])
+        falls = dot(_triple([*n]), to_light)
+        for axis in range(3):
+            on = np.flatnonzero(face == axis)
+            falls[on] = sign[on] * (light.position[axis] - level[on])
         sides = np.array([light_side(surface, light.position) for surface in surfaces])
-        lit = (projected > 0) & ~(inside & (sides != INSIDE))[own]
+        lit = (falls > 0) & ~(inside & (sides != INSIDE))[own]
         for i, other in enumerate(surfaces):
             open_ = np.flatnonzero(lit & (own != i))
             lit[open_] = ~blocks(
-                other,
-                bool(inside[i]),
-                int(sides[i]),
-                _part(p, open_),
-                _part(to_light, open_),
-                light.position,
-                reach[open_],
+                other, bool(inside[i]), int(sides[i]), _part(p, open_), light.position, reach[open_]
             )
-        inverse = 1 / np.sqrt(dot(to_light, to_light))
-        cosine = projected * inverse
-        wi = _triple([c * inverse for c in to_light])
+        far = np.sqrt(dot(to_light, to_light))
+        cosine, between = falls / far, dot(to_light, seen) / (-distance * far)
         for i in np.unique(own[lit]).tolist():
-            seen, shader = np.flatnonzero(lit & (own == i)), surfaces[i].shader
+            mine, shader = np.flatnonzero(lit & (own == i)), surfaces[i].shader
             for k in range(3):
-                fallen[seen, k] += light.intensity[k] * cosine[seen]
+                fallen[mine, k] += light.intensity[k] * cosine[mine]
             if isinstance(shader, Phong) and any(shader.specular):
+                wi = _triple([c[mine] * (1 / far[mine]) for c in to_light])
+                v = _triple([c[mine] * (-1 / distance[mine]) for c in seen])
+                vectors = partial(_vectors, _part(_triple([*n]), mine), wi, v)
                 exponent = np.asarray(shader.exponent)
-                power = highlight(_part(n, seen), _part(wi, seen), _part(view, seen), exponent)
+                power = highlight(cosine[mine], slope[mine], between[mine], exponent, vectors)
                 for k in range(3):
-                    mirrored[seen, k] += light.intensity[k] * power
-    image = np.zeros((s.size, 3))
+                    mirrored[mine, k] += light.intensity[k] * power
+    image = np.zeros((scene.width * scene.height, 3))
     for i in np.unique(own).tolist():
-        seen, shader = np.flatnonzero(own == i), surfaces[i].shader
-        image[at[seen]] = fallen[seen] * shader.diffuse
+        mine, shader = np.flatnonzero(own == i), surfaces[i].shader
+        image[at[mine]] = fallen[mine] * shader.diffuse
         if isinstance(shader, Phong):
-            image[at[seen]] += mirrored[seen] * shader.specular
+            image[at[mine]] += mirrored[mine] * shader.specular
     return image.reshape(scene.height, scene.width, 3)
+
+
+def _vectors(n: Triple, light: Triple, view: Triple, some: Ints) -> tuple[Triple, Triple, Triple]:
+    return _part(n, some), _part(light, some), _part(view, some)
 
 
 def _triple(values: list[Floats]) -> Triple:
@@ -117,52 +145,18 @@ def _eye_inside(raster: Raster, surface: Surface) -> bool:
     return bool(((low <= raster.eye) & (raster.eye <= high)).all())
 
 
-def _hit(raster: Raster, s: Floats, g: Floats, d: Triple, surface: Surface) -> tuple[Floats, Ints]:
-    """Distance at which each ray meets the surface, or infinity, and the face's axis."""
+def _hit(
+    raster: Raster, s: Floats, g: Floats, d: Triple, surface: Surface
+) -> tuple[Floats, Ints, Floats]:
+    """Distance at which each ray meets the surface, or infinity; a box's axis; a sphere's rise."""
     if isinstance(surface, Box):
         low = np.array(surface.min_pt) - raster.eye
         high = np.array(surface.max_pt) - raster.eye
-        return box_hit(d, _triple([*low]), _triple([*high]))
-    u, v, w = raster.local(np.array([surface.center]))
-    hypot = np.sqrt(g * g + raster.depth * raster.depth)
-    aside = (v * raster.depth - w * g) / hypot
-    ahead = (v * g + w * raster.depth) / hypot
-    chord2 = (surface.radius - aside) * (surface.radius + aside)
-    t = sphere_hit(s, hypot, u, ahead, chord2, _power(raster, surface))
-    return t, np.full(s.size, 3)
-
-
-def _points(
-    raster: Raster,
-    surfaces: Sequence[Surface],
-    own: Ints,
-    face: Ints,
-    t: Floats,
-    d: Triple,
-    inside: Bools,
-) -> tuple[Triple, Triple]:
-    """Points put back on their surfaces, and normals towards the eye."""
-    eye = raster.eye.tolist()
-    p, n = np.empty((3, t.size)), np.zeros((3, t.size))
-    for i in np.unique(own).tolist():
-        surface = surfaces[i]
-        if isinstance(surface, Sphere):
-            at = np.flatnonzero(own == i)
-            inverse = 1 / surface.radius
-            for k in range(3):
-                outward = (t[at] * d[k][at] - (surface.center[k] - eye[k])) * inverse
-                p[k, at] = surface.center[k] + surface.radius * outward
-                n[k, at] = -outward if inside[i] else outward
-            continue
-        for axis in range(3):
-            at = np.flatnonzero((own == i) & (face == axis))
-            for k in range(3):
-                p[k, at] = eye[k] + t[at] * d[k][at]
-            forward = d[axis][at] > 0
-            low, high = surface.min_pt[axis], surface.max_pt[axis]
-            p[axis, at] = np.where(forward == inside[i], high, low)
-            n[axis, at] = np.where(forward, -1.0, 1.0)
-    return _triple([*p]), _triple([*n])
+        return *box_hit(d, _triple([*low]), _triple([*high])), np.zeros(s.size)
+    center, radius = raster.local(np.array([surface.center])), np.array([surface.radius])
+    disc = disc_in_row(g, raster.depth, center, radius, _power(raster, surface))
+    t, rise = sphere_hit(s, disc)
+    return t, np.full(s.size, 3), rise
 
 
 def size_of(surface: Surface) -> Floats:
@@ -190,7 +184,6 @@ def blocks(
     eye_inside: bool,
     light_side: int,
     p: Triple,
-    to_light: Triple,
     light: Vector,
     reach: Floats,
 ) -> Bools:
@@ -204,7 +197,7 @@ def blocks(
         )
         return box_blocks(p, end, low, high, tolerance)
     return sphere_blocks(
-        to_light,
+        _triple([light[k] - p[k] for k in range(3)]),
         _triple([surface.center[k] - p[k] for k in range(3)]),
         np.full(reach.size, surface.radius),
         tolerance,

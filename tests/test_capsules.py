@@ -138,7 +138,6 @@ class Case:
         around = np.abs(self.middle).sum() + np.abs(self.light).sum() + size_of(self.surface)
         self.thickness = float(radius * scale + SLACK * (around + radius * scale))
         x, y, z = (points * scale + shift).T
-        a, b, c = self.light
         reach = np.abs(x) + np.abs(y) + np.abs(z)
         side = light_side(self.surface, vector(self.light))
         self.blocked = [
@@ -147,7 +146,6 @@ class Case:
                 eye_inside,
                 side,
                 (x, y, z),
-                (a - x, b - y, c - z),
                 vector(self.light),
                 reach,
             )

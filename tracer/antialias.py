@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.camera import Raster
 from tracer.edges import Kind, Lines, Pencil, joined
-from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, select
+from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, scaled, select
 from tracer.intersection import OUTSIDE
-from tracer.lighting import Lighting, narrow, projected, radiance_at, shade
+from tracer.lighting import Incoming, Lighting, incoming, narrow, radiance_at, shade
 from tracer.pencil import Outlines, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, Samples, View, grid, visible
@@ -215,43 +214,42 @@ def _look(
     hits = visible(view, samples, close, size)
     seen = _Seen(np.zeros((3, count)), np.full(count, -1), [], np.zeros(count, dtype=np.bool_))
     seen.several[order[close]] = True
-    cosine = projected(lighting, hits)
-    facing = cosine > 0
+    light = incoming(lighting, hits)
+    facing = light.falls > 0
     footprint = np.concatenate(
-        [np.zeros(0), *(size * _footprint(view.raster, group) for group in hits.groups)]
+        [np.zeros(0), *(size * _footprint(hits, group) for group in hits.groups)]
     )
-    blocked, (point, light, other) = lighting.shadows.edges(hits, facing, footprint)
+    blocked, (point, number, other) = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
-    falls = np.where(lit, cosine, 0.0)
     for group in hits.groups:
         cell, part = order[group.sample], group.part
-        for k, values in enumerate(shade(lighting, hits, group, falls[:, part])):
+        surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
+        here, reached = light.part(part), lit[:, part]
+        for k, values in enumerate(shade(lighting, hits, group, here, reached)):
             seen.radiance[k, cell] = values
-        key = group.owner * 4 + group.face
-        for bit in lit[:, part]:
+        key = group.spread(group.owner * 4 + group.face)
+        for bit in reached:
             key = key * 2 + bit
         seen.key[cell] = key
-        seen.several[cell] |= narrow(lighting, hits, group, falls[:, part], footprint[part])
-        surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
+        seen.several[cell] |= narrow(lighting, hits, group, here, reached, footprint[part])
         at = np.flatnonzero((point >= part.start) & (point < part.stop))
         if at.size:
             places = point[at] - part.start
-            seen.lines.append(surface.shadows(light[at], places, other[at], seen.several))
+            seen.lines.append(surface.shadows(number[at], places, other[at], seen.several))
         if group.face < 3:
             seen.lines.extend(surface.ridges())
         else:
-            seen.several[cell] |= surface.kinks(cosine[:, part], tolerance)
-            seen.lines.extend(surface.terminators(cosine[:, part]))
+            seen.several[cell] |= surface.kinks(here, tolerance)
+            seen.lines.extend(surface.terminators(here))
     return seen
 
 
-def _footprint(raster: Raster, group: Group) -> Floats:
+def _footprint(hits: Hits, group: Group) -> Floats:
     """Radius (n,) on the surface, around each point, of what its pixel sees."""
-    length = np.sqrt(dot(group.direction, group.direction))
-    cosine = np.abs(dot(group.n, group.direction)) / length
+    raster = hits.raster
+    half = 0.5 * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
     # Nearly edge-on, outlines mark the pixel anyway.
-    half = 0.5 * float(np.hypot(raster.step_u, raster.step_v))
-    return group.t * half / np.maximum(cosine, 0.02)
+    return hits.p[2, group.part] * half / np.maximum(group.slope, 0.02)
 
 
 class _Surface(NamedTuple):
@@ -267,22 +265,22 @@ class _Surface(NamedTuple):
 
     def steps(self, at: Ints) -> tuple[Triple, Triple]:
         """How some points move on their surface, across their cells and down."""
-        raster, group = self.view.raster, self.group
-        ray, n, t = pick(group.direction, at), pick(group.n, at), group.t[at]
-        cosine = dot(n, ray)
-
-        def step(axis: Floats, length: float) -> Triple:
-            x, y, z = (axis * length * self.size).tolist()
-            ratio = (x * n[0] + y * n[1] + z * n[2]) / cosine
-            return t * (x - ratio * ray[0]), t * (y - ratio * ray[1]), t * (z - ratio * ray[2])
-
-        u, v, _ = raster.axes
-        return step(u, raster.step_u), step(v, raster.step_v)
+        raster, group = self.hits.raster, self.group
+        p, n = rows(self.hits.p, self.group.part.start + at), pick(group.n, at)
+        height = group.slope[at] * group.distance[at]
+        u = p[2] / raster.depth * (raster.step_u * self.size)
+        v = p[2] / raster.depth * (raster.step_v * self.size)
+        # Along the window, and then along the ray as far as the surface needs.
+        across, down = scaled(p, u * n[0] / height), scaled(p, v * n[1] / height)
+        return (
+            raster.turned((across[0] + u, across[1], across[2])),
+            raster.turned((down[0], down[1] + v, down[2])),
+        )
 
     def from_light(self, light: Ints | int, at: Ints) -> Triple:
         """Rays from lights to some points."""
         x, y, z = self.lighting.positions[light].T
-        p = rows(self.hits.p, self.group.part.start + at)
+        p = self.hits.points(self.group.part.start + at)
         return p[0] - x, p[1] - y, p[2] - z
 
     def shadows(self, light: Ints, at: Ints, other: Ints, several: Bools) -> Lines:
@@ -309,57 +307,55 @@ class _Surface(NamedTuple):
         several[pencil.cell[on[unknown]]] = True
         return joined([discs.crossing(), pencil.take(on).boxes(planes)])
 
-    def turning(self, number: int, falls: Floats) -> Bools:
-        """Where a sphere turns away from a light (n,), given n.l times its distance."""
-        radius = self.view.surfaces.radius[self.group.owner]
-        x, y, z = self.from_light(number, np.arange(falls.size))
-        near: Bools = (falls * radius) ** 2 < self.footprint**2 * (x * x + y * y + z * z)
+    def turning(self, light: Incoming) -> Bools:
+        """Where a sphere turns away from lights, (lights, n)."""
+        reach = self.footprint / self.group.of(self.view.surfaces.radius)
+        near: Bools = light.falls**2 < reach**2 * light.length2
         return near
 
-    def kinks(self, falls: Floats, tolerance: float) -> Bools:
-        """Where light (lights, n) begins so fast that one sample is off by more."""
-        lighting, owner = self.lighting, self.group.owner
+    def kinks(self, light: Incoming, tolerance: float) -> Bools:
+        """Where light begins so fast (n,) that one sample is off by more."""
+        lighting, group = self.lighting, self.group
         # On either side of the middle by a quarter of the cell, half of the time.
-        change = self.footprint / self.view.surfaces.radius[owner] / 8
-        change = change * lighting.materials.diffuse.max(axis=0)[lighting.shader[owner]]
-        result = np.zeros(self.cell.size, dtype=np.bool_)
-        for number, (row, intensity) in enumerate(zip(falls, lighting.intensities, strict=True)):
-            if np.any(steep := change * intensity.max() > tolerance):
-                result |= steep & self.turning(number, row)
+        change = self.footprint / group.of(self.view.surfaces.radius) / 8
+        diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
+        change = change * group.of(diffuse)
+        steep = change * lighting.intensities.max(axis=1)[:, None] > tolerance
+        result: Bools = (steep & self.turning(light)).any(axis=0)
         return result
 
-    def terminators(self, falls: Floats) -> Iterator[Lines]:
+    def terminators(self, light: Incoming) -> Iterator[Lines]:
         """Where a highlight ends because the sphere turns away from its light."""
-        lighting, owner = self.lighting, self.group.owner
-        glossy = lighting.materials.glossy[lighting.shader[owner]]
-        if not glossy.any():
+        lighting, group = self.lighting, self.group
+        glossy = group.of(lighting.materials.glossy[lighting.shader])
+        if not np.any(glossy):
             return
-        radius = self.view.surfaces.radius[owner]
-        for number, row in enumerate(falls):
-            near = np.flatnonzero(self.turning(number, row) & glossy)
+        radius = group.of(self.view.surfaces.radius)
+        for number, row in enumerate(self.turning(light) & glossy):
+            near = np.flatnonzero(row)
             ray, r = self.from_light(number, near), -select(radius, near)
             across, down = self.steps(near)
             kind = np.full(near.size, Kind.SHADOW)
-            yield Lines(
-                self.cell[near], kind, dot(across, ray) / r, dot(down, ray) / r, row[near]
-            ).crossing()
+            a, b, c = dot(across, ray) / r, dot(down, ray) / r, light.falls[number, near]
+            yield Lines(self.cell[near], kind, a, b, c).crossing()
 
     def ridges(self) -> Iterator[Lines]:
         """Where a box's face meets another that is seen as well."""
         surfaces, eye, group = self.view.surfaces, self.view.raster.eye, self.group
-        p = self.hits.p[:, group.part]
+        p = self.hits.points(group.part)
         box = group.owner - len(surfaces.radius)
         for k in range(3):
             if k == group.face:
                 continue
             for corner, sign in ((surfaces.min_pt, -1), (surfaces.max_pt, 1)):
-                level = corner[box, k]
-                shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - level) > 0)
-                at = np.flatnonzero((np.abs(p[k] - level) < self.footprint) & shown)
+                shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
+                if not shown.any():
+                    continue
+                offset = p[k] - group.spread(corner[box, k])
+                at = np.flatnonzero((np.abs(offset) < self.footprint) & group.spread(shown))
                 across, down = self.steps(at)
-                c = p[k][at] - select(level, at)
                 kind = np.full(at.size, Kind.RIDGE)
-                yield Lines(self.cell[at], kind, across[k], down[k], c).crossing()
+                yield Lines(self.cell[at], kind, across[k], down[k], offset[at]).crossing()
 
 
 def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:

@@ -55,6 +55,12 @@ class Raster(NamedTuple):
         )
         return u, v, w
 
+    def turned(self, vector: Triple) -> Triple:
+        """A vector in the camera's axes, in the scene's."""
+        u, v, w = self.axes.tolist()
+        x, y, z = (vector[0] * u[k] + vector[1] * v[k] + vector[2] * w[k] for k in range(3))
+        return x, y, z
+
     def across(self, x: Floats) -> Floats:
         """First component of the direction, at x pixels from the left."""
         return self.shift_u + (x - self.width / 2) * self.step_u

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, expand, pick, rows, scaled
+from tracer.groups import Bools, Triple, dot, each, expand, pick, scaled
 from tracer.occluders import Occluders, Pairs, pairs_of_points
 from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
@@ -349,7 +349,7 @@ class InCells(NamedTuple):
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number] & ~cells.safe[own])
             x, y, z = self.occluders.lights[:, number].tolist()
-            p = rows(hits.p, asked)
+            p = hits.points(asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
                 distance, cell = cells.locate(to_light)

@@ -10,6 +10,8 @@ caller to turn off.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +23,11 @@ __all__ = [
     "ON",
     "OUTSIDE",
     "SURFACE_TOLERANCE",
+    "Disc",
     "box_and_capsule",
     "box_blocks",
     "box_hit",
+    "disc_in_row",
     "sphere_and_capsule",
     "sphere_blocks",
     "sphere_crosses",
@@ -44,9 +48,47 @@ SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 on the surface: some twenty roundings lie between the scene and a hit point."""
 
 
-def sphere_hit(
-    s: Floats, hypot: Floats, along: Floats, ahead: Floats, chord2: Floats, power: Floats
-) -> Floats:
+class Disc(NamedTuple):
+    """A sphere in the plane of a pixel row's rays, as numbers or arrays.
+
+    Attributes
+    ----------
+    hypot2 : float
+        Square of the rays' second component in that plane, which is ahead.
+    tilt, bend
+        |centre x ray| is bend - tilt * s, with s the rays' first component, along the row.
+    ahead
+        centre . ray is along * s + ahead.
+    along
+    chord2
+        The disc's squared radius; negative where the plane misses the sphere.
+    power
+        |centre - eye|^2 - radius^2 of the sphere: positive with the eye outside.
+    """
+
+    hypot2: Floats
+    tilt: Floats
+    bend: Floats
+    along: Floats
+    ahead: Floats
+    chord2: Floats
+    power: Floats
+
+
+def disc_in_row(g: Floats, depth: float, center: Triple, radius: Floats, power: Floats) -> Disc:
+    """Discs in the planes of rays (s, g, depth), for all s.
+
+    `center`, `radius` and `power` are those of spheres seen from the eye.
+    """
+    u, v, w = center
+    hypot2 = g * g + depth * depth
+    hypot = np.sqrt(hypot2)
+    aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
+    chord2 = (radius - aside) * (radius + aside)
+    return Disc(hypot2, ahead, u * hypot, u, ahead * hypot, chord2, power)
+
+
+def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
     """Distance at which rays of one pixel row meet spheres, or infinity.
 
     The rays of a row lie in a plane through the eye, so a sphere is a disc
@@ -56,30 +98,28 @@ def sphere_hit(
 
     Parameters
     ----------
-    s, hypot
-        Ray direction in the row's plane: along the row, and ahead.
-    along, ahead
-        The disc's centre seen from the eye, in the same two coordinates.
-    chord2
-        The disc's squared radius; negative where the plane misses the sphere.
-    power
-        |centre - eye|^2 - radius^2 of the sphere: positive with the eye outside.
+    s
+        First component of the rays' directions, along the row.
+    disc : Disc
 
     Returns
     -------
     t
         In units of the direction's length.  With the eye inside (or on) the
         sphere it is the far root.
+    rise
+        The cosine between the normal there and the ray, times the radius and
+        the direction's length.
     """
-    length2 = s * s + hypot * hypot
-    cross = along * hypot - ahead * s
-    half2 = chord2 - cross * cross / length2
-    middle = along * s + ahead * hypot
-    root = middle + np.sqrt(length2 * half2)
+    length2 = s * s + disc.hypot2
+    cross = disc.bend - disc.tilt * s
+    rise = np.sqrt(length2 * disc.chord2 - cross * cross)
+    root = disc.along * s + disc.ahead + rise
+    power = disc.power
     t = power / root if np.all(power > 0) else np.where(power > 0, power / root, root / length2)
     # Not a number where there is no root; negative behind the eye.
     t[~(t > 0)] = np.inf
-    return t
+    return t, rise
 
 
 def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.intp]]:

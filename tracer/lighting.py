@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Index, Triple, dot, each, pick, scaled, select, where
+from tracer.groups import Bools, Triple, dot, each, pick, rows, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.scene import Floats, Ints, Scene
@@ -14,7 +14,7 @@ from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, shadows_of
 from tracer.visibility import Group, Hits, Samples, View, visible
 
-__all__ = ["Lighting", "lighting_of", "narrow", "projected", "radiance_at", "shade"]
+__all__ = ["Incoming", "Lighting", "incoming", "lighting_of", "narrow", "radiance_at", "shade"]
 
 
 # On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
@@ -28,6 +28,9 @@ class Lighting(NamedTuple):
     Attributes
     ----------
     positions, intensities : (lights, 3)
+    lanes : Lanes
+    seen : (lights, 3)
+        The positions in the camera's axes, seen from the eye.
     shadows : Shadows
     shader : (n,)
         Each object's index into `materials`.
@@ -36,164 +39,251 @@ class Lighting(NamedTuple):
 
     positions: Floats
     intensities: Floats
+    lanes: Lanes
+    seen: Floats
     shadows: Shadows
     shader: Ints
     materials: Materials
+
+
+class Lanes(NamedTuple):
+    """The distinct channels of lights: grey ones have but one.
+
+    Attributes
+    ----------
+    intensities : (lanes, lights)
+    channels
+        The lanes of red, green and blue.
+    """
+
+    intensities: list[tuple[float, ...]]
+    channels: list[int]
+
+    @classmethod
+    def of(cls, intensities: Floats) -> Lanes:
+        """Compare the channels of intensities (lights, 3)."""
+        channels = [tuple(channel) for channel in intensities.T.tolist()]
+        lanes = list(dict.fromkeys(channels))
+        return cls(lanes, [lanes.index(channel) for channel in channels])
+
+
+class Incoming(NamedTuple):
+    """Light as it comes in at points, whatever lies between: all (lights, n).
+
+    With n the normal, l the way to the light and p that from the eye, none of
+    them of unit length but n:
+
+    Attributes
+    ----------
+    falls
+        n . l; zero where the object itself keeps the light out.
+    length2
+        l . l.
+    along
+        l . p, where there are highlights.
+    """
+
+    falls: Floats
+    length2: Floats
+    along: Floats
+
+    def part(self, place: slice) -> Incoming:
+        """That at some of the points."""
+        return Incoming(*(m[:, place] for m in self))
 
 
 def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
     """Prepare a scene's lights, for so many samples a pixel."""
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
+    intensities = np.array([light.intensity for light in lights]).reshape(-1, 3)
     return Lighting(
         positions,
-        np.array([light.intensity for light in lights]).reshape(-1, 3),
+        intensities,
+        Lanes.of(intensities),
+        np.column_stack(view.raster.local(positions)),
         shadows_of(occluders_of(view, positions), scene.width * scene.height * samples),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )
 
 
-def incidence(lighting: Lighting, hits: Hits) -> Floats:
-    """n.l times the distance of each light, (lights, n); zero where it does not reach."""
-    falls = projected(lighting, hits)
-    facing = falls > 0
-    facing &= ~lighting.shadows.blocked(hits, facing)
-    return np.where(facing, falls, 0.0)
-
-
-def projected(lighting: Lighting, hits: Hits) -> Floats:
-    """n.l times the distance of each light, (lights, n), whatever lies between."""
-    occluders = lighting.shadows.occluders
-    falls = np.empty((len(lighting.positions), hits.p.shape[1]))
-    for light, side, row in zip(lighting.positions.tolist(), occluders.side, falls, strict=True):
+def incoming(lighting: Lighting, hits: Hits) -> Incoming:
+    """What comes in at all hits."""
+    occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
+    result = Incoming(*np.empty((3, len(lighting.seen), hits.p.shape[1])))
+    for number, light in enumerate(lighting.seen.tolist()):
+        kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
-            out = row[group.part]
+            falls, length2, along = (m[number, group.part] for m in result)
+            p = hits.p[:, group.part]
+            to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
             if group.face < 3:
-                np.subtract(light[group.face], hits.p[group.face, group.part], out=out)
-                out *= group.n[group.face]
+                place = lighting.positions[number, group.face]
+                falls[:] = group.sign * (place - group.level)
             else:
-                out[:] = dot(group.n, _to(light, hits.p[:, group.part]))
+                falls[:] = dot(group.n, to_light)
+            length2[:] = dot(to_light, to_light)
+            if glossy[group.owner].any():
+                along[:] = dot(to_light, (p[0], p[1], p[2]))
             # Seen from inside, an object keeps out all light that is not inside as well.
-            kept_out = occluders.eye_inside[group.owner] & (side[group.owner] != INSIDE)
-            if kept_out.any():
-                out[np.broadcast_to(kept_out, out.shape)] = 0
-    return falls
+            if kept_out[group.owner].any():
+                falls[np.broadcast_to(group.of(kept_out), falls.shape)] = 0
+    return result
 
 
-def shade(lighting: Lighting, hits: Hits, group: Group, falls: Floats) -> Triple:
+def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bools) -> Triple:
     """Radiance, three (n,), of some of the hits towards the eye.
 
-    `falls` (lights, n): their `incidence`.
+    `light`, `lit` (lights, n): what comes in there, and whether it reaches them.
     """
-    materials, p = lighting.materials, hits.p[:, group.part]
-    shader = lighting.shader[group.owner]
-    glossy = materials.glossy[shader]
-    gloss = bool(np.any(glossy))
-    if gloss:
-        view = scaled(group.direction, -1 / np.sqrt(dot(group.direction, group.direction)))
     # Light that falls on the points, and its highlights: what shaders make of it comes last.
-    fallen, mirrored = _Sum(group.t.size), _Sum(group.t.size)
-    for light, intensity, cosine in zip(
-        lighting.positions.tolist(), lighting.intensities.tolist(), falls, strict=True
-    ):
-        lit = cosine > 0
-        if not lit.any():
+    count, lanes = group.distance.size, lighting.lanes
+    fallen, mirrored = _Sum(count, lanes), _Sum(count, lanes)
+    gloss = _Gloss.of(lighting, hits, group)
+    for number, reached in enumerate(lit):
+        if not reached.any():
             continue
-        to_light = _to(light, p)
-        inverse = 1 / np.sqrt(dot(to_light, to_light))
-        fallen.add(intensity, cosine * inverse)
-        if gloss:
-            shiny = where(lit & glossy)
-            power = highlight(
-                pick(group.n, shiny),
-                scaled(pick(to_light, shiny), inverse[shiny]),
-                pick(view, shiny),
-                materials.exponent[select(shader, shiny)],
-            )
-            if not isinstance(shiny, slice):
-                everywhere = np.zeros(lit.size)
-                everywhere[shiny] = power
+        length = np.sqrt(light.length2[number])
+        cosine = light.falls[number] / length
+        if not reached.all():
+            cosine = np.where(reached, cosine, 0.0)
+        fallen.add(number, cosine)
+        if gloss.any:
+            at = where(reached & gloss.glossy)
+            power = gloss.highlight(number, at, cosine[at], length[at], light.along[number, at])
+            if not isinstance(at, slice):
+                everywhere = np.zeros(count)
+                everywhere[at] = power
                 power = everywhere
-            mirrored.add(intensity, power)
-    radiance = fallen.times(materials.diffuse, shader)
-    if gloss:
-        radiance = each(np.add, radiance, mirrored.times(materials.specular, shader))
+            mirrored.add(number, power)
+    materials, shader = lighting.materials, lighting.shader[group.owner]
+    radiance = fallen.times(materials.diffuse[:, shader], group)
+    if gloss.any:
+        radiance = each(np.add, radiance, mirrored.times(materials.specular[:, shader], group))
     return radiance
 
 
-def narrow(lighting: Lighting, hits: Hits, group: Group, falls: Floats, footprint: Floats) -> Bools:
+def narrow(
+    lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bools, footprint: Floats
+) -> Bools:
     """Whether there may be a highlight (n,) too narrow for one sample of so large a footprint.
 
     Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
     between normal and half vector, which bends with the surface and with the
     directions to light and eye.
     """
-    materials, p, surfaces = lighting.materials, hits.p[:, group.part], lighting.shadows.occluders
-    result = np.zeros(group.t.size, dtype=np.bool_)
-    shader = lighting.shader[group.owner]
-    if not np.any(materials.glossy[shader]):
+    result = np.zeros(group.distance.size, dtype=np.bool_)
+    gloss = _Gloss.of(lighting, hits, group)
+    if not gloss.any:
         return result
-    distance = group.t * np.sqrt(dot(group.direction, group.direction))
-    bending = 1 / distance
+    bending = 1 / group.distance
     if group.face == 3:
-        bending = bending + 1 / surfaces.surfaces.radius[group.owner]
-    scale = np.where(materials.glossy[shader], np.sqrt(materials.exponent[shader] / 2), 0)
-    for light, cosine in zip(lighting.positions.tolist(), falls, strict=True):
-        to_light = _to(light, p)
-        inverse = 1 / np.sqrt(dot(to_light, to_light))
-        change = footprint * (bending + inverse) * scale
-        at = np.flatnonzero((change > _SMOOTH) & (cosine > 0))
+        bending += 1 / group.of(lighting.shadows.occluders.radius)
+    scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
+    for number, reached in enumerate(lit):
+        length = np.sqrt(light.length2[number])
+        change = footprint * (bending + 1 / length) * scale
+        at = np.flatnonzero((change > _SMOOTH) & reached)
         if at.size:
-            power = highlight(
-                pick(group.n, at),
-                scaled(pick(to_light, at), inverse[at]),
-                scaled(pick(group.direction, at), -group.t[at] / distance[at]),
-                materials.exponent[select(shader, at)],
-            )
+            cosine = light.falls[number, at] / length[at]
+            power = gloss.highlight(number, at, cosine, length[at], light.along[number, at])
             result[at] |= np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
     return result
+
+
+class _Gloss(NamedTuple):
+    """Highlights on a group.
+
+    Attributes
+    ----------
+    lighting : Lighting
+    p : (3, n)
+    group : Group
+    any : bool
+        Whether there are any.
+    glossy, exponent
+        Numbers, or (n,).
+    """
+
+    lighting: Lighting
+    p: Floats
+    group: Group
+    any: bool
+    glossy: Bools
+    exponent: Floats
+
+    @classmethod
+    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> _Gloss:
+        """Gather what is needed."""
+        materials, shader = lighting.materials, lighting.shader[group.owner]
+        glossy = materials.glossy[shader]
+        return cls(
+            lighting,
+            hits.p[:, group.part],
+            group,
+            bool(glossy.any()),
+            group.spread(glossy),
+            group.spread(materials.exponent[shader]),
+        )
+
+    def highlight(
+        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, along: Floats
+    ) -> Floats:
+        """(n.h)^p of a light at some of the points; what follows `at` is of these alone."""
+        group, distance = self.group, self.group.distance[at]
+
+        def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
+            place = some if isinstance(at, slice) else at[some]
+            p = rows(self.p, place)
+            x, y, z = self.lighting.seen[number].tolist()
+            to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
+            return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
+
+        between = along / (-distance * length)
+        return highlight(cosine, group.slope[at], between, select(self.exponent, at), vectors)
 
 
 def radiance_at(view: View, lighting: Lighting, samples: Samples) -> Floats:
     """Radiance (3, n) at samples, towards the eye."""
     radiance = np.zeros((3, samples.x.size))
     hits = visible(view, samples)
-    falls = incidence(lighting, hits)
+    light = incoming(lighting, hits)
+    lit = light.falls > 0
+    lit &= ~lighting.shadows.blocked(hits, lit)
     for group in hits.groups:
-        for k, values in enumerate(shade(lighting, hits, group, falls[:, group.part])):
+        part = group.part
+        for k, values in enumerate(shade(lighting, hits, group, light.part(part), lit[:, part])):
             radiance[k, group.sample] = values
     return radiance
 
 
-def _to(light: list[float], p: Floats) -> Triple:
-    """From points (3, n) to a light."""
-    return light[0] - p[0], light[1] - p[1], light[2] - p[2]
-
-
 class _Sum:
-    """Light of several sources, three (n,)."""
+    """Light of several sources, in three channels; those that are always equal are one lane."""
 
-    __slots__ = ("channels", "count")
+    __slots__ = ("count", "lanes", "totals")
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, lanes: Lanes) -> None:
         self.count = count
-        self.channels: Triple | None = None
+        self.lanes = lanes
+        self.totals: list[Floats] = []
 
-    def add(self, intensity: list[float], weight: Floats) -> None:
-        """One more source, (3,), as seen by each point (n,)."""
-        more: Triple = (intensity[0] * weight, intensity[1] * weight, intensity[2] * weight)
-        if self.channels is None:
-            self.channels = more
+    def add(self, number: int, weight: Floats) -> None:
+        """The light of one more source, as seen by each point (n,)."""
+        more = [intensity[number] * weight for intensity in self.lanes.intensities]
+        if not self.totals:
+            self.totals = more
         else:
-            for total, channel in zip(self.channels, more, strict=True):
-                total += channel
+            for total, lane in zip(self.totals, more, strict=True):
+                total += lane
 
-    def times(self, colors: Floats, index: Index) -> Triple:
-        """The light that surfaces return, whose colours are some of (3, m)."""
-        if self.channels is None:
+    def times(self, colors: Floats, group: Group) -> Triple:
+        """The light that surfaces return, of colours (3,) or (3, runs)."""
+        if not self.totals:
             nothing = np.zeros(self.count)
             return nothing, nothing, nothing
-        for total, color in zip(self.channels, colors, strict=True):
-            total *= color[index]
-        return self.channels
+        r, g, b = (
+            self.totals[lane] * group.spread(color)
+            for lane, color in zip(self.lanes.channels, colors, strict=True)
+        )
+        return r, g, b

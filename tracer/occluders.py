@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, columns, pick, rows, runs
+from tracer.groups import Bools, Triple, columns, pick, runs
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits, View
@@ -122,7 +122,7 @@ def pairs_of_points(
     radius = occluders.slack[owner]
     if footprint is not None:
         radius = radius + footprint[point]
-    p = rows(hits.p, point)
+    p = hits.points(point)
     return Pairs(Balls(owner, point, np.ones_like(point), p, radius), light, other)
 
 

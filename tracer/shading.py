@@ -8,15 +8,23 @@ highlight carries no further cosine.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, scaled
-from tracer.scene import Floats, Phong, Shader
+from tracer.groups import Bools, Triple, dot, each, scaled, select
+from tracer.scene import Floats, Ints, Phong, Shader
 
 __all__ = ["Materials", "highlight"]
 
-# Squared length of the sum of two unit vectors that cancel, up to rounding.
+# Half the squared length of the sum of two unit vectors that is too small for its rounding.
+_CANCELLED = 1e-3
+
+# The same of two that cancel up to rounding.
 _OPPOSITE = 1e-24
+
+# How often the rounding of n.h may show in a highlight.
+_SHOWS = 256.0
 
 
 class Materials:
@@ -41,8 +49,43 @@ class Materials:
         self.glossy: Bools = np.asarray((self.specular > 0).any(axis=0))
 
 
-def highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floats:
-    """(n.h)^exponent for unit vectors, to a few ulp whatever the exponent.
+def highlight(
+    cosine: Floats,
+    slope: Floats,
+    between: Floats,
+    exponent: Floats,
+    vectors: Callable[[Ints], tuple[Triple, Triple, Triple]],
+) -> Floats:
+    """(n.h)^exponent, to 1e-13 whatever the exponent.
+
+    As n.h is (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v, cosines alone do
+    for most points.  The others are those where a high exponent shows its rounding,
+    and those where l and v almost cancel.
+
+    Parameters
+    ----------
+    cosine, slope, between : (n,)
+        n.l (more than zero), n.v, and l.v, of unit vectors.
+    exponent : float or (n,)
+    vectors : callable
+        Given the index of some of the points, unit vectors n, l and v there.
+    """
+    half2 = 1 + between
+    square = cosine + slope
+    square *= square
+    square /= 2 * half2
+    power: Floats = np.exp(0.5 * exponent * np.log(square))
+    closely = half2 < _CANCELLED
+    if np.any(exponent > _SHOWS):
+        closely |= exponent * power > _SHOWS
+    at = np.flatnonzero(closely)
+    if at.size:
+        power[at] = _highlight(*vectors(at), select(exponent, at))
+    return power
+
+
+def _highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floats:
+    """The same from unit vectors.
 
     With a = |n - h|^2 the cosine is 1 - a / 2, and
     (n.h)^p = exp(p log1p(-a / 2)) keeps the digits that n.h itself has lost.

@@ -103,7 +103,7 @@ class Shadows(NamedTuple):
         """
         occluders, surfaces = self.occluders, self.occluders.surfaces
         spheres = len(surfaces.radius)
-        p = rows(hits.p, point)
+        p = hits.points(point)
         end = each(pairs.spread, rows(occluders.lights, pairs.light))
         if pairs.other[0] >= spheres:
             box = pairs.other - spheres

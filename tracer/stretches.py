@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, runs
+from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, runs
 from tracer.intersection import box_and_capsule, sphere_and_capsule
 from tracer.occluders import SLACK, Balls, Occluders, Pairs
 from tracer.scene import Floats, Ints
@@ -154,7 +154,7 @@ class _Search(NamedTuple):
 def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
     """Put balls around stretches of points of some objects."""
     # The points of a row lie on a line, or on an arc of less than half a circle.
-    a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
+    a, b = hits.points(start), hits.points(start + count - 1)
     middle = each(lambda a, b: 0.5 * (a + b), a, b)
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, dot, runs, select, spread
-from tracer.intersection import box_hit, sphere_hit
+from tracer.groups import Bools, Index, Triple, rows, runs, select, spread
+from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints, Surfaces
 
@@ -104,26 +105,40 @@ class Group(NamedTuple):
         Their places among the hits.
     sample : (n,)
         Which sample.
-    owner
-        Which object it sees (spheres first).
-    face
-        Of a box, the axis of the face; 3 for spheres.
-    t : (n,)
-        Distance in units of the direction's length.
-    direction, n : three each
-        The ray's direction (not normalised), and the unit normal towards the eye.
+    owner : int, or (runs,)
+        Which object they see (spheres first): one, or one for each run.
     first : (runs + 1,)
         Where each run begins: neighbouring samples of one row that see one object.
+    face : int
+        Of a box, the axis of the face; 3 for spheres.
+    sign, level
+        Of a face: whether it looks up (1) or down (-1) that axis, and its place there.
+    n : three
+        The unit normal towards the eye, in the camera's axes.
+    distance : (n,)
+        From the eye.
+    slope : (n,)
+        The cosine between the normal and the way to the eye.
     """
 
     part: slice
     sample: Ints
     owner: Index
-    face: int
-    t: Floats
-    direction: Triple
-    n: Triple
     first: Ints
+    face: int
+    sign: float
+    level: Floats
+    n: Triple
+    distance: Floats
+    slope: Floats
+
+    def spread(self, values: Any) -> Any:
+        """What belongs to the one object, or to runs, for each of the samples."""
+        return np.repeat(values, np.diff(self.first)) if np.ndim(values) else values
+
+    def of(self, values: NDArray[Any]) -> Any:
+        """What belongs to objects, spheres first, for each of the samples."""
+        return self.spread(values[self.owner])
 
 
 class Hits(NamedTuple):
@@ -131,8 +146,9 @@ class Hits(NamedTuple):
 
     Attributes
     ----------
+    raster : Raster
     p : (3, n)
-        Points, put back onto the surface that they lie on.
+        Points seen from the eye, in the camera's axes.
     groups : list of Group
     first : (runs + 1,)
         Where each run begins, of those of all groups.
@@ -142,6 +158,7 @@ class Hits(NamedTuple):
         The pixel that each begins in.
     """
 
+    raster: Raster
     p: Floats
     groups: list[Group]
     first: Ints
@@ -154,6 +171,12 @@ class Hits(NamedTuple):
         """The object (n,) that each point lies on."""
         return np.repeat(self.owner, np.diff(self.first))
 
+    def points(self, index: Ints | slice) -> Triple:
+        """Some of the points in the scene's axes."""
+        x, y, z = self.raster.eye.tolist()
+        p = self.raster.turned(rows(self.p, index))
+        return x + p[0], y + p[1], z + p[2]
+
 
 def visible(view: View, samples: Samples, close: Bools | None = None, size: float = 1.0) -> Hits:
     """Nearest surface at each sample; of exactly equal ones the first in the file.
@@ -161,60 +184,80 @@ def visible(view: View, samples: Samples, close: Bools | None = None, size: floa
     `close` (n,), if given, is set where a second surface lies so near behind
     the first that they may change places within `size` pixels.
     """
-    groups = [*_sphere_fragments(view, samples), *_box_fragments(view, samples)]
+    s = view.raster.across(samples.x[: samples.columns or None])
+    if samples.columns:
+        s = np.tile(s, samples.y.size)
+    groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         # Nothing can hide a lone object.
         groups = [groups[0].where(groups[0].t < np.inf)]
     else:
         groups = _nearest(view, samples, groups, close, size)
-    parts = [part for group in groups if group.t.size for part in _faces(group)]
-    ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
+    parts = [part for group in groups if group.t.size for part in _faces(view, samples, group)]
+    ends = np.cumsum([0] + [part.t.size for part, *_ in parts]).tolist()
     p = np.empty((3, ends[-1]))
     hits = []
-    for (part, face), start, end in zip(parts, ends, ends[1:], strict=False):
-        of = _on_spheres if part.sphere else _on_boxes
-        owner, n = of(view, part, face, p[:, start:end])
-        hits.append(
-            Group(
-                slice(start, end),
-                part.sample,
-                owner,
-                face,
-                part.t,
-                part.direction,
-                n,
-                part.first,
-            )
-        )
-    return _hits(samples, p, hits)
+    for (part, face, sign), start, end in zip(parts, ends, ends[1:], strict=False):
+        place = slice(start, end)
+        hits.append(_hit(view, samples, part, face, sign, place, p[:, place]))
+    return _hits(view, samples, p, hits)
 
 
 class _Fragments(NamedTuple):
-    """Pairs (sample, object): where rays meet objects, whatever is before them."""
+    """Pairs (sample, object): where rays meet objects, whatever is before them.
+
+    Attributes
+    ----------
+    sphere : bool
+    owner : int, or (spans,)
+        A sphere or a box.
+    row : (spans,)
+    first : (spans + 1,)
+        Where each span begins.
+    sample, s, t : (n,)
+        Which sample, the first component of its ray's direction, and the distance in
+        units of the direction's length.
+    detail : (n,)
+        Of spheres, what `sphere_hit` says of the normal; of boxes, the axis of the face.
+    """
 
     sphere: bool
-    sample: Ints
     owner: Index
-    axis: Ints
-    t: Floats
-    direction: Triple
+    row: Ints
     first: Ints
+    sample: Ints
+    s: Floats
+    t: Floats
+    detail: NDArray[Any]
 
     def where(self, mask: Bools) -> _Fragments:
         """Those where the mask holds."""
         index = np.flatnonzero(mask)
         if index.size == mask.size:
             return self
-        x, y, z = self.direction
-        return _Fragments(
-            self.sphere,
-            self.sample[index],
-            select(self.owner, index),
-            self.axis if self.sphere else self.axis[index],
-            self.t[index],
-            (x[index], y[index], z[index]),
-            np.searchsorted(index, self.first),
+        return self._replace(
+            first=np.searchsorted(index, self.first),
+            sample=self.sample[index],
+            s=self.s[index],
+            t=self.t[index],
+            detail=self.detail[index],
         )
+
+    def along(self, values: Floats) -> Floats:
+        """What belongs to rows, for each sample."""
+        return np.repeat(values[self.row], np.diff(self.first))
+
+    def lengths(self, raster: Raster, samples: Samples) -> Floats:
+        """Of the directions."""
+        g = raster.down(samples.y)
+        length: Floats = np.sqrt(self.s * self.s + self.along(g * g + raster.depth**2))
+        return length
+
+
+def _of(values: NDArray[Any], owner: Index, first: Ints) -> Any:
+    """What belongs to owners, for each sample of their spans."""
+    of_owner = values[owner]
+    return of_owner if isinstance(owner, int) else np.repeat(of_owner, np.diff(first))
 
 
 def _nearest(
@@ -234,7 +277,7 @@ def _nearest(
         for group in groups:
             first = nearest[group.sample]
             step = _CLOSE * size * max(view.raster.step_u, view.raster.step_v)
-            gap = (group.t - first) * np.sqrt(dot(group.direction, group.direction))
+            gap = (group.t - first) * group.lengths(view.raster, samples)
             close[group.sample[(gap > 0) & (gap < step * first)]] = True
     groups = [group.where(group.t == nearest[group.sample]) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
@@ -247,7 +290,8 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
     spheres = len(view.surfaces.radius)
     sample = np.concatenate([group.sample for group in groups])
-    orders = (view.order[group.owner + (0 if group.sphere else spheres)] for group in groups)
+    of_kind = {True: view.order[:spheres], False: view.order[spheres:]}
+    orders = (_of(of_kind[group.sphere], group.owner, group.first) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
@@ -277,50 +321,41 @@ def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, I
         yield spans.owner[rest], rest
 
 
-def _sphere_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
+def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, lines = view.raster, view.outlines
     spans = lines.sphere_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
     for owner, span in _groups(spans, counts, len(lines.radius)):
-        many = counts[span]
+        many, row = counts[span], spans.row[span]
         # What is constant along a row is computed once a span.
-        g = raster.down(samples.y[spans.row[span]])
-        hypot = np.sqrt(g * g + raster.depth * raster.depth)
-        u, v, w = (m[owner] for m in lines.center)
-        radius = lines.radius[owner]
-        aside = (v * raster.depth - w * g) / hypot
-        ahead = (v * g + w * raster.depth) / hypot
-        chord2 = (radius - aside) * (radius + aside)
-        sample = runs(start[span], many)
-        s = raster.across(samples.x[sample])
-        t = sphere_hit(
-            s,
-            np.repeat(hypot, many),
-            spread(u, many),
-            np.repeat(ahead, many),
-            np.repeat(chord2, many),
-            spread(lines.power[owner], many),
+        disc = disc_in_row(
+            raster.down(samples.y[row]),
+            raster.depth,
+            (lines.center[0][owner], lines.center[1][owner], lines.center[2][owner]),
+            lines.radius[owner],
+            lines.power[owner],
         )
-        d = _directions(raster, s, g, many)
-        yield _Fragments(True, sample, spread(owner, many), sample, t, d, _first(many))
+        sample = runs(start[span], many)
+        across = s[sample]
+        t, rise = sphere_hit(across, Disc(*(spread(m, many) for m in disc)))
+        yield _Fragments(True, owner, row, _first(many), sample, across, t, rise)
 
 
-def _box_fragments(view: View, samples: Samples) -> Iterator[_Fragments]:
+def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, surfaces = view.raster, view.surfaces
     spans = view.outlines.box_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
     eye = raster.eye.tolist()
     for owner, span in _groups(spans, counts, len(surfaces.min_pt)):
-        many = counts[span]
+        many, row = counts[span], spans.row[span]
         sample = runs(start[span], many)
-        g = raster.down(samples.y[spans.row[span]])
-        d = _directions(raster, raster.across(samples.x[sample]), g, many)
+        across = s[sample]
         t, axis = box_hit(
-            d,
+            _directions(raster, across, raster.down(samples.y[row]), many),
             _seen_from(eye, surfaces.min_pt[owner], many),
             _seen_from(eye, surfaces.max_pt[owner], many),
         )
-        yield _Fragments(False, sample, spread(owner, many), axis, t, d, _first(many))
+        yield _Fragments(False, owner, row, _first(many), sample, across, t, axis)
 
 
 def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
@@ -341,74 +376,90 @@ def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
     return x, y, z
 
 
-def _faces(group: _Fragments) -> Iterator[tuple[_Fragments, int]]:
-    """Boxes face by face, each with its axis; spheres as they are, with 3."""
+def _faces(
+    view: View, samples: Samples, group: _Fragments
+) -> Iterator[tuple[_Fragments, int, float]]:
+    """Boxes face by face, each with its axis and sign; spheres as they are, with 3."""
     if group.sphere:
-        yield group, 3
+        yield group, 3, 1.0
         return
+    spheres, raster = len(view.surfaces.radius), view.raster
+    inside = view.eye_inside[spheres:]
     for axis in range(3):
-        on_axis = group.axis == axis
-        if not on_axis.any():
-            continue
-        backward = group.direction[axis] < 0
-        for mask in (on_axis & backward, on_axis & ~backward):
+        # The face that looks towards the eye; seen from inside, ahead of the ray.
+        below = _of(raster.eye[axis] < view.surfaces.min_pt[:, axis], group.owner, group.first)
+        if inside[group.owner].any():
+            g = raster.down(samples.y)
+            u, v, w = raster.axes[:, axis].tolist()
+            ahead = group.s * u + group.along(g * v + raster.depth * w) > 0
+            below = np.where(_of(inside, group.owner, group.first), ahead, below)
+        on_axis = group.detail == axis
+        for sign, mask in ((-1.0, on_axis & below), (1.0, on_axis & ~below)):
             part = group.where(mask)
             if part.t.size:
-                yield part, axis
+                yield part, axis, sign
 
 
-def _on_spheres(view: View, part: _Fragments, _: int, p: Floats) -> tuple[Index, Triple]:
-    """Objects and normals; fills in the points c + r n, so that they lie on the spheres."""
-    surfaces, eye, owner = view.surfaces, view.raster.eye.tolist(), part.owner
-    radius = surfaces.radius[owner]
-    inverse = 1 / radius
-    n = []
-    for k, d in enumerate(part.direction):
-        center = surfaces.center[owner, k]
-        normal = part.t * d
-        normal -= center - eye[k]
-        normal *= inverse
-        np.multiply(radius, normal, out=p[k])
-        p[k] += center
-        n.append(normal)
-    inside = view.eye_inside[owner]
-    if inside.any():
-        flip = np.where(inside, -1.0, 1.0)
-        n = [flip * normal for normal in n]
-    return owner, (n[0], n[1], n[2])
+def _hit(
+    view: View,
+    samples: Samples,
+    part: _Fragments,
+    face: int,
+    sign: float,
+    place: slice,
+    p: Floats,
+) -> Group:
+    """What is seen of one group; fills in the points (3, n), seen from the eye."""
+    raster, lines, surfaces = view.raster, view.outlines, view.surfaces
+    np.multiply(part.t, part.s, out=p[0])
+    np.multiply(part.t, part.along(raster.down(samples.y)), out=p[1])
+    np.multiply(part.t, raster.depth, out=p[2])
+    length = part.lengths(raster, samples)
+    distance = part.t * length
+    owner, first = part.owner, part.first
+    if part.sphere:
+        inverse = _of(1 / lines.radius, owner, first)
+        center = (_of(m, owner, first) for m in lines.center)
+        n = [(q - c) * inverse for q, c in zip(p, center, strict=True)]
+        if view.eye_inside[owner].any():
+            flip = _of(np.where(view.eye_inside, -1.0, 1.0), owner, first)
+            n = [flip * m for m in n]
+        slope = part.detail * inverse / length
+        level = np.zeros(())
+    else:
+        low, high = surfaces.min_pt[:, face], surfaces.max_pt[:, face]
+        inside = view.eye_inside[len(lines.radius) :]
+        level = np.where(inside == (sign > 0), low, high)
+        height = sign * (raster.eye[face] - level)
+        level, height = (_of(m, owner, first) for m in (level, height))
+        n = [np.asarray(sign * m) for m in raster.axes[:, face]]
+        slope = height / distance
+        owner = owner + len(lines.radius)
+    return Group(
+        place, part.sample, owner, first, face, sign, level, (n[0], n[1], n[2]), distance, slope
+    )
 
 
-def _on_boxes(view: View, part: _Fragments, axis: int, p: Floats) -> tuple[Index, Triple]:
-    """Objects and normals; fills in points that lie exactly in a face's plane."""
-    surfaces, eye = view.surfaces, view.raster.eye.tolist()
-    for k, d in enumerate(part.direction):
-        if k != axis:
-            np.multiply(part.t, d, out=p[k])
-            p[k] += eye[k]
-    owner = part.owner + len(surfaces.radius)
-    sign = -1.0 if part.direction[axis][0] > 0 else 1.0
-    low, high = surfaces.min_pt[part.owner, axis], surfaces.max_pt[part.owner, axis]
-    p[axis] = np.where(view.eye_inside[owner] == (sign > 0), low, high)
-    n = [np.asarray(sign if k == axis else 0.0) for k in range(3)]
-    return owner, (n[0], n[1], n[2])
-
-
-def _hits(samples: Samples, p: Floats, groups: list[Group]) -> Hits:
+def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
     """Put the runs of all groups one after the other."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
     piece = None if samples.columns else np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
     for group in groups:
-        first = group.first[np.flatnonzero(np.diff(group.first))]
+        run = np.flatnonzero(np.diff(group.first))
+        first, owner = group.first[run], select(group.owner, run)
         if piece is not None:
             # Samples in a row may be far apart.
             gaps = np.flatnonzero(np.diff(piece[group.sample])) + 1
-            first = np.union1d(first, gaps)
+            every = np.union1d(first, gaps)
+            owner = select(owner, np.searchsorted(first, every, side="right") - 1)
+            first = every
         firsts.append(first + group.part.start)
-        owners.append(np.broadcast_to(select(group.owner, first), first.shape))
+        owners.append(np.broadcast_to(owner, first.shape))
         begins.append(group.sample[first])
     begin = np.concatenate(begins)
     return Hits(
+        view.raster,
         p,
         groups,
         np.append(np.concatenate(firsts), p.shape[1]),
