@@ -67,8 +67,8 @@ def antialiased(
     pixels = _Cells(
         1.0,
         tolerance,
-        samples.x,
-        samples.y[samples.row],
+        np.tile(samples.x, height),
+        np.repeat(samples.y, width),
         rough.ravel(),
         (row * width + column)[inner],
         owner[inner],
@@ -84,7 +84,7 @@ def _grid_everywhere(
 ) -> Floats:
     """The same by 2 x 2 samples in all pixels."""
     samples = grid(top, bottom, left, right)
-    total = np.zeros((3, samples.x.size))
+    total = np.zeros((3, samples.size))
     for y in (-0.25, 0.25):
         for x in (-0.25, 0.25):
             total += radiance_at(view, lighting, samples._replace(y=samples.y + y, x=samples.x + x))
@@ -196,7 +196,7 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
     order = np.lexsort((x, y))
     y = y[order]
     new = np.diff(y, prepend=-np.inf) != 0
-    return Samples(y[new], np.cumsum(new) - 1, x[order]), order
+    return Samples(y[new], x[order], np.cumsum(new) - 1), order
 
 
 def _look(
@@ -208,7 +208,7 @@ def _look(
     order: Ints | None = None,
 ) -> _Seen:
     """What samples see, and the lines through cells of a size around them."""
-    count = samples.x.size
+    count = samples.size
     order = np.arange(count) if order is None else order
     close = np.zeros(count, dtype=np.bool_)
     hits = visible(view, samples, close, size)

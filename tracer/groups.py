@@ -48,9 +48,9 @@ def each(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     return x, y, z
 
 
-def dot(a: Triple, b: Triple) -> Floats:
+def dot(a: Triple, b: Triple, out: Floats | None = None) -> Floats:
     """Dot product, element by element."""
-    total: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    total: Floats = np.add(a[0] * b[0] + a[1] * b[1], a[2] * b[2], out=out)
     return total
 
 

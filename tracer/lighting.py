@@ -122,10 +122,10 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
                 place = lighting.positions[number, group.face]
                 falls[:] = group.sign * (place - group.level)
             else:
-                falls[:] = dot(group.n, to_light)
-            length2[:] = dot(to_light, to_light)
+                dot(group.n, to_light, falls)
+            dot(to_light, to_light, length2)
             if glossy[group.owner].any():
-                along[:] = dot(to_light, (p[0], p[1], p[2]))
+                dot(to_light, (p[0], p[1], p[2]), along)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
                 falls[np.broadcast_to(group.of(kept_out), falls.shape)] = 0
@@ -244,9 +244,11 @@ class _Gloss(NamedTuple):
         return highlight(cosine, group.slope[at], between, select(self.exponent, at), vectors)
 
 
-def radiance_at(view: View, lighting: Lighting, samples: Samples) -> Floats:
-    """Radiance (3, n) at samples, towards the eye."""
-    radiance = np.zeros((3, samples.x.size))
+def radiance_at(
+    view: View, lighting: Lighting, samples: Samples, out: Floats | None = None
+) -> Floats:
+    """Radiance (3, n) at samples, towards the eye; into zeros, if they are given."""
+    radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(view, samples)
     light = incoming(lighting, hits)
     lit = light.falls > 0

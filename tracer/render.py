@@ -70,11 +70,12 @@ def render(
     image : (height, width, 3) float64
         Linear RGB radiance; row 0 is the top.
     """
-    image = np.empty((scene.height, scene.width, 3))
-    top = 0
-    for band in render_bands(scene, samples, threads=threads, offset=offset):
-        image[top : top + len(band)] = band
-        top += len(band)
+    bands = _Bands.of(scene, samples, threads, offset, _BAND_PIXELS)
+    # Where nothing is seen, its pages are never touched.
+    image = np.zeros((scene.height, scene.width, 3))
+    for number, band in enumerate(_rendered(bands, image)):
+        if not np.may_share_memory(band, image):
+            image[bands.rows(number)] = band
     return image
 
 
@@ -96,13 +97,7 @@ def render_bands(
     band : (rows, width, 3) float64
         The next rows of the picture, there until more are asked for.
     """
-    bands = _Bands.of(scene, samples, threads, offset, band_pixels)
-    count = len(bands.tops)
-    if bands.workers == 1:
-        yield from map(bands.render, range(count))
-        return
-    slots = shared((bands.workers - 1, _AHEAD, bands.step, scene.width, 3))
-    yield from forked(bands.render, count, bands.workers, slots)
+    yield from _rendered(_Bands.of(scene, samples, threads, offset, band_pixels))
 
 
 def render_each(
@@ -118,11 +113,19 @@ def render_each(
     def result(number: int) -> T:
         return work(bands.render(number))
 
-    count = len(bands.tops)
-    if bands.workers == 1:
-        yield from map(result, range(count))
-    else:
-        yield from forked(result, count, bands.workers)
+    yield from forked(result, len(bands.tops), bands.workers)
+
+
+def _rendered(bands: _Bands, image: Floats | None = None) -> Iterator[Floats]:
+    """All bands; those that this process renders itself in their places in the image."""
+
+    def work(number: int) -> Floats:
+        if image is None or number % bands.workers:
+            return bands.render(number)
+        return bands.render(number, image[bands.rows(number)])
+
+    slots = shared((bands.workers - 1, _AHEAD, bands.step, bands.scene.width, 3))
+    yield from forked(work, len(bands.tops), bands.workers, slots)
 
 
 class _Bands(NamedTuple):
@@ -186,25 +189,24 @@ class _Bands(NamedTuple):
         top = self.tops[number]
         return slice(top, min(top + self.step, self.scene.height))
 
-    def render(self, number: int) -> Floats:
-        """Radiance (rows, width, 3) of a band."""
+    def render(self, number: int, out: Floats | None = None) -> Floats:
+        """Radiance (rows, width, 3) of a band; into zeros, if they are given."""
         width, rows = self.scene.width, self.rows(number)
-        if width <= self.band_pixels:
-            return self._part(rows, 0, width)
-        # Rows longer than a band are rendered in parts.
-        radiance = np.empty((rows.stop - rows.start, width, 3))
+        if out is None:
+            out = np.zeros((rows.stop - rows.start, width, 3))
+        # A row longer than a band is rendered in parts.
         for left in range(0, width, self.band_pixels):
             right = min(left + self.band_pixels, width)
-            radiance[:, left:right] = self._part(rows, left, right)
-        return radiance
+            self._part(rows, left, right, out[:, left:right])
+        return out
 
     @_QUIET
-    def _part(self, rows: slice, left: int, right: int) -> Floats:
+    def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
         if self.depth:
-            return antialiased(view, lighting, top, bottom, left, right, self.depth)
-        radiance = radiance_at(view, lighting, grid(top, bottom, left, right))
-        return np.moveaxis(radiance.reshape(3, bottom - top, right - left), 0, 2)
+            out[:] = antialiased(view, lighting, top, bottom, left, right, self.depth)
+        else:
+            radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
 
 
 def _keep_heap() -> None:

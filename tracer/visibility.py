@@ -36,27 +36,41 @@ class Samples(NamedTuple):
     ----------
     y : (rows,)
         Ascending.
-    row, x : (n,)
-        Index into `y`, ascending, and position along the row, ascending in each.
-    columns : int
-        If positive, every row holds so many samples, a pixel apart; else they
-        lie anywhere.
+    x : (n,) or (columns,)
+        Position along the row, ascending in each.
+    row : (n,), optional
+        Index into `y`, ascending; without it, every row holds all of `x`, a pixel apart.
     """
 
     y: Floats
-    row: Ints
     x: Floats
-    columns: int = 0
+    row: Ints | None = None
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        return self.x.size if self.row is not None else self.x.size * self.y.size
+
+    def of_rows(self, values: Floats) -> Floats:
+        """What belongs to positions along the row, for each sample."""
+        return values if self.row is not None else np.tile(values, self.y.size)
+
+    def at(self, index: Ints) -> tuple[Floats, Floats]:
+        """x and y of some samples."""
+        if self.row is not None:
+            return self.x[index], self.y[self.row[index]]
+        row, column = np.divmod(index, self.x.size)
+        return self.x[column], self.y[row]
 
     def within(self, spans: Spans) -> tuple[Ints, Ints]:
         """First sample in each span, and the number of samples there."""
-        if self.columns:
+        if self.row is None:
+            columns = self.x.size
             start = np.ceil(spans.left - self.x[0]).astype(np.intp)
             stop = np.floor(spans.right - self.x[0]).astype(np.intp) + 1
-            np.clip(start, 0, self.columns, out=start)
-            np.clip(stop, 0, self.columns, out=stop)
-            base = spans.row * self.columns
-            return base + start, np.maximum(stop - start, 0)
+            np.clip(start, 0, columns, out=start)
+            np.clip(stop, 0, columns, out=stop)
+            return spans.row * columns + start, np.maximum(stop - start, 0)
         # Rows one after the other on one axis, wide enough apart never to meet.
         stride = 4 * (np.abs(self.x).max(initial=0) + 2)
         key = self.row * stride + self.x
@@ -67,10 +81,9 @@ class Samples(NamedTuple):
 
 def grid(top: int, bottom: int, left: int, right: int) -> Samples:
     """The centres of a rectangle of pixels."""
-    columns = right - left
     y = np.arange(top, bottom, dtype=np.float64) + 0.5
     x = np.arange(left, right, dtype=np.float64) + 0.5
-    return Samples(y, np.repeat(np.arange(y.size), columns), np.tile(x, y.size), columns)
+    return Samples(y, x)
 
 
 class View(NamedTuple):
@@ -184,9 +197,7 @@ def visible(view: View, samples: Samples, close: Bools | None = None, size: floa
     `close` (n,), if given, is set where a second surface lies so near behind
     the first that they may change places within `size` pixels.
     """
-    s = view.raster.across(samples.x[: samples.columns or None])
-    if samples.columns:
-        s = np.tile(s, samples.y.size)
+    s = samples.of_rows(view.raster.across(samples.x))
     groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         # Nothing can hide a lone object.
@@ -265,7 +276,7 @@ def _nearest(
 ) -> list[_Fragments]:
     """Of all fragments those that are seen; sets `close` as `visible` says."""
     # Larger than any distance, and less than the infinity of what misses.
-    nearest = np.full(samples.x.size, np.finfo(np.float64).max)
+    nearest = np.full(samples.size, np.finfo(np.float64).max)
     for i, group in enumerate(groups):
         if isinstance(group.owner, int):
             # No sample meets the same object twice.
@@ -323,6 +334,8 @@ def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, I
 
 def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, lines = view.raster, view.outlines
+    if not lines.radius.size:
+        return
     spans = lines.sphere_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
     for owner, span in _groups(spans, counts, len(lines.radius)):
@@ -343,6 +356,8 @@ def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Frag
 
 def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, surfaces = view.raster, view.surfaces
+    if not len(surfaces.min_pt):
+        return
     spans = view.outlines.box_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
     eye = raster.eye.tolist()
@@ -444,7 +459,9 @@ def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
     """Put the runs of all groups one after the other."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
-    piece = None if samples.columns else np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
+    piece = None
+    if samples.row is not None:
+        piece = np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
     for group in groups:
         run = np.flatnonzero(np.diff(group.first))
         first, owner = group.first[run], select(group.owner, run)
@@ -457,13 +474,13 @@ def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(owner, first.shape))
         begins.append(group.sample[first])
-    begin = np.concatenate(begins)
+    x, y = samples.at(np.concatenate(begins))
     return Hits(
         view.raster,
         p,
         groups,
         np.append(np.concatenate(firsts), p.shape[1]),
         np.concatenate(owners),
-        samples.y[samples.row[begin]].astype(np.intp),
-        samples.x[begin].astype(np.intp),
+        y.astype(np.intp),
+        x.astype(np.intp),
     )
