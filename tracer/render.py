@@ -33,7 +33,7 @@ _BAND_PIXELS = 1 << 16
 
 # What a picture takes is roughly in proportion to pixels, lights and (a few) objects: from so many
 # together on, a second processor pays.
-_WORTH_TWO, _FEW_OBJECTS = 3 << 20, 8
+_WORTH_TWO, _FEW_OBJECTS = 1 << 21, 8
 
 # Bands that a worker may have done before they are asked for.
 _AHEAD = 4

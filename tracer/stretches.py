@@ -22,7 +22,7 @@ from tracer.visibility import Hits
 __all__ = ["InStretches", "in_stretches"]
 
 # Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
-_LONG, _SHORT, _TILE = 32, 8, 32
+_LONG, _SHORT, _TILE = 24, 6, 24
 
 # Pairs of objects, and pairs of a stretch and an object, that are tried at a time.
 _OBJECTS, _BATCH = 1 << 17, 1 << 15
