@@ -59,9 +59,7 @@ def antialiased(
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / 2**depth
     seen = _look(view, lighting, samples, 1.0, tolerance)
-    curvature, rough = _curvature(
-        seen.radiance.reshape(3, height, width), seen.key.reshape(height, width)
-    )
+    curvature, rough = _curvature(seen.radiance, seen.key, width)
     row, column, owner = _met(view.outlines, top, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
@@ -69,13 +67,13 @@ def antialiased(
         tolerance,
         np.tile(samples.x, height),
         np.repeat(samples.y, width),
-        rough.ravel(),
+        rough,
         (row * width + column)[inner],
         owner[inner],
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    image = _refined(view, lighting, pixels, seen, curvature.reshape(3, -1), depth, inside.ravel())
+    image = _refined(view, lighting, pixels, seen, curvature, depth, inside.ravel())
     return np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
@@ -384,28 +382,39 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     yield pencil.take(at).boxes((planes[0], planes[1], planes[2] / raster.depth))
 
 
-def _curvature(radiance: Floats, key: Ints) -> tuple[Floats, Floats]:
-    """What to add to centres (3, height, width) for the mean: a 24th of the Laplacian.
+def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
+    """What to add to centres (3, height * width) for the mean: a 24th of the Laplacian.
 
     Where a neighbour sees something else, along that row or column it is nothing;
-    and how far that may be off.
+    and how far (height * width,) that may be off.  On the rim it says nothing.
     """
-    total, rough = np.zeros(radiance.shape), np.zeros(key.shape)
-    lone = np.ones(key.shape, dtype=np.bool_)
-    for axis in (0, 1):
-        k, off, alone = (np.moveaxis(m, axis, 0) for m in (key, rough, lone))
-        same = k[1:] == k[:-1]
-        both, either = same[1:] & same[:-1], same[1:] ^ same[:-1]
+    count = key.size
+    total, rough = np.zeros(radiance.shape), np.zeros(count)
+    lone = np.ones(count, dtype=np.bool_)
+    for stride in (1, width):
+        middle = slice(stride, count - stride)
+        same = key[stride:] == key[:-stride]
+        before, after = same[:-stride], same[stride:]
+        lone[middle] &= ~(before | after)
+        # There are few edges: what is wrong there is put right there.
+        other = np.flatnonzero(~same)
+        one, none = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
+        off = np.zeros(one.size)
         for channel, out in zip(radiance, total, strict=True):
-            step = np.diff(channel, axis=axis)
-            step = np.where(same, np.moveaxis(step, axis, 0), 0) / 24
-            bend = np.diff(step, axis=0)
-            np.moveaxis(out, axis, 0)[1:-1] += np.where(both, bend, 0)
-            np.maximum(off[1:-1], np.where(either, np.abs(bend), 0), out=off[1:-1])
-        alone[1:-1] &= ~(same[1:] | same[:-1])
+            step = channel[stride:] - channel[:-stride]
+            step[other] = 0
+            bend = step[stride:] - step[:-stride]
+            np.maximum(off, np.abs(bend[one]), out=off)
+            bend[none] = 0
+            out[middle] += bend
+        rough[one + stride] = np.maximum(rough[one + stride], off)
+    total /= 24
+    rough /= 24
+    for channel in total:
+        np.maximum(rough, np.abs(channel), out=rough)
     # Surfaces that coincide may change from one ray to the next.
     rough[lone] = np.inf
-    return total, np.maximum(np.abs(total).max(axis=0), rough)
+    return total, rough
 
 
 def _met(
