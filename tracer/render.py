@@ -29,10 +29,10 @@ T = TypeVar("T")
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-_BAND_PIXELS = 1 << 16
+_BAND_PIXELS, _LEAST_PIXELS = 1 << 16, 1 << 15
 
-# What a picture takes is roughly in proportion to pixels, lights and (a few) objects: from so many
-# together on, a second processor pays.
+# What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
+# pixels are split: from so much on, a second processor pays.
 _WORTH_TWO, _FEW_OBJECTS = 1 << 21, 8
 
 # Bands that a worker may have done before they are asked for.
@@ -173,13 +173,14 @@ class _Bands(NamedTuple):
         # The least power of four that is as many.
         depth = ((samples - 1).bit_length() + 1) // 2
         step = max(1, band_pixels // scene.width)
+        pixels = scene.width * scene.height
         if threads is None:
-            each = len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-            worth = scene.width * scene.height * each >= _WORTH_TWO
-            threads = 2 if worth and can_fork() else 1
+            each = len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS) * (1 + depth)
+            threads = 2 if pixels * each >= _WORTH_TWO and can_fork() else 1
         if threads > 1:
-            # Enough bands for all to end at much the same time.
-            step = min(step, max(1, scene.height // (4 * threads)))
+            # Enough bands for all to end at much the same time, unless that makes them small.
+            count = max(threads, min(4 * threads, pixels // _LEAST_PIXELS))
+            step = min(step, -(-scene.height // count))
         tops = range(0, scene.height, step)
         workers = min(threads, len(tops)) if hasattr(os, "fork") else 1
         return cls(scene, view, lighting, depth, band_pixels, step, tops, workers)
