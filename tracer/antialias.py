@@ -18,7 +18,7 @@ from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, scaled, select
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting, incoming, narrow, radiance_at, shade
-from tracer.pencil import Outlines, box_corners, silhouette_planes
+from tracer.pencil import Outlines, Spans, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, Samples, View, grid, visible
 
@@ -44,23 +44,40 @@ _ROWS = 32
 
 
 def antialiased(
-    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, depth: int
-) -> Floats:
-    """Radiance (bottom - top, right - left, 3), averaged over each pixel of a rectangle.
+    view: View,
+    lighting: Lighting,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+    depth: int,
+    out: Floats,
+) -> None:
+    """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
     At least as accurate as 2^depth x 2^depth samples in every pixel.
     """
     if depth == 1 and view.outlines.crossed() > _DENSE:
-        return _grid_everywhere(view, lighting, top, bottom, left, right)
+        out[:] = _grid_everywhere(view, lighting, top, bottom, left, right)
+        return
     # A pixel more on every side: the curvature is that between neighbours.
-    top, left = top - 1, left - 1
-    height, width = bottom + 1 - top, right + 1 - left
+    top, height = top - 1, bottom + 2 - top
+    spans = _spans(view.outlines, top, height, depth)
+    if not spans.owner.size:
+        return
+    # Nothing is seen to the left and to the right of all objects.
+    start = max(left, int(spans.left.min()) - 1)
+    right = min(right, int(spans.right.max()) + 2)
+    if start >= right:
+        return
+    out = out[:, start - left : right - left]
+    left, width = start - 1, right + 2 - start
     samples = grid(top, bottom + 1, left, right + 1)
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / 2**depth
     seen = _look(view, lighting, samples, 1.0, tolerance)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
-    row, column, owner = _met(view.outlines, top, left, height, width, depth)
+    row, column, owner = _met(spans, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
         1.0,
@@ -74,7 +91,7 @@ def antialiased(
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
     image = _refined(view, lighting, pixels, seen, curvature, depth, inside.ravel())
-    return np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
+    out[:] = np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
 def _grid_everywhere(
@@ -417,22 +434,24 @@ def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]
     return total, rough
 
 
-def _met(
-    lines: Outlines, top: int, left: int, height: int, width: int, depth: int
-) -> tuple[Ints, Ints, Ints]:
-    """Row, column and object: pixels that an outline may cross.
-
-    Seen in rows of samples, from one above the pixel to one below: between the
-    leftmost and the rightmost place at which an object begins (or ends) there
-    its outline crosses; one that misses some of them crosses wherever it is.
-    """
+def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:
+    """Spans of all objects, spheres first, in rows of samples from one above to one below."""
     per_side = 2**depth
     y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
     spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
-    owner = np.concatenate([spheres.owner, boxes.owner + len(lines.radius)])
-    line = np.concatenate([spheres.row, boxes.row]) - 1
-    begin = np.concatenate([spheres.left, boxes.left])
-    end = np.concatenate([spheres.right, boxes.right])
+    boxes = boxes._replace(owner=boxes.owner + len(lines.radius))
+    return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
+
+
+def _met(spans: Spans, left: int, height: int, width: int, depth: int) -> tuple[Ints, Ints, Ints]:
+    """Row, column and object: pixels that an outline may cross.
+
+    Seen in rows of samples: between the leftmost and the rightmost place at which
+    an object begins (or ends) in a pixel's rows and the next ones its outline
+    crosses; one that misses some of them crosses wherever it is.
+    """
+    per_side = 2**depth
+    owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
     # The first row of a pixel is that below the pixel above, too.
     above, below = (np.flatnonzero(line % per_side == k) for k in (0, per_side - 1))
     span = np.concatenate([np.arange(line.size), above, below])

@@ -205,7 +205,7 @@ class _Bands(NamedTuple):
     def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
         if self.depth:
-            out[:] = antialiased(view, lighting, top, bottom, left, right, self.depth)
+            antialiased(view, lighting, top, bottom, left, right, self.depth, out)
         else:
             radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
 
