@@ -13,10 +13,13 @@ import pickle
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from mmap import mmap
-from typing import Any, BinaryIO, NoReturn, TypeVar
+from select import select
+from struct import Struct
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -26,8 +29,11 @@ __all__ = ["can_fork", "forked", "shared"]
 
 T = TypeVar("T")
 
-# Calls that may be done or under way, for each worker, after the last whose result was yielded.
+# Calls that may be done or under way, for each process, after the last whose result was yielded.
 _AHEAD = 8
+
+# How long a message is, before it.
+_SIZE = Struct("=Q")
 
 
 def can_fork() -> bool:
@@ -60,6 +66,12 @@ def _live(
 ) -> NoReturn:
     """What a worker does, from its first breath to its last."""
     with os.fdopen(done, "wb") as results:
+
+        def send(well: bool, result: object) -> None:
+            data = pickle.dumps((well, result))
+            results.write(_SIZE.pack(len(data)) + data)
+            results.flush()
+
         try:
             # The parent decides what an interrupt means.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -71,11 +83,9 @@ def _live(
                 if slots is not None:
                     slots[turn % ahead, : len(result)] = result
                     result = len(result)
-                pickle.dump((True, result), results)
-                results.flush()
+                send(True, result)
         except BaseException as error:
-            pickle.dump((False, error), results)
-            results.flush()
+            send(False, error)
         finally:
             os._exit(0)
 
@@ -110,33 +120,39 @@ def forked(
     """
     ahead = _AHEAD if slots is None else slots.shape[1]
     pids: list[int] = []
-    done: list[BinaryIO] = []
+    done: list[int] = []
     free: list[int] = []
     try:
         for worker in range(1, workers):
             done_in, done_out = os.pipe()
             free_in, free_out = os.pipe()
-            done.append(os.fdopen(done_in, "rb"))
-            free.append(free_out)
             pid = os.fork()
             if not pid:
-                for end in free:
+                for end in (done_in, free_out, *done, *free):
                     os.close(end)
                 turns = range(worker, count, workers)
                 part = None if slots is None else slots[worker - 1]
                 _live(work, turns, ahead, free_in, done_out, part)
             pids.append(pid)
+            done.append(done_in)
+            free.append(free_out)
             os.close(done_out)
             os.close(free_in)
+        own = map(work, range(0, count, workers))
+        early: deque[T] = deque()
         for number in range(count):
             turn, worker = divmod(number, workers)
             if not worker:
-                yield work(number)
+                yield early.popleft() if early else next(own)
                 continue
-            try:
-                well, result = pickle.load(done[worker - 1])
-            except EOFError:
-                raise ChildProcessError("a worker was killed") from None
+            # Rather than wait for others, this one goes on with its own.
+            pipe = done[worker - 1]
+            while len(early) < ahead and not select([pipe], [], [], 0)[0]:
+                try:
+                    early.append(next(own))
+                except StopIteration:
+                    break
+            well, result = pickle.loads(_read(pipe, _SIZE.unpack(_read(pipe, _SIZE.size))[0]))
             if not well:
                 raise result
             if slots is not None:
@@ -148,7 +164,16 @@ def forked(
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-        for end in free:
+        for end in (*done, *free):
             os.close(end)
-        for pipe in done:
-            pipe.close()
+
+
+def _read(pipe: int, size: int) -> bytes:
+    """So many bytes."""
+    data = bytearray()
+    while len(data) < size:
+        more = os.read(pipe, size - len(data))
+        if not more:
+            raise ChildProcessError("a worker was killed")
+        data += more
+    return bytes(data)
