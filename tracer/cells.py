@@ -346,10 +346,11 @@ class InCells(NamedTuple):
         """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
         own = hits.own
         spheres = len(self.occluders.surfaces.radius)
+        points = hits.points(slice(None))
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number] & ~cells.safe[own])
             x, y, z = self.occluders.lights[:, number].tolist()
-            p = hits.points(asked)
+            p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
                 distance, cell = cells.locate(to_light)

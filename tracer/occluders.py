@@ -31,6 +31,8 @@ class Occluders(NamedTuple):
     side : (lights, n)
         Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to
         each box `INSIDE`, or else `ON`.
+    on_plane : (lights, n)
+        Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
         Which of them are seen from inside, and which may be seen at all.
     middle, radius : three (n,) and (n,)
@@ -45,6 +47,7 @@ class Occluders(NamedTuple):
     eye: Floats
     lights: Floats
     side: NDArray[np.int8]
+    on_plane: Bools
     eye_inside: Bools
     seen: Bools
     middle: Triple
@@ -142,15 +145,21 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         sphere_side(np.sqrt((away * away).sum(axis=2)), radius, SURFACE_TOLERANCE * around),
         np.where(strictly, INSIDE, ON).astype(np.int8),
     ]
+    slack = SLACK * (size + np.abs(eye).sum())
+    on_plane = np.zeros((len(lights), size.size), dtype=np.bool_)
+    reach = slack[radius.size :, None] + SLACK * np.abs(every)
+    for corners in (surfaces.min_pt, surfaces.max_pt):
+        on_plane[:, radius.size :] |= (np.abs(every - corners) <= reach).any(axis=2)
     return Occluders(
         surfaces,
         eye,
         lights.T,
         np.concatenate(side, axis=1),
+        on_plane,
         view.eye_inside,
         view.outlines.in_picture(),
         columns(middle, slice(None)),
         np.concatenate([radius, half]),
         size,
-        SLACK * (size + np.abs(eye).sum()),
+        slack,
     )

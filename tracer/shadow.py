@@ -103,19 +103,18 @@ class Shadows(NamedTuple):
         """
         occluders, surfaces = self.occluders, self.occluders.surfaces
         spheres = len(surfaces.radius)
-        p = hits.points(point)
+        # A ball around one point has it for its middle.
+        p = pairs.balls.middle if pairs.single else hits.points(point)
         end = each(pairs.spread, rows(occluders.lights, pairs.light))
         if pairs.other[0] >= spheres:
             box = pairs.other - spheres
-            low, high = (
-                each(pairs.spread, columns(corner, box))
-                for corner in (surfaces.min_pt, surfaces.max_pt)
-            )
+            corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
+            low, high = (each(pairs.spread, corner) for corner in corners)
             if larger is not None:
                 low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
             blocks = box_blocks(p, end, low, high)
             # Ends that may be on a face's plane are looked at more closely.
-            at = np.flatnonzero(pairs.spread(self._on_planes(pairs)))
+            at = np.flatnonzero(pairs.spread(self._on_planes(pairs, *corners)))
             if at.size:
                 blocks[at] = box_blocks(
                     pick(p, at),
@@ -157,18 +156,16 @@ class Shadows(NamedTuple):
             )
         return blocks
 
-    def _on_planes(self, pairs: Pairs) -> Bools:
+    def _on_planes(self, pairs: Pairs, low: Triple, high: Triple) -> Bools:
         """Whether balls, or their lights, touch the plane of a face of their boxes."""
-        occluders, surfaces = self.occluders, self.occluders.surfaces
-        box = pairs.other - len(surfaces.radius)
-        slack = occluders.slack[pairs.other]
-        result = np.zeros(box.size, dtype=np.bool_)
-        for k, (middle, light) in enumerate(zip(pairs.balls.middle, occluders.lights, strict=True)):
-            end = light[pairs.light]
-            for corner in (surfaces.min_pt, surfaces.max_pt):
-                plane = corner[box, k]
-                result |= np.abs(middle - plane) <= pairs.balls.radius + slack
-                result |= np.abs(end - plane) <= slack + SLACK * np.abs(end)
+        occluders, balls = self.occluders, pairs.balls
+        reach = balls.radius + occluders.slack[pairs.other]
+        result = occluders.on_plane[pairs.light, pairs.other]
+        for middle, a, b in zip(balls.middle, low, high, strict=True):
+            # From the nearer of two planes.
+            offset = np.abs(middle - 0.5 * (a + b))
+            offset -= 0.5 * (b - a)
+            result |= np.abs(offset, out=offset) <= reach
         return result
 
     def _tolerance(self, p: Triple, light: Ints, other: Ints) -> Floats:
