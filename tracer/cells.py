@@ -164,8 +164,11 @@ def _cells_around(
     hits = np.zeros((8, side * side), dtype=np.intp)
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
     cells, listed = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+    slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
+    below = extents.low - _SLACK * slack - light[:, None]
+    above = extents.high + _SLACK * slack - light[:, None]
     for number in range(8):
-        octant = _octant(number, light, extents)
+        octant = _octant(number, below, above)
         objects = octant.objects
         near[objects] = np.minimum(near[objects], octant.nearest)
         seen = np.flatnonzero(extents.seen[objects])
@@ -207,26 +210,26 @@ def _cells_around(
     first = np.zeros(8 * side * side + 1, dtype=np.intp)
     np.cumsum(hits, out=first[1:])
     ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells), kind="stable")]
-    single = np.diff(first) == 1
-    sole = np.where(np.diff(first) == 0, _NONE, _MANY)
+    count = hits.ravel()
+    single = np.flatnonzero(count == 1)
+    sole = np.where(count == 0, _NONE, _MANY)
     sole[single] = ordered[first[:-1][single]]
     return Cells(side, scale, shift, first, ordered, sole, near * (1 - _SLACK), safe)
 
 
-def _octant(number: int, light: Floats, extents: _Extents) -> _Octant:
-    """Bounds of all objects that reach into an octant.
+def _octant(number: int, below: Floats, above: Floats) -> _Octant:
+    """Bounds of all objects that reach into an octant, given those (3, n) seen from the light.
 
     Bit k of the octant's number is set where the way to the light is negative
     along axis k, that is, where points lie beyond it.
     """
-    low, high = np.empty(extents.low.shape), np.empty(extents.low.shape)
-    for k in range(3):
-        slack = _SLACK * (np.abs(extents.low[k]) + np.abs(extents.high[k]) + np.abs(light).sum())
-        below, above = extents.low[k] - slack - light[k], extents.high[k] + slack - light[k]
-        low[k], high[k] = (below, above) if number >> k & 1 else (-above, -below)
-    objects = np.flatnonzero((high >= 0).all(axis=0))
-    x0, y0, z0 = np.maximum(low[:, objects], 0)
-    x1, y1, z1 = high[:, objects]
+    beyond = [bool(number >> k & 1) for k in range(3)]
+    reaches = [above[k] >= 0 if beyond[k] else below[k] <= 0 for k in range(3)]
+    objects = np.flatnonzero(reaches[0] & reaches[1] & reaches[2])
+    low = (below[k, objects] if beyond[k] else -above[k, objects] for k in range(3))
+    high = (above[k, objects] if beyond[k] else -below[k, objects] for k in range(3))
+    x0, y0, z0 = (np.maximum(m, 0) for m in low)
+    x1, y1, z1 = high
     bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
     return _Octant(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
 
@@ -310,13 +313,20 @@ def _apart(
     apart[at] = beyond & (square > _LEAST_ANGLE**2)
 
     at = np.flatnonzero(owner >= spheres)
-    box, column, row = owner[at] - spheres, column[at], row[at]
-    size = sum(each(np.abs, silhouettes))
+    column, row = column[at], row[at]
+    boxes, box = _distinct(owner[at] - spheres, len(surfaces.min_pt))
     beyond = np.zeros(at.size, dtype=np.bool_)
-    for a, b, c in zip(*grid.planes(each(lambda n: n / size, silhouettes)), strict=True):
-        beyond |= _beyond((a[box], b[box], c[box]), column, row)
+    for plane in zip(*grid.planes(each(lambda n: n[:, boxes], silhouettes)), strict=True):
+        beyond |= _beyond(pick(plane, box), column, row)
     apart[at] = beyond
     return apart
+
+
+def _distinct(values: Ints, count: int) -> tuple[Ints, Ints]:
+    """The distinct ones of values below `count`, and the place of each value among them."""
+    there = np.zeros(count, dtype=np.bool_)
+    there[values] = True
+    return np.flatnonzero(there), (np.cumsum(there) - 1)[values]
 
 
 def _beyond(plane: Triple, column: Ints, row: Ints) -> Bools:
@@ -395,5 +405,7 @@ def in_cells(occluders: Occluders) -> InCells:
     for light in occluders.lights.T:
         x, y, z = np.moveaxis(corners - light, 2, 0)
         silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
+        size = sum(each(np.abs, silhouettes))
+        silhouettes = each(lambda n, size=size: n / size, silhouettes)
         cells.append(_cells_around(light, surfaces, extents, silhouettes))
     return InCells(occluders, tuple(cells))
