@@ -210,9 +210,8 @@ def _cells_around(
     first = np.zeros(8 * side * side + 1, dtype=np.intp)
     np.cumsum(hits, out=first[1:])
     ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells), kind="stable")]
-    count = hits.ravel()
-    single = np.flatnonzero(count == 1)
-    sole = np.where(count == 0, _NONE, _MANY)
+    single = np.flatnonzero(hits == 1)
+    sole = np.where(hits.ravel() == 0, _NONE, _MANY)
     sole[single] = ordered[first[:-1][single]]
     return Cells(side, scale, shift, first, ordered, sole, near * (1 - _SLACK), safe)
 

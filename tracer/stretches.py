@@ -161,7 +161,7 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
     spheres = len(occluders.surfaces.radius)
     if occluders.eye_inside[:spheres].any():
         # Seen from inside, an arc may be longer.
-        inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres))
+        inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres) & (count > 1))
         for m, c in zip(middle, occluders.middle, strict=True):
             m[inside] = c[owner[inside]]
         radius[inside] = occluders.radius[owner[inside]]
