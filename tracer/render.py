@@ -20,7 +20,7 @@ from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid
-from tracer.workers import can_fork, forked, shared
+from tracer.workers import can_fork, forked, resident, shared
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -32,8 +32,9 @@ _QUIET = np.errstate(all="ignore")
 _BAND_PIXELS, _LEAST_PIXELS = 1 << 16, 1 << 15
 
 # What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
-# pixels are split: from so much on, a second processor pays.
-_WORTH_TWO, _FEW_OBJECTS = 1 << 21, 8
+# pixels are split: from so much on, a second processor pays; later, where memory in use makes
+# forking slow.
+_WORTH_TWO, _PER_BYTE, _FEW_OBJECTS = 1 << 21, 1 / 160, 8
 
 # Bands that a worker may have done before they are asked for.
 _AHEAD = 4
@@ -175,8 +176,9 @@ class _Bands(NamedTuple):
         step = max(1, band_pixels // scene.width)
         pixels = scene.width * scene.height
         if threads is None:
-            each = len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS) * (1 + depth)
-            threads = 2 if pixels * each >= _WORTH_TWO and can_fork() else 1
+            work = pixels * len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS) * (1 + depth)
+            pays = can_fork() and work >= _WORTH_TWO + _PER_BYTE * resident()
+            threads = 2 if pays else 1
         if threads > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
             count = max(threads, min(4 * threads, pixels // _LEAST_PIXELS))

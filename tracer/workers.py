@@ -16,7 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from mmap import mmap
+from mmap import PAGESIZE, mmap
 from select import select
 from struct import Struct
 from typing import Any, NoReturn, TypeVar
@@ -25,7 +25,7 @@ import numpy as np
 
 from tracer.scene import Floats
 
-__all__ = ["can_fork", "forked", "shared"]
+__all__ = ["can_fork", "forked", "resident", "shared"]
 
 T = TypeVar("T")
 
@@ -39,6 +39,12 @@ _SIZE = Struct("=Q")
 def can_fork() -> bool:
     """Whether forking is safe here: where it is well tried, and without other threads."""
     return sys.platform == "linux" and threading.active_count() == 1
+
+
+def resident() -> int:
+    """Bytes of memory that this process has in use (on Linux): forking copies its tables."""
+    with open("/proc/self/statm", "rb") as file:
+        return int(file.read().split()[1]) * PAGESIZE
 
 
 def shared(shape: tuple[int, ...]) -> Floats:
