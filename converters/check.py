@@ -27,7 +27,7 @@ from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
 from tracer.reader import load_scene
-from tracer.render import render
+from tracer.rendering import render
 from tracer.scene import Floats, Scene
 
 __all__ = [

@@ -36,7 +36,7 @@ from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
 from tracer.image import quantise
-from tracer.render import render_bands
+from tracer.rendering import render_bands
 from tracer.scene import MAX_PIXELS, Floats
 
 __all__ = ["Point", "Truth", "main", "measure", "supersampled"]

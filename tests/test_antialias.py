@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, load_scene, render
-from tracer.render import render_bands
+from tracer.rendering import render_bands
 from tracer.scene import Floats
 
 SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))

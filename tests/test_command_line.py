@@ -202,7 +202,7 @@ def test_what_cannot_be_written(scene, output, reason):
 def test_too_little_memory(scene, tmp_path):
     scene.write_text(SCENE.format(2**28, 1))  # one row is one band
     limited = (
-        "import resource, sys, tracer.render\n"
+        "import resource, sys, tracer.rendering\n"
         "from tracer.__main__ import main\n"
         # The modules are loaded: from here on, 64 MB more than there is in use.
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
@@ -222,7 +222,7 @@ def test_too_little_memory(scene, tmp_path):
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
-        sys.modules["tracer.render"],
+        sys.modules["tracer.rendering"],
         "render_each",
         lambda _, work, *__, **___: iter([work(np.full((30, 40, 3), np.nan))]),
     )
@@ -412,5 +412,5 @@ def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, modul
         [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
     )
     loaded = done.stdout.split()
-    assert "tracer.render" in loaded
+    assert "tracer.rendering" in loaded
     assert module not in loaded

@@ -38,7 +38,7 @@ from reference.regenerate import (
     stored,
 )
 from tracer import Scene, load_scene
-from tracer.render import render
+from tracer.rendering import render
 
 pytestmark = pytest.mark.cross_validation
 

@@ -25,7 +25,7 @@ def assert_same(scene: Scene) -> None:
     expected = brute_force(scene)
     for samples_each, large in ((0.001, 100), (1e9, 1e9)):
         with (
-            patch("tracer.shadow._SAMPLES_EACH", samples_each),
+            patch("tracer.shadow._PIXELS_EACH", samples_each),
             patch("tracer.visibility._LARGE", large),
         ):
             image = render(scene)

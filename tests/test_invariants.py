@@ -11,7 +11,7 @@ from probe import EPS, moved
 from random_scenes import KINDS, random_scene
 
 from tracer import Box, Lambertian, PointLight, Scene, Sphere, Surfaces, render
-from tracer.render import render_bands
+from tracer.rendering import render_bands
 from tracer.scene import Floats
 
 

@@ -22,14 +22,6 @@ for name in tracer.__all__:
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
-@pytest.mark.parametrize(
-    "first", ["import tracer.render", "from tracer.render import render_bands"]
-)
-def test_render_is_the_function_and_not_the_module(first):
-    script = f"{first}\nimport tracer\nassert callable(tracer.render)"
-    subprocess.run([sys.executable, "-c", script], check=True)
-
-
 def test_what_is_not_there():
     with pytest.raises(AttributeError, match="module 'tracer' has no attribute 'ray'"):
         _ = tracer.ray

@@ -5,15 +5,13 @@
 >>> tracer.write_png("one-sphere.png", tracer.render(scene))
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from tracer.image import write_png
     from tracer.reader import SceneFileError, load_scene
-    from tracer.render import render
+    from tracer.rendering import render
     from tracer.scene import (
         Box,
         Camera,
@@ -51,7 +49,7 @@ if not TYPE_CHECKING:
     _MODULES = {
         "SceneFileError": "tracer.reader",
         "load_scene": "tracer.reader",
-        "render": "tracer.render",
+        "render": "tracer.rendering",
         "write_png": "tracer.image",
     }
 
@@ -64,11 +62,3 @@ if not TYPE_CHECKING:
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})
-
-    class _Package(ModuleType):
-        def __setattr__(self, name: str, value: object) -> None:
-            # Importing the module `tracer.render` would put it in the place of the function.
-            if name != "render" or not isinstance(value, ModuleType):
-                super().__setattr__(name, value)
-
-    sys.modules[__name__].__class__ = _Package

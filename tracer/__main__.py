@@ -159,7 +159,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     """Render one scene; return what went wrong, if anything did."""
     from tracer.image import packed, write_bands
     from tracer.reader import SceneFileError, load_scene, printable
-    from tracer.render import render_each
+    from tracer.rendering import render_each
 
     start = perf_counter()
     shown = printable(output)
@@ -242,7 +242,7 @@ def run() -> NoReturn:
 def _interrupted(_number: int, _frame: object) -> None:
     """Leave, with nothing half-written."""
     # NumPy, while it is imported, takes an exception for a fault of its own.
-    if "tracer.render" not in sys.modules:
+    if "tracer.rendering" not in sys.modules:
         os._exit(130)
     raise KeyboardInterrupt
 

@@ -102,7 +102,7 @@ def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
         intensities,
         Lanes.of(intensities),
         np.column_stack(view.raster.local(positions)),
-        shadows_of(occluders_of(view, positions), scene.width * scene.height * samples),
+        shadows_of(occluders_of(view, positions), scene.width * scene.height, samples > 1),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )

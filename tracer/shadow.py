@@ -30,8 +30,9 @@ from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
 
-# Stretches pay where each object has so many samples, and the objects are not too many.
-_SAMPLES_EACH, _MOST = 1000, 1024
+# Stretches pay where each object has so many pixels (not so many, if pixels are split), and the
+# objects are not too many.
+_PIXELS_EACH, _SPLIT_EACH, _MOST = 1000, 240, 1024
 
 
 class Shadows(NamedTuple):
@@ -180,7 +181,8 @@ class Shadows(NamedTuple):
         return SURFACE_TOLERANCE * (reach + occluders.size[other])
 
 
-def shadows_of(occluders: Occluders, samples: int) -> Shadows:
-    """Prepare for the shadows at so many samples."""
-    few = len(occluders.surfaces) <= min(samples / _SAMPLES_EACH, _MOST)
+def shadows_of(occluders: Occluders, pixels: int, split: bool) -> Shadows:
+    """Prepare for the shadows in so many pixels, which may be split."""
+    each = _SPLIT_EACH if split else _PIXELS_EACH
+    few = len(occluders.surfaces) <= min(pixels / each, _MOST)
     return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))
