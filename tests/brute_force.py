@@ -52,8 +52,8 @@ def brute_force(scene: Scene) -> Floats:
 
     at = np.flatnonzero(owner >= 0)
     own, face, t, s, g = owner[at], face[at], nearest[at], s[at], g[at]
-    length = np.sqrt(s * s + (g * g + raster.depth**2))
-    seen, distance = _triple([t * s, t * g, t * raster.depth]), t * length
+    seen = _triple([t * s, t * g, t * raster.depth])
+    distance = np.sqrt(dot(seen, seen))
     n, slope, sign, level = np.zeros((3, at.size)), *np.zeros((3, at.size))
     for i in np.unique(own).tolist():
         surface, mine = surfaces[i], np.flatnonzero(own == i)
@@ -62,7 +62,8 @@ def brute_force(scene: Scene) -> Floats:
             for k in range(3):
                 outward = (seen[k][mine] - center[k]) * inverse
                 n[k, mine] = -outward if inside[i] else outward
-            slope[mine] = rise[at[mine]] * inverse / length[mine]
+            lift = rise[at[mine]] * inverse
+            slope[mine] = lift * seen[2][mine] / (distance[mine] * raster.depth)
             continue
         for axis in range(3):
             on = np.flatnonzero((own == i) & (face == axis))

@@ -264,7 +264,8 @@ def _footprint(hits: Hits, group: Group) -> Floats:
     raster = hits.raster
     half = 0.5 * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
     # Nearly edge-on, outlines mark the pixel anyway.
-    return hits.p[2, group.part] * half / np.maximum(group.slope, 0.02)
+    _, slope = hits.sights(group)
+    return hits.p[2, group.part] * half / np.maximum(slope, 0.02)
 
 
 class _Surface(NamedTuple):
@@ -282,7 +283,9 @@ class _Surface(NamedTuple):
         """How some points move on their surface, across their cells and down."""
         raster, group = self.hits.raster, self.group
         p, n = rows(self.hits.p, self.group.part.start + at), pick(group.n, at)
-        height = group.slope[at] * group.distance[at]
+        height = select(group.lift, at)
+        if group.face == 3:
+            height = height * p[2] / raster.depth
         u = p[2] / raster.depth * (raster.step_u * self.size)
         v = p[2] / raster.depth * (raster.step_v * self.size)
         # Along the window, and then along the ray as far as the surface needs.

@@ -122,7 +122,7 @@ def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
     return t, rise
 
 
-def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.intp]]:
+def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.int8]]:
     """Distance at which rays meet boxes, or infinity, and the axis of the face.
 
     Slabs (Kay and Kajiya 1986); the face is that of the entry (of the exit,
@@ -140,10 +140,17 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
     t, axis
         In units of the direction's length; 0, 1 or 2.
     """
+    # Where all eyes are on one side of a slab, its nearer plane is that of the entry.
+    below = [bool(np.all(m > 0)) for m in low]
+    above = [bool(np.all(m < 0)) for m in high]
     near: list[Floats] = []
     far: list[Floats] = []
     for k in range(3):
         a, b = low[k] / d[k], high[k] / d[k]
+        if below[k] or above[k]:
+            near.append(a if below[k] else b)
+            far.append(b if below[k] else a)
+            continue
         entry, leave = np.minimum(a, b), np.maximum(a, b)
         if np.count_nonzero(d[k]) < d[k].size:
             parallel = d[k] == 0
@@ -152,15 +159,23 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
             leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
         near.append(entry)
         far.append(leave)
-    enter = np.maximum(np.maximum(near[0], near[1]), near[2])
+    outside = [k for k in range(3) if below[k] or above[k]]
+    # With a single box, the eye lies between the planes of all other slabs.
+    entries = outside if outside and not np.ndim(low[0]) else [0, 1, 2]
+    enter = near[entries[0]]
+    axis = np.full(enter.shape, entries[-1], dtype=np.int8)
+    for k in entries[1:]:
+        enter = np.maximum(enter, near[k])
+    for k in entries[-2::-1]:
+        axis[near[k] == enter] = k
     leave = np.minimum(np.minimum(far[0], far[1]), far[2])
-    axis = np.where(near[0] == enter, 0, np.where(near[1] == enter, 1, 2))
     t = np.where(enter <= leave, enter, np.inf)
-    inside = (enter <= 0) & (leave > 0)
-    if inside.any():
-        t = np.where(inside, leave, t)
-        last = np.where(far[0] == leave, 0, np.where(far[1] == leave, 1, 2))
-        axis = np.where(inside, last, axis)
+    if not outside:
+        inside = (enter <= 0) & (leave > 0)
+        if inside.any():
+            t = np.where(inside, leave, t)
+            last = np.where(far[0] == leave, 0, np.where(far[1] == leave, 1, 2)).astype(np.int8)
+            axis = np.where(inside, last, axis)
     t[~(t > 0)] = np.inf
     return t, axis
 

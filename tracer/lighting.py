@@ -138,7 +138,7 @@ def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bo
     `light`, `lit` (lights, n): what comes in there, and whether it reaches them.
     """
     # Light that falls on the points, and its highlights: what shaders make of it comes last.
-    count, lanes = group.distance.size, lighting.lanes
+    count, lanes = group.sample.size, lighting.lanes
     fallen, mirrored = _Sum(count, lanes), _Sum(count, lanes)
     gloss = _Gloss.of(lighting, hits, group)
     for number, reached in enumerate(lit):
@@ -173,11 +173,11 @@ def narrow(
     between normal and half vector, which bends with the surface and with the
     directions to light and eye.
     """
-    result = np.zeros(group.distance.size, dtype=np.bool_)
+    result = np.zeros(group.sample.size, dtype=np.bool_)
     gloss = _Gloss.of(lighting, hits, group)
     if not gloss.any:
         return result
-    bending = 1 / group.distance
+    bending = 1 / gloss.distance
     if group.face == 3:
         bending += 1 / group.of(lighting.shadows.occluders.radius)
     scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
@@ -204,6 +204,8 @@ class _Gloss(NamedTuple):
         Whether there are any.
     glossy, exponent
         Numbers, or (n,).
+    distance, slope : (n,)
+        See `Hits.sights`; nothing without highlights.
     """
 
     lighting: Lighting
@@ -212,26 +214,30 @@ class _Gloss(NamedTuple):
     any: bool
     glossy: Bools
     exponent: Floats
+    distance: Floats
+    slope: Floats
 
     @classmethod
     def of(cls, lighting: Lighting, hits: Hits, group: Group) -> _Gloss:
         """Gather what is needed."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
+        shines = bool(glossy.any())
         return cls(
             lighting,
             hits.p[:, group.part],
             group,
-            bool(glossy.any()),
+            shines,
             group.spread(glossy),
             group.spread(materials.exponent[shader]),
+            *(hits.sights(group) if shines else np.zeros((2, 0))),
         )
 
     def highlight(
         self, number: int, at: Ints | slice, cosine: Floats, length: Floats, along: Floats
     ) -> Floats:
         """(n.h)^p of a light at some of the points; what follows `at` is of these alone."""
-        group, distance = self.group, self.group.distance[at]
+        group, distance = self.group, self.distance[at]
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
             place = some if isinstance(at, slice) else at[some]
@@ -241,7 +247,7 @@ class _Gloss(NamedTuple):
             return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
 
         between = along / (-distance * length)
-        return highlight(cosine, group.slope[at], between, select(self.exponent, at), vectors)
+        return highlight(cosine, self.slope[at], between, select(self.exponent, at), vectors)
 
 
 def radiance_at(

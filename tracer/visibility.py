@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, rows, runs, select, spread
+from tracer.groups import Bools, Index, Triple, dot, rows, runs, select, spread
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints, Surfaces
@@ -128,10 +128,9 @@ class Group(NamedTuple):
         Of a face: whether it looks up (1) or down (-1) that axis, and its place there.
     n : three
         The unit normal towards the eye, in the camera's axes.
-    distance : (n,)
-        From the eye.
-    slope : (n,)
-        The cosine between the normal and the way to the eye.
+    lift
+        The cosine between the normal and the way to the eye times the length of that way;
+        of spheres, that of the ray's direction: a number, or (n,).
     """
 
     part: slice
@@ -142,8 +141,7 @@ class Group(NamedTuple):
     sign: float
     level: Floats
     n: Triple
-    distance: Floats
-    slope: Floats
+    lift: Floats
 
     def spread(self, values: Any) -> Any:
         """What belongs to the one object, or to runs, for each of the samples."""
@@ -183,6 +181,14 @@ class Hits(NamedTuple):
     def own(self) -> Ints:
         """The object (n,) that each point lies on."""
         return np.repeat(self.owner, np.diff(self.first))
+
+    def sights(self, group: Group) -> tuple[Floats, Floats]:
+        """Distance from the eye, and cosine between the normal and the way there, (n,)."""
+        x, y, z = self.p[:, group.part]
+        distance = np.sqrt(dot((x, y, z), (x, y, z)))
+        if group.face < 3:
+            return distance, group.lift / distance
+        return distance, group.lift * z / (distance * self.raster.depth)
 
     def points(self, index: Ints | slice) -> Triple:
         """Some of the points in the scene's axes."""
@@ -254,6 +260,10 @@ class _Fragments(NamedTuple):
             detail=self.detail[index],
         )
 
+    def spread(self, values: Any) -> Any:
+        """What belongs to the one object, or to spans, for each sample."""
+        return np.repeat(values, np.diff(self.first)) if np.ndim(values) else values
+
     def along(self, values: Floats) -> Floats:
         """What belongs to rows, for each sample."""
         return np.repeat(values[self.row], np.diff(self.first))
@@ -263,12 +273,6 @@ class _Fragments(NamedTuple):
         g = raster.down(samples.y)
         length: Floats = np.sqrt(self.s * self.s + self.along(g * g + raster.depth**2))
         return length
-
-
-def _of(values: NDArray[Any], owner: Index, first: Ints) -> Any:
-    """What belongs to owners, for each sample of their spans."""
-    of_owner = values[owner]
-    return of_owner if isinstance(owner, int) else np.repeat(of_owner, np.diff(first))
 
 
 def _nearest(
@@ -302,7 +306,7 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     spheres = len(view.surfaces.radius)
     sample = np.concatenate([group.sample for group in groups])
     of_kind = {True: view.order[:spheres], False: view.order[spheres:]}
-    orders = (_of(of_kind[group.sphere], group.owner, group.first) for group in groups)
+    orders = (group.spread(of_kind[group.sphere][group.owner]) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
@@ -398,21 +402,24 @@ def _faces(
     if group.sphere:
         yield group, 3, 1.0
         return
-    spheres, raster = len(view.surfaces.radius), view.raster
-    inside = view.eye_inside[spheres:]
+    raster, owner = view.raster, group.owner
+    inside = view.eye_inside[len(view.surfaces.radius) :][owner]
     for axis in range(3):
         # The face that looks towards the eye; seen from inside, ahead of the ray.
-        below = _of(raster.eye[axis] < view.surfaces.min_pt[:, axis], group.owner, group.first)
-        if inside[group.owner].any():
+        down = raster.eye[axis] < view.surfaces.min_pt[owner, axis]
+        if inside.any():
             g = raster.down(samples.y)
             u, v, w = raster.axes[:, axis].tolist()
             ahead = group.s * u + group.along(g * v + raster.depth * w) > 0
-            below = np.where(_of(inside, group.owner, group.first), ahead, below)
+            down = np.where(group.spread(inside), ahead, group.spread(down))
+        else:
+            down = group.spread(down)
         on_axis = group.detail == axis
-        for sign, mask in ((-1.0, on_axis & below), (1.0, on_axis & ~below)):
-            part = group.where(mask)
-            if part.t.size:
-                yield part, axis, sign
+        for sign, looks in ((-1.0, down), (1.0, ~down)):
+            if looks.any():
+                part = group.where(on_axis & looks)
+                if part.t.size:
+                    yield part, axis, sign
 
 
 def _hit(
@@ -429,30 +436,24 @@ def _hit(
     np.multiply(part.t, part.s, out=p[0])
     np.multiply(part.t, part.along(raster.down(samples.y)), out=p[1])
     np.multiply(part.t, raster.depth, out=p[2])
-    length = part.lengths(raster, samples)
-    distance = part.t * length
     owner, first = part.owner, part.first
     if part.sphere:
-        inverse = _of(1 / lines.radius, owner, first)
-        center = (_of(m, owner, first) for m in lines.center)
+        inverse = part.spread(1 / lines.radius[owner])
+        center = (part.spread(m[owner]) for m in lines.center)
         n = [(q - c) * inverse for q, c in zip(p, center, strict=True)]
         if view.eye_inside[owner].any():
-            flip = _of(np.where(view.eye_inside, -1.0, 1.0), owner, first)
+            flip = part.spread(np.where(view.eye_inside[owner], -1.0, 1.0))
             n = [flip * m for m in n]
-        slope = part.detail * inverse / length
-        level = np.zeros(())
+        level, lift = np.zeros(()), part.detail * inverse
     else:
-        low, high = surfaces.min_pt[:, face], surfaces.max_pt[:, face]
-        inside = view.eye_inside[len(lines.radius) :]
+        low, high = surfaces.min_pt[owner, face], surfaces.max_pt[owner, face]
+        inside = view.eye_inside[len(lines.radius) :][owner]
         level = np.where(inside == (sign > 0), low, high)
-        height = sign * (raster.eye[face] - level)
-        level, height = (_of(m, owner, first) for m in (level, height))
+        lift = part.spread(sign * (raster.eye[face] - level))
+        level = part.spread(level)
         n = [np.asarray(sign * m) for m in raster.axes[:, face]]
-        slope = height / distance
         owner = owner + len(lines.radius)
-    return Group(
-        place, part.sample, owner, first, face, sign, level, (n[0], n[1], n[2]), distance, slope
-    )
+    return Group(place, part.sample, owner, first, face, sign, level, (n[0], n[1], n[2]), lift)
 
 
 def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
