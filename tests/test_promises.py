@@ -78,19 +78,20 @@ def worst(scenes: Iterator[Scene]) -> float:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "promise"), [(1e2, 1e-12), (1e4, 1e-10), (1e6, 1e-9), (1e8, 2e-7)]
+    ("ratio", "promise"), [(1e2, 3e-13), (1e4, 3e-11), (1e6, 4e-9), (1e8, 2e-7)]
 )
 @pytest.mark.parametrize("radius", [1.0, 1e-3, 1e5])
 def test_distance_over_radius(ratio: float, promise: float, radius: float) -> None:
     rng = np.random.default_rng(int(ratio))
-    assert worst(balls(rng, ratio * radius, radius, 0.0, 8)) <= promise
+    assert worst(balls(rng, ratio * radius, radius, 0.0, 16)) <= promise
 
 
-@pytest.mark.parametrize(("ratio", "promise"), [(1e6, 1e-9), (1e8, 2e-7)])
+@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6, 1e8])
 @pytest.mark.parametrize("radius", [1.0, 1e-3, 1e5])
-def test_offset_over_radius(ratio: float, promise: float, radius: float) -> None:
+def test_offset_over_radius(ratio: float, radius: float) -> None:
+    # Offsets round the scene, not what is made of it.
     rng = np.random.default_rng(int(ratio) + 1)
-    assert worst(balls(rng, 6 * radius, radius, ratio * radius, 8)) <= promise
+    assert worst(balls(rng, 6 * radius, radius, ratio * radius, 16)) <= 3e-14
 
 
 @pytest.mark.parametrize(("ratio", "promise"), [(1e4, 3e-9), (1e6, 3e-9), (1e8, 3e-9)])
@@ -127,7 +128,7 @@ def test_whole_scene_scaled(scale: float) -> None:
     # Decimal scales round the scene; the oracle judges the rounded one.
     rng = np.random.default_rng(4)
     scenes = (moved(scene, scale) for scene in balls(rng, 6.0, 1.0, 0.0, 8))
-    assert worst(scenes) <= 7e-14
+    assert worst(scenes) <= 2e-14
 
 
 def assert_same_decisions(scenes: Iterator[Scene]) -> None:
