@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tracer.rendering
+from tracer import PointLight, Scene, Sphere, Surfaces
 from tracer.scene import Floats
-from tracer.workers import forked, shared
+from tracer.workers import forked, resident, shared
 
 COUNT = 11
+LIGHTS = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 1))]
 
 
 def patiently(number: int) -> int:
@@ -84,3 +87,20 @@ def test_nothing_is_left_when_no_more_is_asked_for() -> None:
     assert children() == 2
     numbers.close()
     assert children() == 0
+
+
+@pytest.mark.parametrize(("memory", "workers"), [(0, 2), (1 << 30, 2), (1 << 40, 1)])
+def test_memory_in_use_speaks_against_forking(
+    memory: int, workers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(width=4000, height=2000, surfaces=Surfaces.of([Sphere()]), lights=LIGHTS)
+    monkeypatch.setattr(tracer.rendering, "can_fork", lambda: True)
+    monkeypatch.setattr(tracer.rendering, "resident", lambda: memory)
+    bands = tracer.rendering._Bands.of(scene, 1, None, (0.0, 0.0), 1 << 16)
+    assert bands.workers == workers
+
+
+def test_memory_in_use() -> None:
+    before = resident()
+    more = np.ones(1 << 24)
+    assert resident() - before > 0.9 * more.nbytes

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import os
 import pickle
+import select
 import signal
 import sys
 import threading
@@ -17,7 +18,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from mmap import PAGESIZE, mmap
-from select import select
 from struct import Struct
 from typing import Any, NoReturn, TypeVar
 
@@ -153,7 +153,7 @@ def forked(
                 continue
             # Rather than wait for others, this one goes on with its own.
             pipe = done[worker - 1]
-            while len(early) < ahead and not select([pipe], [], [], 0)[0]:
+            while len(early) < ahead and not _ready(pipe):
                 try:
                     early.append(next(own))
                 except StopIteration:
@@ -172,6 +172,13 @@ def forked(
             os.waitpid(pid, 0)
         for end in (*done, *free):
             os.close(end)
+
+
+def _ready(pipe: int) -> bool:
+    """Whether there is something to read, be it the end."""
+    poll = select.poll()
+    poll.register(pipe, select.POLLIN)
+    return bool(poll.poll(0))
 
 
 def _read(pipe: int, size: int) -> bytes:
