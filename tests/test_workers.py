@@ -14,8 +14,9 @@ import pytest
 
 import tracer.rendering
 from tracer import PointLight, Scene, Sphere, Surfaces
+from tracer.memory import resident, shared
 from tracer.scene import Floats
-from tracer.workers import forked, resident, shared
+from tracer.workers import forked
 
 COUNT = 11
 LIGHTS = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 1))]

@@ -17,10 +17,11 @@ import numpy as np
 from tracer.antialias import antialiased
 from tracer.camera import raster_of
 from tracer.lighting import Lighting, lighting_of, radiance_at
+from tracer.memory import keep_heap, resident, shared
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid
-from tracer.workers import can_fork, forked, resident, shared
+from tracer.workers import can_fork, forked
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -169,7 +170,7 @@ class _Bands(NamedTuple):
         """Prepare a scene."""
         if samples < 1:
             raise ValueError(f"samples must be at least 1, is {samples}")
-        _keep_heap()
+        keep_heap()
         view, lighting = _prepare(scene, offset, samples)
         # The least power of four that is as many.
         depth = ((samples - 1).bit_length() + 1) // 2
@@ -210,16 +211,6 @@ class _Bands(NamedTuple):
             antialiased(view, lighting, top, bottom, left, right, self.depth, out)
         else:
             radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
-
-
-def _keep_heap() -> None:
-    """Let the C library keep freed memory for the next array.
-
-    Fresh pages cost more than the arithmetic on them.  Freeing one block of
-    nearly 32 MB moves glibc's thresholds (M_MMAP_THRESHOLD in mallopt(3)) so
-    that smaller ones are reused from then on; the block itself is never touched.
-    """
-    np.empty((1 << 25) - (1 << 16), dtype=np.uint8)
 
 
 @_QUIET

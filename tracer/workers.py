@@ -7,7 +7,6 @@ milliseconds and has all that was prepared; results come back in shared memory.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import pickle
 import select
@@ -17,15 +16,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from mmap import PAGESIZE, mmap
 from struct import Struct
 from typing import Any, NoReturn, TypeVar
 
-import numpy as np
-
+from tracer.memory import renew_heap
 from tracer.scene import Floats
 
-__all__ = ["can_fork", "forked", "resident", "shared"]
+__all__ = ["can_fork", "forked"]
 
 T = TypeVar("T")
 
@@ -39,27 +36,6 @@ _SIZE = Struct("=Q")
 def can_fork() -> bool:
     """Whether forking is safe here: where it is well tried, and without other threads."""
     return sys.platform == "linux" and threading.active_count() == 1
-
-
-def resident() -> int:
-    """Bytes of memory that this process has in use (on Linux): forking copies its tables."""
-    with open("/proc/self/statm", "rb") as file:
-        return int(file.read().split()[1]) * PAGESIZE
-
-
-def shared(shape: tuple[int, ...]) -> Floats:
-    """An array of zeros that workers forked later share with this process."""
-    count = int(np.prod(shape))
-    return np.frombuffer(mmap(-1, max(8 * count, 1)), np.float64, count).reshape(shape)
-
-
-def _forget() -> None:
-    """Give back memory that the parent had used and freed.
-
-    Pages of its own are made faster than copies of the parent's.
-    """
-    with suppress(AttributeError, OSError):  # glibc only
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _live(
@@ -81,7 +57,7 @@ def _live(
         try:
             # The parent decides what an interrupt means.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-            _forget()
+            renew_heap()
             for turn, number in enumerate(numbers):
                 if turn >= ahead and not os.read(free, 1):
                     break
