@@ -30,7 +30,7 @@ T = TypeVar("T")
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-_BAND_PIXELS, _LEAST_PIXELS = 1 << 16, 1 << 15
+_BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
 # What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
 # pixels are split: from so much on, a second processor pays; later, where memory in use makes
