@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.cells import InCells
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, scaled, select
 from tracer.intersection import OUTSIDE
@@ -36,7 +37,8 @@ _BEND = 0.2
 # The deepest splitting for which a sphere's limb may be one of two sides.
 _LIMB = 1
 
-# Where outlines cross a larger share of the pixels, four samples in all cost less than a look.
+# Where outlines cross a larger share of the pixels, four samples in all cost less than a look; so
+# do sixteen, where shadows are looked up in cells, which is quick.
 _DENSE = 0.12
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
@@ -57,8 +59,9 @@ def antialiased(
 
     At least as accurate as 2^depth x 2^depth samples in every pixel.
     """
-    if depth == 1 and view.outlines.crossed() > _DENSE:
-        out[:] = _grid_everywhere(view, lighting, top, bottom, left, right)
+    quick = isinstance(lighting.shadows.finder, InCells)
+    if depth <= 1 + quick and view.outlines.crossed() > _DENSE:
+        out[:] = _grid_everywhere(view, lighting, top, bottom, left, right, 2**depth)
         return
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = top - 1, bottom + 2 - top
@@ -95,15 +98,16 @@ def antialiased(
 
 
 def _grid_everywhere(
-    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int
+    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, per_side: int
 ) -> Floats:
-    """The same by 2 x 2 samples in all pixels."""
+    """The same by as many samples in all pixels."""
     samples = grid(top, bottom, left, right)
     total = np.zeros((3, samples.size))
-    for y in (-0.25, 0.25):
-        for x in (-0.25, 0.25):
+    shifts = ((np.arange(per_side) + 0.5) / per_side - 0.5).tolist()
+    for y in shifts:
+        for x in shifts:
             total += radiance_at(view, lighting, samples._replace(y=samples.y + y, x=samples.x + x))
-    return np.moveaxis(total.reshape(3, bottom - top, right - left) / 4, 0, 2)
+    return np.moveaxis(total.reshape(3, bottom - top, right - left) / per_side**2, 0, 2)
 
 
 class _Cells(NamedTuple):
