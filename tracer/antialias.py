@@ -258,8 +258,9 @@ def _look(
         if group.face < 3:
             seen.lines.extend(surface.ridges())
         else:
-            seen.several[cell] |= surface.kinks(here, tolerance)
-            seen.lines.extend(surface.terminators(here))
+            turning = surface.turning(here)
+            seen.several[cell] |= surface.kinks(turning, tolerance)
+            seen.lines.extend(surface.terminators(here, turning))
     return seen
 
 
@@ -335,25 +336,25 @@ class _Surface(NamedTuple):
         near: Bools = light.falls**2 < reach**2 * light.length2
         return near
 
-    def kinks(self, light: Incoming, tolerance: float) -> Bools:
-        """Where light begins so fast (n,) that one sample is off by more."""
+    def kinks(self, turning: Bools, tolerance: float) -> Bools:
+        """Where light begins so fast (n,), as it is `turning`, that one sample is off by more."""
         lighting, group = self.lighting, self.group
         # On either side of the middle by a quarter of the cell, half of the time.
         change = self.footprint / group.of(self.view.surfaces.radius) / 8
         diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
         change = change * group.of(diffuse)
         steep = change * lighting.intensities.max(axis=1)[:, None] > tolerance
-        result: Bools = (steep & self.turning(light)).any(axis=0)
+        result: Bools = (steep & turning).any(axis=0)
         return result
 
-    def terminators(self, light: Incoming) -> Iterator[Lines]:
-        """Where a highlight ends because the sphere turns away from its light."""
+    def terminators(self, light: Incoming, turning: Bools) -> Iterator[Lines]:
+        """Where a highlight ends because the sphere is `turning` away from its light."""
         lighting, group = self.lighting, self.group
         glossy = group.of(lighting.materials.glossy[lighting.shader])
         if not np.any(glossy):
             return
         radius = group.of(self.view.surfaces.radius)
-        for number, row in enumerate(self.turning(light) & glossy):
+        for number, row in enumerate(turning & glossy):
             near = np.flatnonzero(row)
             ray, r = self.from_light(number, near), -select(radius, near)
             across, down = self.steps(near)

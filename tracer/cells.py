@@ -373,8 +373,9 @@ class InCells(NamedTuple):
                 at = np.flatnonzero(of_kind)
                 if at.size:
                     light = np.full(at.size, number)
+                    which, p = point[at], pick(points, point[at])
                     yield pairs_of_points(
-                        self.occluders, hits, own, point[at], light, other[at], footprint
+                        self.occluders, own, p, which, light, other[at], footprint
                     )
 
 

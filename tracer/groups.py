@@ -54,7 +54,7 @@ def dot(a: Triple, b: Triple, out: Floats | None = None) -> Floats:
     return total
 
 
-def select(value: T, index: Ints | slice) -> T:
+def select(value: T, index: Index | slice) -> T:
     """The value of some samples of the group."""
     if np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
@@ -63,7 +63,7 @@ def select(value: T, index: Ints | slice) -> T:
     return value
 
 
-def pick(vector: Triple, index: Ints | slice) -> Triple:
+def pick(vector: Triple, index: Index | slice) -> Triple:
     """`select`, for each component."""
     return select(vector[0], index), select(vector[1], index), select(vector[2], index)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tracer.groups import Bools, Triple, columns, pick, runs
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Floats, Ints, Surfaces
-from tracer.visibility import Hits, View
+from tracer.visibility import View
 
 __all__ = ["SLACK", "Balls", "Occluders", "Pairs", "occluders_of", "pairs_of_points"]
 
@@ -113,19 +113,18 @@ class Pairs(NamedTuple):
 
 def pairs_of_points(
     occluders: Occluders,
-    hits: Hits,
     own: Ints,
+    p: Triple,
     point: Ints,
     light: Ints,
     other: Ints,
     footprint: Floats | None,
 ) -> Pairs:
-    """Stretches of one point; `own` are those of all hits."""
+    """Stretches of one point, each at `p`; `own` are those of all hits."""
     owner = own[point]
     radius = occluders.slack[owner]
     if footprint is not None:
         radius = radius + footprint[point]
-    p = hits.points(point)
     return Pairs(Balls(owner, point, np.ones_like(point), p, radius), light, other)
 
 

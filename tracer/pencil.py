@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Triple, dot, each, expand
+from tracer.groups import Triple, dot, each, expand, pick
+from tracer.intersection import disc_in_row
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = [
@@ -67,15 +68,15 @@ class Outlines(NamedTuple):
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
         owner, row = _meetings(self.sphere_rows, rows, pad)
-        g = self.raster.down(rows)[row]
-        depth = self.raster.depth
-        hypot = np.sqrt(g * g + depth * depth)
-        u, v, w = (m[owner] for m in self.center)
-        radius = self.radius[owner]
-        aside = (v * depth - w * g) / hypot
-        ahead = (v * g + w * depth) / hypot
-        chord2 = (radius - aside) * (radius + aside)
-        low, high = _tangents(u, ahead, chord2, self.power[owner])
+        disc = disc_in_row(
+            self.raster.down(rows)[row],
+            self.raster.depth,
+            pick(self.center, owner),
+            self.radius[owner],
+            self.power[owner],
+        )
+        low, high = _tangents(disc.along, disc.tilt, disc.chord2, disc.power)
+        hypot = np.sqrt(disc.hypot2)
         return self._clip(owner, row, low * hypot, high * hypot, pad)
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:

@@ -21,7 +21,7 @@ from tracer.memory import keep_heap, resident, shared
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid
-from tracer.workers import can_fork, forked
+from tracer.workers import AHEAD, can_fork, forked
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -30,15 +30,13 @@ T = TypeVar("T")
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
+# How large bands are, and how small it pays to make them.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
 # What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
 # pixels are split: from so much on, a second processor pays; later, where memory in use makes
 # forking slow.
 _WORTH_TWO, _PER_BYTE, _FEW_OBJECTS = 1 << 21, 1 / 160, 8
-
-# Bands that a worker may have done before they are asked for.
-_AHEAD = 4
 
 
 def render(
@@ -76,7 +74,7 @@ def render(
     # Where nothing is seen, its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
     for number, band in enumerate(_rendered(bands, image)):
-        if not np.may_share_memory(band, image):
+        if number % bands.workers:
             image[bands.rows(number)] = band
     return image
 
@@ -126,7 +124,7 @@ def _rendered(bands: _Bands, image: Floats | None = None) -> Iterator[Floats]:
             return bands.render(number)
         return bands.render(number, image[bands.rows(number)])
 
-    slots = shared((bands.workers - 1, _AHEAD, bands.step, bands.scene.width, 3))
+    slots = shared((bands.workers - 1, AHEAD, bands.step, bands.scene.width, 3))
     yield from forked(work, len(bands.tops), bands.workers, slots)
 
 

@@ -20,7 +20,7 @@ __all__ = ["Materials", "highlight"]
 # Half the squared length of the sum of two unit vectors that is too small for its rounding.
 _CANCELLED = 1e-3
 
-# The same of two that cancel up to rounding.
+# The squared length of two that cancel up to rounding.
 _OPPOSITE = 1e-24
 
 # How often the rounding of n.h may show in a highlight.

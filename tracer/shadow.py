@@ -78,7 +78,8 @@ class Shadows(NamedTuple):
             point, light, other = point[may], light[may], other[may]
             if not may.size:
                 continue
-            pairs = pairs_of_points(self.occluders, hits, own, point, light, other, footprint)
+            p = hits.points(point)
+            pairs = pairs_of_points(self.occluders, own, p, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
             must = self._blocks(hits, pairs, point, light, other, -footprint[point])
             blocked[light[does], point[does]] = True

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, dot, rows, runs, select, spread
+from tracer.groups import Bools, Index, Triple, dot, pick, rows, runs, select, spread
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints, Surfaces
@@ -120,8 +120,8 @@ class Group(NamedTuple):
         Which sample.
     owner : int, or (runs,)
         Which object they see (spheres first): one, or one for each run.
-    first : (runs + 1,)
-        Where each run begins: neighbouring samples of one row that see one object.
+    counts : (runs,)
+        Samples in each run: neighbours in one row that see one object.
     face : int
         Of a box, the axis of the face; 3 for spheres.
     sign, level
@@ -136,7 +136,7 @@ class Group(NamedTuple):
     part: slice
     sample: Ints
     owner: Index
-    first: Ints
+    counts: Ints
     face: int
     sign: float
     level: Floats
@@ -145,7 +145,7 @@ class Group(NamedTuple):
 
     def spread(self, values: Any) -> Any:
         """What belongs to the one object, or to runs, for each of the samples."""
-        return np.repeat(values, np.diff(self.first)) if np.ndim(values) else values
+        return spread(values, self.counts)
 
     def of(self, values: NDArray[Any]) -> Any:
         """What belongs to objects, spheres first, for each of the samples."""
@@ -228,9 +228,8 @@ class _Fragments(NamedTuple):
     sphere : bool
     owner : int, or (spans,)
         A sphere or a box.
-    row : (spans,)
-    first : (spans + 1,)
-        Where each span begins.
+    row, counts : (spans,)
+        Each span's row, and how many samples there are.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
         units of the direction's length.
@@ -241,7 +240,7 @@ class _Fragments(NamedTuple):
     sphere: bool
     owner: Index
     row: Ints
-    first: Ints
+    counts: Ints
     sample: Ints
     s: Floats
     t: Floats
@@ -253,7 +252,7 @@ class _Fragments(NamedTuple):
         if index.size == mask.size:
             return self
         return self._replace(
-            first=np.searchsorted(index, self.first),
+            counts=np.diff(np.searchsorted(index, np.cumsum(self.counts)), prepend=0),
             sample=self.sample[index],
             s=self.s[index],
             t=self.t[index],
@@ -262,11 +261,11 @@ class _Fragments(NamedTuple):
 
     def spread(self, values: Any) -> Any:
         """What belongs to the one object, or to spans, for each sample."""
-        return np.repeat(values, np.diff(self.first)) if np.ndim(values) else values
+        return spread(values, self.counts)
 
     def along(self, values: Floats) -> Floats:
         """What belongs to rows, for each sample."""
-        return np.repeat(values[self.row], np.diff(self.first))
+        return np.repeat(values[self.row], self.counts)
 
     def lengths(self, raster: Raster, samples: Samples) -> Floats:
         """Of the directions."""
@@ -348,14 +347,14 @@ def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Frag
         disc = disc_in_row(
             raster.down(samples.y[row]),
             raster.depth,
-            (lines.center[0][owner], lines.center[1][owner], lines.center[2][owner]),
+            pick(lines.center, owner),
             lines.radius[owner],
             lines.power[owner],
         )
         sample = runs(start[span], many)
         across = s[sample]
         t, rise = sphere_hit(across, Disc(*(spread(m, many) for m in disc)))
-        yield _Fragments(True, owner, row, _first(many), sample, across, t, rise)
+        yield _Fragments(True, owner, row, many, sample, across, t, rise)
 
 
 def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
@@ -374,18 +373,13 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
             _seen_from(eye, surfaces.min_pt[owner], many),
             _seen_from(eye, surfaces.max_pt[owner], many),
         )
-        yield _Fragments(False, owner, row, _first(many), sample, across, t, axis)
+        yield _Fragments(False, owner, row, many, sample, across, t, axis)
 
 
 def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
     """One point (3,), or points (spans, 3) each so many times, seen from the eye."""
     x, y, z = (spread(points[..., k] - eye[k], counts) for k in range(3))
     return x, y, z
-
-
-def _first(counts: Ints) -> Ints:
-    """Where each of some runs begins, and where the last ends."""
-    return np.concatenate([[0], np.cumsum(counts)])
 
 
 def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
@@ -436,7 +430,7 @@ def _hit(
     np.multiply(part.t, part.s, out=p[0])
     np.multiply(part.t, part.along(raster.down(samples.y)), out=p[1])
     np.multiply(part.t, raster.depth, out=p[2])
-    owner, first = part.owner, part.first
+    owner = part.owner
     if part.sphere:
         inverse = part.spread(1 / lines.radius[owner])
         center = (part.spread(m[owner]) for m in lines.center)
@@ -453,7 +447,9 @@ def _hit(
         level = part.spread(level)
         n = [np.asarray(sign * m) for m in raster.axes[:, face]]
         owner = owner + len(lines.radius)
-    return Group(place, part.sample, owner, first, face, sign, level, (n[0], n[1], n[2]), lift)
+    return Group(
+        place, part.sample, owner, part.counts, face, sign, level, (n[0], n[1], n[2]), lift
+    )
 
 
 def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
@@ -464,8 +460,8 @@ def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
     if samples.row is not None:
         piece = np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
     for group in groups:
-        run = np.flatnonzero(np.diff(group.first))
-        first, owner = group.first[run], select(group.owner, run)
+        run = np.flatnonzero(group.counts)
+        first, owner = (np.cumsum(group.counts) - group.counts)[run], select(group.owner, run)
         if piece is not None:
             # Samples in a row may be far apart.
             gaps = np.flatnonzero(np.diff(piece[group.sample])) + 1

@@ -22,12 +22,12 @@ from typing import Any, NoReturn, TypeVar
 from tracer.memory import renew_heap
 from tracer.scene import Floats
 
-__all__ = ["can_fork", "forked"]
+__all__ = ["AHEAD", "can_fork", "forked"]
 
 T = TypeVar("T")
 
-# Calls that may be done or under way, for each process, after the last whose result was yielded.
-_AHEAD = 8
+AHEAD = 4
+"""How many calls each process may be beyond the last whose result was yielded."""
 
 # How long a message is, before it.
 _SIZE = Struct("=Q")
@@ -100,7 +100,7 @@ def forked(
     ChildProcessError
         If a worker was killed.
     """
-    ahead = _AHEAD if slots is None else slots.shape[1]
+    ahead = AHEAD if slots is None else slots.shape[1]
     pids: list[int] = []
     done: list[int] = []
     free: list[int] = []
