@@ -1,4 +1,4 @@
-"""Forked workers: order, errors, and what is left when the reader stops early."""
+"""Processes that take part: order, errors, and what is left of them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tracer.rendering
-from tracer import PointLight, Scene, Sphere, Surfaces
-from tracer.memory import resident, shared
 from tracer.scene import Floats
-from tracer.workers import forked
+from tracer.workers import Numbers, forked
 
 COUNT = 11
-LIGHTS = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 1))]
 
 
-def patiently(number: int) -> int:
+def patiently(number: int, _: object = None) -> int:
     """Take longer for some, so that workers get out of step."""
     time.sleep(0.01 * (number % 3))
     return number
@@ -37,71 +33,74 @@ def children() -> int:
     return count
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3, 20])
-@pytest.mark.parametrize("ahead", [1, 2, COUNT])
-def test_results_in_order(workers: int, ahead: int) -> None:
-    def work(number: int) -> Floats:
-        return np.full((1 + patiently(number) % 4, 3), float(number))
+@pytest.mark.parametrize("others", [0, 1, 2, 20])
+def test_results_in_order(others: int) -> None:
+    with forked(patiently, COUNT, others) as team:
+        assert list(team.results(patiently)) == list(range(COUNT))
 
-    slots = shared((workers - 1, ahead, 4, 3))
-    count = 0
-    for number, result in enumerate(forked(work, COUNT, workers, slots)):
-        # Not yet overwritten by one that comes later.
-        assert np.array_equal(result, work(number))
-        count += 1
-    assert count == COUNT
+
+def test_each_number_is_worked_on_once(tmp_path: Path) -> None:
+    def work(number: int, _: Floats | None) -> int:
+        (tmp_path / f"{number} {os.getpid()}").touch()
+        return patiently(number)
+
+    with forked(work, 30, 2) as team:
+        assert sum(team.results(work)) == sum(range(30))
+    done = [path.name.split() for path in tmp_path.iterdir()]
+    assert sorted(int(number) for number, _ in done) == list(range(30))
+    assert len({pid for _, pid in done}) == 3
+
+
+def test_numbers_of_a_round_that_is_over() -> None:
+    ours = Numbers()
+    theirs = Numbers(ours.file)
+    ours.begin(3)
+    assert theirs.take() is None
+    theirs.round = ours.round
+    assert [ours.take(), theirs.take(), ours.take(), theirs.take()] == [0, 1, 2, None]
+    ours.begin(1)
+    assert [theirs.take(), ours.take(), ours.take()] == [None, 0, None]
+    os.close(ours.file)
 
 
 def test_results_larger_than_a_pipe_holds() -> None:
-    def work(number: int) -> bytes:
+    def work(number: int, _: Floats | None) -> bytes:
         return bytes([number]) * 300_000
 
-    assert list(forked(work, COUNT, 3)) == [work(number) for number in range(COUNT)]
+    with forked(work, COUNT, 2) as team:
+        assert list(team.results(work)) == [work(number, None) for number in range(COUNT)]
 
 
-@pytest.mark.parametrize("failing", [4, 5])
-def test_an_error_is_raised_here(failing: int) -> None:
-    def fails(number: int) -> int:
-        if number == failing:
+@pytest.mark.parametrize("here", [True, False])
+def test_an_error_is_raised_here(here: bool) -> None:
+    process = os.getpid()
+
+    def fails(number: int, _: Floats | None) -> int:
+        if number > 3 and here == (os.getpid() == process):
             raise MemoryError("too little")
         return patiently(number)
 
-    with pytest.raises(MemoryError, match="too little"):
-        list(forked(fails, COUNT, 2))
+    with pytest.raises(MemoryError, match="too little"), forked(fails, COUNT, 1) as team:
+        list(team.results(fails))
     assert children() == 0
 
 
 def test_a_killed_worker_is_reported() -> None:
-    def dies(number: int) -> int:
-        if number == 3:
+    process = os.getpid()
+
+    def dies(number: int, _: Floats | None) -> int:
+        if os.getpid() != process:
             os.kill(os.getpid(), signal.SIGKILL)
         return patiently(number)
 
-    with pytest.raises(ChildProcessError, match="a worker was killed"):
-        list(forked(dies, COUNT, 2))
+    with pytest.raises(ChildProcessError, match="was killed"), forked(dies, COUNT, 1) as team:
+        list(team.results(dies))
     assert children() == 0
 
 
 def test_nothing_is_left_when_no_more_is_asked_for() -> None:
-    numbers = forked(patiently, COUNT, 3)
-    assert list(islice(numbers, 2)) == [0, 1]
-    assert children() == 2
-    numbers.close()
+    with forked(patiently, COUNT, 2) as team:
+        assert list(islice(team.results(patiently), 2)) == [0, 1]
+        assert children() == 2
     assert children() == 0
-
-
-@pytest.mark.parametrize(("memory", "workers"), [(0, 2), (1 << 30, 2), (1 << 40, 1)])
-def test_memory_in_use_speaks_against_forking(
-    memory: int, workers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = Scene(width=4000, height=2000, surfaces=Surfaces.of([Sphere()]), lights=LIGHTS)
-    monkeypatch.setattr(tracer.rendering, "can_fork", lambda: True)
-    monkeypatch.setattr(tracer.rendering, "resident", lambda: memory)
-    bands = tracer.rendering._Bands.of(scene, 1, None, (0.0, 0.0), 1 << 16)
-    assert bands.workers == workers
-
-
-def test_memory_in_use() -> None:
-    before = resident()
-    more = np.ones(1 << 24)
-    assert resident() - before > 0.9 * more.nbytes
+    assert not np.any([Path(f"/proc/self/fd/{w.results}").exists() for w in team.workers])

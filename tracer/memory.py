@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import ctypes
 from contextlib import suppress
-from mmap import PAGESIZE, mmap
 
 import numpy as np
 
-from tracer.scene import Floats
-
-__all__ = ["keep_heap", "renew_heap", "resident", "shared"]
+__all__ = ["keep_heap", "renew_heap"]
 
 # The largest block that glibc ever takes from the heap is 32 MB.
 _MOST = (1 << 25) - (1 << 16)
@@ -36,15 +33,3 @@ def renew_heap() -> None:
     with suppress(AttributeError, OSError):  # glibc only
         ctypes.CDLL(None).malloc_trim(0)
     keep_heap()
-
-
-def resident() -> int:
-    """Bytes of memory that this process has in use (on Linux): forking copies its tables."""
-    with open("/proc/self/statm", "rb") as file:
-        return int(file.read().split()[1]) * PAGESIZE
-
-
-def shared(shape: tuple[int, ...]) -> Floats:
-    """An array of zeros that processes forked later share with this one."""
-    count = int(np.prod(shape))
-    return np.frombuffer(mmap(-1, max(8 * count, 1)), np.float64, count).reshape(shape)

@@ -8,20 +8,21 @@ in any order, side by side, and written out as they come.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
+from math import inf
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from tracer.antialias import antialiased
 from tracer.camera import raster_of
+from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
-from tracer.memory import keep_heap, resident, shared
+from tracer.memory import keep_heap
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid
-from tracer.workers import AHEAD, can_fork, forked
+from tracer.workers import AHEAD, Job, Work, can_fork, forked
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -34,9 +35,9 @@ _QUIET = np.errstate(all="ignore")
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
 # What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
-# pixels are split: from so much on, a second processor pays; later, where memory in use makes
-# forking slow.
-_WORTH_TWO, _PER_BYTE, _FEW_OBJECTS = 1 << 21, 1 / 160, 8
+# pixels are split.  From so much on it pays to fork, and to ask a helper.
+_FEW_OBJECTS = 8
+_WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 18
 
 
 def render(
@@ -55,8 +56,8 @@ def render(
         The picture is at least as accurate as with so many samples spread
         evenly over every pixel; 1 samples the pixels' centres.
     threads : int, optional
-        How many processors to use, with a process on each; chosen by the size of
-        the picture if absent.
+        How many processors to use, with a process on each; one or two, whatever pays, if
+        absent.  Processes that help start in the background, and stay for the next picture.
     offset : (float, float)
         Moves every sample by so many pixels to the right and down.
 
@@ -70,12 +71,11 @@ def render(
     image : (height, width, 3) float64
         Linear RGB radiance; row 0 is the top.
     """
-    bands = _Bands.of(scene, samples, threads, offset, _BAND_PIXELS)
     # Where nothing is seen, its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
-    for number, band in enumerate(_rendered(bands, image)):
-        if number % bands.workers:
-            image[bands.rows(number)] = band
+    for rows, band in _rendered(scene, samples, threads, offset, _BAND_PIXELS, image):
+        if not np.may_share_memory(band, image):
+            image[rows] = band
     return image
 
 
@@ -97,7 +97,8 @@ def render_bands(
     band : (rows, width, 3) float64
         The next rows of the picture, there until more are asked for.
     """
-    yield from _rendered(_Bands.of(scene, samples, threads, offset, band_pixels))
+    for _, band in _rendered(scene, samples, threads, offset, band_pixels):
+        yield band
 
 
 def render_each(
@@ -105,110 +106,153 @@ def render_each(
 ) -> Iterator[T]:
     """Render a scene from the top, band by band, and yield what becomes of each.
 
-    Parameters are those of `render`; `work` is called with each band (rows,
-    width, 3) on the processor that renders it, and returns something small.
+    Parameters are those of `render`, but other processes are forks, and end with the picture:
+    this is for a program that does nothing else.  `work` is called with each band (rows, width,
+    3) on the processor that renders it, and returns something small.
     """
-    bands = _Bands.of(scene, samples, threads, (0.0, 0.0), _BAND_PIXELS)
+    processes = threads or (2 if can_fork() and _load(scene, samples) >= _WORTH_FORKING else 1)
+    bands = _Bands.of(scene, samples, (0.0, 0.0), _BAND_PIXELS, processes)
+    render = _Renderer.of(bands)
 
-    def result(number: int) -> T:
-        return work(bands.render(number))
+    def result(number: int, _: Floats | None) -> T:
+        return work(render(number))
 
-    yield from forked(result, len(bands.tops), bands.workers)
+    with forked(result, len(bands.tops), processes - 1) as team:
+        yield from team.results(result)
 
 
-def _rendered(bands: _Bands, image: Floats | None = None) -> Iterator[Floats]:
-    """All bands; those that this process renders itself in their places in the image."""
+def _rendered(
+    scene: Scene,
+    samples: int,
+    threads: int | None,
+    offset: tuple[float, float],
+    band_pixels: int,
+    image: Floats | None = None,
+) -> Iterator[tuple[slice, Floats]]:
+    """All bands and their rows; those that are rendered here, in their places in the image."""
+    load = _load(scene, samples)
+    processes = threads or (2 if load >= _WORTH_HELP else 1)
+    bands = _Bands.of(scene, samples, offset, band_pixels, processes)
+    job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
+    # Who asks for more processors gets them at once.
+    load = inf if threads else load
+    with helped(len(bands.tops), processes - 1, job, load) as team:
+        render = _Renderer.of(bands)
 
-    def work(number: int) -> Floats:
-        if image is None or number % bands.workers:
-            return bands.render(number)
-        return bands.render(number, image[bands.rows(number)])
+        def work(number: int, _: Floats | None) -> Floats:
+            return render(number, None if image is None else image[bands.rows(number)])
 
-    slots = shared((bands.workers - 1, AHEAD, bands.step, bands.scene.width, 3))
-    yield from forked(work, len(bands.tops), bands.workers, slots)
+        for number, band in enumerate(team.results(work)):
+            yield bands.rows(number), band
+
+
+def _depth(samples: int) -> int:
+    """How often pixels are split: to the least power of four that is as many samples."""
+    return ((samples - 1).bit_length() + 1) // 2
+
+
+def _load(scene: Scene, samples: int) -> float:
+    """Roughly what a picture takes: some 10 ns for each of these."""
+    objects = min(len(scene.surfaces), _FEW_OBJECTS)
+    return scene.width * scene.height * len(scene.lights) * objects * (1 + _depth(samples))
 
 
 class _Bands(NamedTuple):
-    """A picture's bands, and all that they share.
+    """A picture in parts.
 
     Attributes
     ----------
     scene : Scene
-    view : View
-    lighting : Lighting
-    depth : int
-        How often pixels are split at most.
+    samples : int
+    offset : (float, float)
     band_pixels : int
+        In a band, at most.
     step : int
         Rows in a band.
-    tops : range
-        The first row of each.
-    workers : int
-        Processes that are to render them.
     """
 
     scene: Scene
-    view: View
-    lighting: Lighting
-    depth: int
+    samples: int
+    offset: tuple[float, float]
     band_pixels: int
     step: int
-    tops: range
-    workers: int
 
     @classmethod
     def of(
         cls,
         scene: Scene,
         samples: int,
-        threads: int | None,
         offset: tuple[float, float],
         band_pixels: int,
+        processes: int,
     ) -> _Bands:
-        """Prepare a scene."""
+        """Bands for so many processes."""
         if samples < 1:
             raise ValueError(f"samples must be at least 1, is {samples}")
-        keep_heap()
-        view, lighting = _prepare(scene, offset, samples)
-        # The least power of four that is as many.
-        depth = ((samples - 1).bit_length() + 1) // 2
         step = max(1, band_pixels // scene.width)
-        pixels = scene.width * scene.height
-        if threads is None:
-            work = pixels * len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS) * (1 + depth)
-            pays = can_fork() and work >= _WORTH_TWO + _PER_BYTE * resident()
-            threads = 2 if pays else 1
-        if threads > 1:
+        if processes > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
-            count = max(threads, min(4 * threads, pixels // _LEAST_PIXELS))
+            pixels = scene.width * scene.height
+            count = max(processes, min(4 * processes, pixels // _LEAST_PIXELS))
             step = min(step, -(-scene.height // count))
-        tops = range(0, scene.height, step)
-        workers = min(threads, len(tops)) if hasattr(os, "fork") else 1
-        return cls(scene, view, lighting, depth, band_pixels, step, tops, workers)
+        return cls(scene, samples, offset, band_pixels, step)
+
+    @property
+    def tops(self) -> range:
+        """The first row of each."""
+        return range(0, self.scene.height, self.step)
 
     def rows(self, number: int) -> slice:
         """The rows of a band."""
         top = self.tops[number]
         return slice(top, min(top + self.step, self.scene.height))
 
-    def render(self, number: int, out: Floats | None = None) -> Floats:
-        """Radiance (rows, width, 3) of a band; into zeros, if they are given."""
-        width, rows = self.scene.width, self.rows(number)
+
+class _Renderer(NamedTuple):
+    """Bands, and all that they share."""
+
+    bands: _Bands
+    view: View
+    lighting: Lighting
+
+    @classmethod
+    def of(cls, bands: _Bands) -> _Renderer:
+        """Prepare a scene."""
+        keep_heap()
+        return cls(bands, *_prepare(bands.scene, bands.offset, bands.samples))
+
+    def __call__(self, number: int, out: Floats | None = None) -> Floats:
+        """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
+        width, rows = self.bands.scene.width, self.bands.rows(number)
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
         # A row longer than a band is rendered in parts.
-        for left in range(0, width, self.band_pixels):
-            right = min(left + self.band_pixels, width)
+        for left in range(0, width, self.bands.band_pixels):
+            right = min(left + self.bands.band_pixels, width)
             self._part(rows, left, right, out[:, left:right])
         return out
 
     @_QUIET
     def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
-        if self.depth:
-            antialiased(view, lighting, top, bottom, left, right, self.depth, out)
+        if depth := _depth(self.bands.samples):
+            antialiased(view, lighting, top, bottom, left, right, depth, out)
         else:
             radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
+
+
+def _help(bands: _Bands) -> Work[Floats]:
+    """What a helper does: render bands where it is told."""
+    render = _Renderer.of(bands)
+
+    def work(number: int, slot: Floats | None) -> Floats:
+        assert slot is not None
+        rows = bands.rows(number)
+        out = slot[: rows.stop - rows.start]
+        out[:] = 0
+        return render(number, out)
+
+    return work
 
 
 @_QUIET

@@ -1,8 +1,11 @@
 """Work shared among processes.
 
 NumPy in threads gains little: between two array operations a thread waits for
-the interpreter's lock.  A forked process has its own, starts within
-milliseconds and has all that was prepared; results come back in shared memory.
+the interpreter's lock.  Another process has its own.  `forked` ones have all
+that was prepared, start within milliseconds and end with the picture; `helpers`
+stay for the next one.
+
+What is to be done has numbers, and whoever is idle takes the next.
 """
 
 from __future__ import annotations
@@ -13,24 +16,231 @@ import select
 import signal
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from functools import partial
+from math import prod
+from mmap import PAGESIZE, mmap
 from struct import Struct
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
+
+import numpy as np
 
 from tracer.memory import renew_heap
 from tracer.scene import Floats
 
-__all__ = ["AHEAD", "can_fork", "forked"]
+__all__ = [
+    "AHEAD",
+    "POSSIBLE",
+    "Job",
+    "Numbers",
+    "Team",
+    "Work",
+    "Worker",
+    "can_fork",
+    "forked",
+    "serve",
+]
 
 T = TypeVar("T")
 
-AHEAD = 4
-"""How many calls each process may be beyond the last whose result was yielded."""
+Work: TypeAlias = Callable[[int, Floats | None], T]
+"""What becomes of a number: an array, made in the memory that is given for it; or anything."""
 
-# How long a message is, before it.
-_SIZE = Struct("=Q")
+AHEAD = 4
+"""How many results a process may be ahead of those that have been used."""
+
+POSSIBLE = hasattr(os, "memfd_create")
+"""Whether processes can take part: only Linux has what they share memory by."""
+
+# How long the message is that follows.
+_LENGTH = Struct("=Q")
+
+
+class Numbers:
+    """0, 1, ..., each to be taken by one of several processes, round after round.
+
+    Parameters
+    ----------
+    file : int, optional
+        Memory that they share; made if absent.
+
+    Attributes
+    ----------
+    file : int
+    round : int
+        The one that this process takes part in.
+    """
+
+    __slots__ = ("_state", "file", "round")
+
+    def __init__(self, file: int | None = None) -> None:
+        if file is None:
+            file = os.memfd_create("tracer")
+            os.ftruncate(file, PAGESIZE)
+        self.file = file
+        self.round = 0
+        # The round, how many there are in it, and the next.
+        self._state = np.frombuffer(mmap(file, PAGESIZE), np.int64, 3)
+
+    def begin(self, count: int) -> None:
+        """Begin another round, of so many."""
+        self.round += 1
+        with self._locked():
+            self._state[:] = self.round, count, 0
+
+    def take(self) -> int | None:
+        """The next one, if any is left in this round."""
+        with self._locked():
+            now, count, number = self._state.tolist()
+            if now != self.round or number == count:
+                return None
+            self._state[2] += 1
+        return int(number)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        from fcntl import LOCK_EX, LOCK_UN, lockf  # not on all systems
+
+        lockf(self.file, LOCK_EX)
+        try:
+            yield
+        finally:
+            lockf(self.file, LOCK_UN)
+
+
+class Job(NamedTuple):
+    """What a process that knows nothing yet is to do.
+
+    Attributes
+    ----------
+    make, arguments
+        `Work` is what make(*arguments) returns: a function of a module, and what can be pickled.
+    shape : (AHEAD, ...)
+        Of the memory for its results.
+    """
+
+    make: Callable[..., Work[Any]]
+    arguments: tuple[Any, ...]
+    shape: tuple[int, ...]
+
+
+class Worker:
+    """Another process that takes part, as it is seen from this one.
+
+    Attributes
+    ----------
+    calls, results : int
+        Pipes to it, and from it.
+    slots : (AHEAD, ...), optional
+        Memory that both share, for results that are arrays; others are pickled.
+    """
+
+    __slots__ = ("calls", "results", "slots")
+
+    def __init__(self, calls: int, results: int) -> None:
+        self.calls, self.results = calls, results
+        self.slots: Floats | None = None
+
+    def joins(self) -> bool:
+        """Whether it is there."""
+        return True
+
+    def send(self, message: bytes = b"") -> None:
+        """Tell it something; nothing says that one of its results has been used."""
+        data = _LENGTH.pack(len(message)) + message
+        with suppress(BrokenPipeError):  # it was killed: found out when it is to answer
+            while data:
+                data = data[os.write(self.calls, data) :]
+
+    def receive(self) -> Any:
+        """What it tells next; raises what went wrong there."""
+        well, answer = pickle.loads(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0]))
+        if not well:
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        """Have nothing more to do with it: it ends as soon as it finds out."""
+        os.close(self.calls)
+        os.close(self.results)
+
+    def _read(self, size: int) -> bytes:
+        data = bytearray()
+        while len(data) < size:
+            more = os.read(self.results, size - len(data))
+            if not more:
+                raise ChildProcessError("a worker was killed")
+            data += more
+        return bytes(data)
+
+
+class Team(NamedTuple):
+    """This process and its workers.
+
+    Attributes
+    ----------
+    total : int
+        How many numbers there are: from 0 to `total` - 1.
+    take : callable
+        Takes one of them; none, if none is left.
+    workers : list of Worker
+    """
+
+    total: int
+    take: Callable[[], int | None]
+    workers: list[Worker]
+
+    @classmethod
+    def alone(cls, count: int) -> Team:
+        """Only this process."""
+        return cls(count, partial(next, iter(range(count)), None), [])
+
+    def results(self, work: Work[T]) -> Iterator[T]:
+        """Results for all numbers; `work` is what this process does.
+
+        Yields
+        ------
+        result
+            In order; what is in memory shared with a worker, until the next is asked for.
+
+        Raises
+        ------
+        BaseException
+            Whatever `work` raises.
+        ChildProcessError
+            If a worker was killed.
+        """
+        done: dict[int, tuple[T, Worker | None]] = {}
+        left = True
+        for number in range(self.total):
+            while number not in done:
+                own = None
+                if left and len(done) < AHEAD and not self._answered(0):
+                    own = self.take()
+                    left = own is not None
+                if own is not None:
+                    done[own] = work(own, None), None
+                    continue
+                for worker in self._answered(None):
+                    place, slot, result = worker.receive()
+                    if worker.slots is not None:
+                        result = worker.slots[slot, :result]
+                    done[place] = result, worker
+            result, used = done.pop(number)
+            yield result
+            if used is not None:
+                used.send()
+
+    def _answered(self, timeout: int | None) -> list[Worker]:
+        """Workers that have something to tell, be it that they are no more."""
+        by_pipe = {worker.results: worker for worker in self.workers if worker.joins()}
+        if not by_pipe:
+            return []
+        poll = select.poll()
+        for pipe in by_pipe:
+            poll.register(pipe, select.POLLIN)
+        return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
 
 
 def can_fork() -> bool:
@@ -38,131 +248,89 @@ def can_fork() -> bool:
     return sys.platform == "linux" and threading.active_count() == 1
 
 
-def _live(
-    work: Callable[[int], Any],
-    numbers: range,
-    ahead: int,
-    free: int,
-    done: int,
-    slots: Floats | None,
-) -> NoReturn:
-    """What a worker does, from its first breath to its last."""
-    with os.fdopen(done, "wb") as results:
-
-        def send(well: bool, result: object) -> None:
-            data = pickle.dumps((well, result))
-            results.write(_SIZE.pack(len(data)) + data)
-            results.flush()
-
-        try:
-            # The parent decides what an interrupt means.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            renew_heap()
-            for turn, number in enumerate(numbers):
-                if turn >= ahead and not os.read(free, 1):
-                    break
-                result = work(number)
-                if slots is not None:
-                    slots[turn % ahead, : len(result)] = result
-                    result = len(result)
-                send(True, result)
-        except BaseException as error:
-            send(False, error)
-        finally:
-            os._exit(0)
-
-
-def forked(
-    work: Callable[[int], T], count: int, workers: int, slots: Floats | None = None
-) -> Iterator[T]:
-    """Do work(0), work(1), ... in several processes, of which this is the first.
-
-    Parameters
-    ----------
-    work : callable
-    count : int
-        How often it is called.
-    workers : int
-        How many processes.
-    slots : (workers - 1, ahead, ...), optional
-        `shared` memory for results that are arrays with no more than so many rows; others are
-        pickled.
-
-    Yields
-    ------
-    result
-        Of work(0), work(1), ...  In `slots`, they stay until the next is asked for.
-
-    Raises
-    ------
-    BaseException
-        Whatever `work` raises.
-    ChildProcessError
-        If a worker was killed.
-    """
-    ahead = AHEAD if slots is None else slots.shape[1]
+@contextmanager
+def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
+    """A team of this process and so many copies of it, for so many numbers."""
+    others = min(others, count - 1)
+    if not (others > 0 and POSSIBLE):
+        yield Team.alone(count)
+        return
+    numbers = Numbers()
+    numbers.begin(count)
     pids: list[int] = []
-    done: list[int] = []
-    free: list[int] = []
+    workers: list[Worker] = []
     try:
-        for worker in range(1, workers):
-            done_in, done_out = os.pipe()
-            free_in, free_out = os.pipe()
+        for _ in range(others):
+            calls_in, calls_out = os.pipe()
+            results_in, results_out = os.pipe()
             pid = os.fork()
             if not pid:
-                for end in (done_in, free_out, *done, *free):
-                    os.close(end)
-                turns = range(worker, count, workers)
-                part = None if slots is None else slots[worker - 1]
-                _live(work, turns, ahead, free_in, done_out, part)
+                for worker in (*workers, Worker(calls_out, results_in)):
+                    worker.close()
+                renew_heap()
+                serve(calls_in, results_out, numbers, work)
             pids.append(pid)
-            done.append(done_in)
-            free.append(free_out)
-            os.close(done_out)
-            os.close(free_in)
-        own = map(work, range(0, count, workers))
-        early: deque[T] = deque()
-        for number in range(count):
-            turn, worker = divmod(number, workers)
-            if not worker:
-                yield early.popleft() if early else next(own)
-                continue
-            # Rather than wait for others, this one goes on with its own.
-            pipe = done[worker - 1]
-            while len(early) < ahead and not _ready(pipe):
-                try:
-                    early.append(next(own))
-                except StopIteration:
-                    break
-            well, result = pickle.loads(_read(pipe, _SIZE.unpack(_read(pipe, _SIZE.size))[0]))
-            if not well:
-                raise result
-            if slots is not None:
-                result = slots[worker - 1, turn % ahead, :result]
-            yield result
-            with suppress(BrokenPipeError):  # killed: found out when it is asked again
-                os.write(free[worker - 1], b".")
+            workers.append(Worker(calls_out, results_in))
+            os.close(calls_in)
+            os.close(results_out)
+        yield Team(count, numbers.take, workers)
     finally:
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-        for end in (*done, *free):
-            os.close(end)
+        for worker in workers:
+            worker.close()
+        os.close(numbers.file)
 
 
-def _ready(pipe: int) -> bool:
-    """Whether there is something to read, be it the end."""
-    poll = select.poll()
-    poll.register(pipe, select.POLLIN)
-    return bool(poll.poll(0))
+def serve(
+    calls: int,
+    results: int,
+    numbers: Numbers,
+    work: Work[Any] | None = None,
+    memory: Floats | None = None,
+) -> NoReturn:
+    """What a worker does until nobody is there to call: `work`, or the jobs that it is sent.
 
+    Results of jobs go into `memory`.
+    """
+    try:
+        # The process that calls decides what an interrupt means.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with os.fdopen(calls, "rb") as heard, os.fdopen(results, "wb") as told:
 
-def _read(pipe: int, size: int) -> bytes:
-    """So many bytes."""
-    data = bytearray()
-    while len(data) < size:
-        more = os.read(pipe, size - len(data))
-        if not more:
-            raise ChildProcessError("a worker was killed")
-        data += more
-    return bytes(data)
+            def listen() -> bytes | None:
+                length = heard.read(_LENGTH.size)
+                return heard.read(*_LENGTH.unpack(length)) if length else None
+
+            def tell(well: bool, answer: object) -> None:
+                message = pickle.dumps((well, answer))
+                told.write(_LENGTH.pack(len(message)) + message)
+                told.flush()
+
+            def do(work: Work[Any], slots: Floats | None) -> None:
+                turn = 0
+                while turn < AHEAD or listen() is not None:
+                    number = numbers.take()
+                    if number is None:
+                        break
+                    slot = turn % AHEAD
+                    result = work(number, None if slots is None else slots[slot])
+                    tell(True, (number, slot, result if slots is None else len(result)))
+                    turn += 1
+
+            try:
+                if work is not None:
+                    do(work, None)
+                else:
+                    tell(True, None)
+                while (message := listen()) is not None:
+                    if message:
+                        numbers.round, job = pickle.loads(message)
+                        assert memory is not None
+                        slots = memory[: prod(job.shape)].reshape(job.shape)
+                        do(job.make(*job.arguments), slots)
+            except BaseException as error:
+                tell(False, error)
+    finally:
+        os._exit(0)

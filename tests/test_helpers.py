@@ -1,0 +1,213 @@
+"""Processes that help from one picture to the next."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jobs import SHAPE, add, die, fail
+
+import tracer.helpers
+from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer.helpers import helped
+from tracer.rendering import render_bands
+from tracer.workers import AHEAD, Job, Team
+
+
+@pytest.fixture(autouse=True)
+def crew(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No helpers before or after; they find this module."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    tracer.helpers._crew.stop()
+    yield
+    tracer.helpers._crew.stop()
+
+
+def together(amount: float, others: int = 1, count: int = 40, wait: bool = True) -> list[int]:
+    """Do the job with others; which process did what."""
+    with helped(count, others, Job(add, (amount,), SHAPE), np.inf) as team:
+        while wait and not all(worker.joins() for worker in team.workers):
+            time.sleep(0.01)
+        who = []
+        for number, result in enumerate(team.results(add(amount))):
+            assert result[0, 0] == number + amount
+            who.append(int(result[0, 1]))
+    return who
+
+
+@pytest.mark.parametrize("others", [1, 2])
+def test_helpers_stay(others: int) -> None:
+    first = set(together(0.5, others))
+    assert len(first) == others + 1
+    assert os.getpid() in first
+    for amount in range(5):
+        assert set(together(amount, others, wait=False)) == first
+
+
+def test_nobody_waits_for_a_helper_to_start() -> None:
+    assert set(together(0.5, count=2, wait=False)) == {os.getpid()}
+
+
+def test_a_late_helper_joins() -> None:
+    assert len(set(together(0.5, count=400, wait=False))) == 2
+
+
+def test_one_picture_at_a_time_has_help() -> None:
+    with helped(8, 1, Job(add, (1,), SHAPE), np.inf) as team:
+        assert len(team.workers) == 1
+        with helped(8, 1, Job(add, (2,), SHAPE), np.inf) as other:
+            assert not other.workers
+            assert [a[0, 0] for a in other.results(add(2))] == list(range(2, 10))
+        assert [a[0, 0] for a in team.results(add(1))] == list(range(1, 9))
+
+
+@pytest.mark.parametrize(
+    ("job", "error"),
+    [(Job(fail, (), SHAPE), MemoryError), (Job(die, (), SHAPE), ChildProcessError)],
+)
+def test_a_failing_helper_is_replaced(job: Job, error: type[Exception]) -> None:
+    before = set(together(0.5))
+    with pytest.raises(error), helped(200, 1, job, np.inf) as team:
+        list(team.results(add(0)))
+    after = set(together(0.5))
+    assert len(after) == 2
+    assert before & after == {os.getpid()}
+
+
+def test_a_helper_that_was_killed_meanwhile_is_replaced() -> None:
+    before = set(together(0.5))
+    (helper,) = before - {os.getpid()}
+    os.kill(helper, signal.SIGKILL)
+    time.sleep(0.05)
+    after = set(together(0.5))
+    assert len(after) == 2
+    assert helper not in after
+
+
+def test_leaving_early_ends_helpers() -> None:
+    before = set(together(0.5))
+    with suppress(KeyboardInterrupt), helped(20, 1, Job(add, (0,), SHAPE), np.inf) as team:
+        next(team.results(add(0)))
+        raise KeyboardInterrupt
+    assert set(together(0.5)) & before == {os.getpid()}
+
+
+def test_it_must_pay_to_start_one() -> None:
+    def workers(load: float) -> int:
+        with helped(8, 1, Job(add, (0,), SHAPE), load) as team:
+            list(team.results(add(0)))
+        return len(team.workers)
+
+    tracer.helpers._crew._load = 0.0
+    enough = tracer.helpers._START
+    assert [workers(0.4 * enough) for _ in range(4)] == [0, 0, 1, 1]
+
+
+def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(_: str) -> int:
+        raise OSError("too many open files")
+
+    monkeypatch.setattr(os, "memfd_create", none)
+    assert set(together(0.5)) == {os.getpid()}
+    with helped(8, 1, Job(add, (0,), (AHEAD, 1 << 30, 3)), np.inf) as team:
+        assert not team.workers
+
+
+def test_a_helper_that_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    assert set(together(0.5, count=100, wait=False)) == {os.getpid()}
+    assert set(together(0.5, wait=False)) == {os.getpid()}
+
+
+def test_a_fork_has_helpers_of_its_own() -> None:
+    before = set(together(0.5))
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if not pid:
+        os.write(writing, " ".join(map(str, set(together(0.5)))).encode())
+        os._exit(0)
+    os.waitpid(pid, 0)
+    theirs = {int(part) for part in os.read(reading, 100).split()}
+    assert len(theirs) == 2
+    assert pid in theirs
+    assert not theirs & before
+    assert set(together(1.5)) == before
+
+
+def test_helpers_end_with_their_process() -> None:
+    code = (
+        f"import sys; sys.path[:0] = {[str(Path(__file__).parent)]!r}\n"
+        "import os, signal, test_helpers\n"
+        "print(*set(test_helpers.together(0.5)) - {os.getpid()}, flush=True)\n"
+        "if len(sys.argv) > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    for arguments in ([], ["killed"]):
+        run = [sys.executable, "-W", "error", "-c", code, *arguments]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+        assert not done.stderr
+        helper = int(done.stdout)
+        deadline = time.monotonic() + 10
+        while Path(f"/proc/{helper}").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def picture(width: int, height: int) -> Scene:
+    """A sphere, in all of the picture but its corners."""
+    return Scene(
+        camera=Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2),
+        width=width,
+        height=height,
+        lights=(PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))),
+        surfaces=(Sphere(),),
+    )
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_pictures_with_help(samples: int) -> None:
+    scene = picture(300, 200)
+    alone = render(scene, samples, threads=1)
+    together(0.5)  # from here on there is one
+    assert np.array_equal(render(scene, samples, threads=2), alone)
+    bands = [band.copy() for band in render_bands(scene, samples, threads=2, band_pixels=5000)]
+    assert len(bands) > 10
+    assert np.array_equal(np.concatenate(bands), alone)
+
+
+def test_pictures_in_threads() -> None:
+    scenes = [picture(200 + k, 100) for k in range(4)]
+    alone = [render(scene, threads=1) for scene in scenes]
+    wrong: list[int] = []
+
+    def draw(k: int) -> None:
+        pictures = [render(scenes[k], threads=2) for _ in range(10)]
+        wrong.extend(k for image in pictures if not np.array_equal(image, alone[k]))
+
+    together(0.5)
+    threads = [threading.Thread(target=draw, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_every_processor_that_is_asked_for() -> None:
+    teams: list[Team] = []
+    scene = picture(200, 300)
+    original = Team.results
+    try:
+        Team.results = lambda self, work: teams.append(self) or original(self, work)  # type: ignore
+        render(scene, threads=3)
+    finally:
+        Team.results = original  # type: ignore[method-assign]
+    assert [len(team.workers) for team in teams] == [2]

@@ -1,0 +1,204 @@
+"""Processes that help to render, from one picture to the next.
+
+They start in the background and from nothing: a program that renders may have
+threads, open files and much memory, none of which a fork should meet.  Until
+they are there, and wherever they cannot be, pictures are made without them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import prod
+from mmap import mmap
+from select import select
+
+import numpy as np
+
+from tracer.memory import keep_heap
+from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, serve
+
+__all__ = ["helped", "live"]
+
+# What they run.
+_CODE = """
+import sys
+sys.path[:] = {path!r}
+import tracer.rendering
+from tracer.helpers import live
+live{ends!r}
+"""
+
+# Bytes of memory that each shares with this process: what no picture needs is never touched.
+_SHARED = 1 << 25
+
+# The load from which on, pictures before it counted in, it pays to start one.
+_START = 1 << 23
+
+
+class _Helper(Worker):
+    """A process with an interpreter of its own."""
+
+    __slots__ = ("_here", "_job", "_memory", "_process")
+
+    def __init__(self, numbers: int) -> None:
+        """Start it; it takes `Numbers` from that file."""
+        import subprocess  # takes longer to import than a small picture to render
+
+        calls_in, calls_out = os.pipe()
+        results_in, results_out = os.pipe()
+        shared = os.memfd_create("tracer")
+        super().__init__(calls_out, results_in)
+        try:
+            os.ftruncate(shared, _SHARED)
+            self._memory = np.frombuffer(mmap(shared, 0))
+            ends = calls_in, results_out, numbers, shared
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _CODE.format(path=sys.path, ends=ends)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=ends,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            for end in (calls_in, results_out, shared):
+                os.close(end)
+        # None if it could not start.
+        self._here: bool | None = False
+        self._job = b""
+
+    def begin(self, job: bytes, shape: tuple[int, ...]) -> None:
+        """Give it something to do, in slots of this shape."""
+        self._job = job
+        self.slots = self._memory[: prod(shape)].reshape(shape)
+        self.joins()
+
+    def joins(self) -> bool:
+        """Whether it is there; then it knows what to do."""
+        if self._here is False and select([self.results], [], [], 0)[0]:
+            try:
+                self.receive()
+                self._here = True
+            except ChildProcessError:
+                self._here = None
+        if self._here and self._job:
+            self.send(self._job)
+            self._job = b""
+        return bool(self._here)
+
+    def died(self) -> bool:
+        """Whether it was there, and is no more."""
+        return bool(self._here) and self._process.poll() is not None
+
+    def stop(self) -> None:
+        """End it, whatever it does."""
+        self._process.kill()
+        self._process.wait()
+        self.close()
+
+    def forget(self) -> None:
+        """Leave it to the process that this one is a fork of."""
+        self._process.returncode = 0
+        self.close()
+
+
+class _Crew:
+    """All helpers of this process.
+
+    Attributes
+    ----------
+    busy : Lock
+        Held while they do something.
+    """
+
+    def __init__(self) -> None:
+        self.busy = threading.Lock()
+        self._helpers: list[_Helper] = []
+        self._numbers: Numbers | None = None
+        self._load = 0.0
+
+    def team(self, count: int, others: int, job: Job, load: float) -> Team:
+        """See `helped`."""
+        self._load += load
+        if not self._helpers and self._load < _START:
+            return Team.alone(count)
+        numbers = self._numbers = self._numbers or Numbers()
+        numbers.begin(count)
+        for helper in [helper for helper in self._helpers if helper.died()]:
+            self._helpers.remove(helper)
+            helper.stop()
+        while len(self._helpers) < others:
+            self._helpers.append(_Helper(numbers.file))
+        helpers = self._helpers[:others]
+        message = pickle.dumps((numbers.round, job))
+        for helper in helpers:
+            helper.begin(message, job.shape)
+        return Team(count, numbers.take, [*helpers])
+
+    def stop(self) -> None:
+        """End them all."""
+        while self._helpers:
+            self._helpers.pop().stop()
+
+    def forget(self) -> None:
+        """In a fork of this process: they are not this one's."""
+        while self._helpers:
+            self._helpers.pop().forget()
+        if self._numbers is not None:
+            os.close(self._numbers.file)
+        self._numbers = None
+        self.busy = threading.Lock()
+
+
+_crew = _Crew()
+atexit.register(_crew.stop)
+if POSSIBLE:
+    os.register_at_fork(after_in_child=_crew.forget)
+
+
+@contextmanager
+def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
+    """A team of this process and so many helpers, for so many numbers.
+
+    There are none while something else uses them, nor before it pays to start them.
+
+    Parameters
+    ----------
+    count, others : int
+    job : Job
+        What helpers do.
+    load : float
+        How much there is to do, in units of 10 ns or so.
+    """
+    others, busy = min(others, count - 1), _crew.busy
+    possible = POSSIBLE and 8 * prod(job.shape) <= _SHARED
+    if not (others > 0 and possible and busy.acquire(blocking=False)):
+        yield Team.alone(count)
+        return
+    try:
+        try:
+            team = _crew.team(count, others, job, load)
+        except OSError:  # of processes, files or memory there are no more to have
+            team = Team.alone(count)
+        yield team
+    except BaseException:
+        # Nobody will take what they are working on.
+        _crew.stop()
+        raise
+    finally:
+        busy.release()
+
+
+def live(calls: int, results: int, numbers: int, memory: int) -> None:
+    """Be a helper."""
+    keep_heap()
+    serve(calls, results, Numbers(numbers), memory=np.frombuffer(mmap(memory, 0)))
