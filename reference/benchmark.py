@@ -169,8 +169,9 @@ def warm(rounds: int, quick: bool) -> Table:
     return Table(
         "Warm: rendering alone",
         "Milliseconds in process, one sample a pixel: median (fastest–slowest) of at least"
-        f" {rounds}. Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this"
-        " project's plugins; stock: a similar one by its own, with one light a sample.",
+        f" {rounds}, taken in turns with pauses of 20 ms, for Mitsuba's threads stay awake as long."
+        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's"
+        " plugins; stock: a similar one by its own, with one light a sample.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )

@@ -6,7 +6,7 @@ import subprocess
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from statistics import median
-from time import perf_counter
+from time import perf_counter, sleep
 from typing import TypeAlias, TypeVar
 
 from reference.workloads import afresh
@@ -18,6 +18,9 @@ Task: TypeAlias = Callable[[int], object]
 """Work to be timed, told which round it is."""
 
 _Name = TypeVar("_Name", bound=Hashable)
+
+# Threads of the task before, Mitsuba's above all, look out for more work for some 10 ms (seconds).
+_PAUSE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,7 @@ def _ms(seconds: float) -> str:
 def interleaved(
     tasks: dict[_Name, Task], rounds: int, *, most: int = 0, seconds: float = 0.0
 ) -> dict[_Name, Timing]:
-    """Time tasks in turns: a round runs each once.
+    """Time tasks in turns: a round runs each once, after a pause.
 
     Tasks that took less than `seconds` in these rounds go on until they have, for `most` rounds
     in all.
@@ -56,6 +59,7 @@ def interleaved(
     for k in range(max(rounds, most)):
         for name, task in tasks.items():
             if k < rounds or sum(taken[name]) < seconds:
+                sleep(_PAUSE)
                 start = perf_counter()
                 task(k)
                 taken[name].append(perf_counter() - start)

@@ -34,10 +34,10 @@ _QUIET = np.errstate(all="ignore")
 # How large bands are, and how small it pays to make them.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
-# What a picture takes is roughly in proportion to pixels, lights, (a few) objects and how often
-# pixels are split.  From so much on it pays to fork, and to ask a helper.
+# What a picture takes grows with pixels, lights, (a few) objects and how often pixels are split.
+# From so much on it pays to fork, and to ask a helper.
 _FEW_OBJECTS = 8
-_WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 18
+_WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 20
 
 
 def render(
@@ -153,8 +153,8 @@ def _depth(samples: int) -> int:
 
 def _load(scene: Scene, samples: int) -> float:
     """Roughly what a picture takes: some 10 ns for each of these."""
-    objects = min(len(scene.surfaces), _FEW_OBJECTS)
-    return scene.width * scene.height * len(scene.lights) * objects * (1 + _depth(samples))
+    each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
+    return scene.width * scene.height * each * (1 + _depth(samples))
 
 
 class _Bands(NamedTuple):
