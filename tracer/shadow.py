@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.cells import InCells, in_cells
-from tracer.groups import Bools, Triple, columns, dot, each, pick, rows
+from tracer.groups import Bools, Triple, columns, dot, each, entries, pick, put, rows
 from tracer.intersection import (
     ON,
     OUTSIDE,
@@ -57,7 +57,7 @@ class Shadows(NamedTuple):
         for pairs in self.finder.pairs(hits, facing, dark):
             point, light, other = pairs.points()
             blocks = np.flatnonzero(self._blocks(hits, pairs, point, light, other))
-            blocked[light[blocks], point[blocks]] = True
+            put(blocked, light[blocks], point[blocks], True)
         return blocked | dark
 
     def edges(
@@ -82,12 +82,12 @@ class Shadows(NamedTuple):
             pairs = pairs_of_points(self.occluders, own, p, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
             must = self._blocks(hits, pairs, point, light, other, -footprint[point])
-            blocked[light[does], point[does]] = True
-            solid[light[must], point[must]] = True
-            edge = np.flatnonzero(~must & facing[light, point])
+            put(blocked, light[does], point[does], True)
+            put(solid, light[must], point[must], True)
+            edge = np.flatnonzero(~must & entries(facing, light, point))
             found.append((point[edge], light[edge], other[edge]))
         point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
-        seen = np.flatnonzero(~(solid | dark)[light, point])
+        seen = np.flatnonzero(~entries(solid | dark, light, point))
         return blocked | dark, (point[seen], light[seen], other[seen])
 
     def _blocks(
@@ -139,21 +139,21 @@ class Shadows(NamedTuple):
         # Ends that may be in or on a sphere are looked at more closely.
         aside = each(np.subtract, pairs.balls.middle, center)
         reach = surfaces.radius[pairs.other] + pairs.balls.radius + occluders.slack[pairs.other]
-        closely = occluders.side[pairs.light, pairs.other] != OUTSIDE
+        closely = entries(occluders.side, pairs.light, pairs.other) != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
         at = np.flatnonzero(pairs.spread(closely))
         if at.size:
             ball = other[at]
             distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))
             closely = distance <= radius[at] * (1 + SLACK) + occluders.slack[ball]
-            at = at[closely | (occluders.side[light[at], ball] != OUTSIDE)]
+            at = at[closely | (entries(occluders.side, light[at], ball) != OUTSIDE)]
             ball = other[at]
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
                 pick(to_center, at),
                 radius[at],
                 self._tolerance(pick(p, at), light[at], ball),
-                occluders.side[light[at], ball],
+                entries(occluders.side, light[at], ball),
                 occluders.eye_inside[ball],
             )
         return blocks
@@ -162,7 +162,7 @@ class Shadows(NamedTuple):
         """Whether balls, or their lights, touch the plane of a face of their boxes."""
         occluders, balls = self.occluders, pairs.balls
         reach = balls.radius + occluders.slack[pairs.other]
-        result = occluders.on_plane[pairs.light, pairs.other]
+        result = entries(occluders.on_plane, pairs.light, pairs.other)
         for middle, a, b in zip(balls.middle, low, high, strict=True):
             # From the nearer of two planes.
             offset = np.abs(middle - 0.5 * (a + b))
@@ -177,7 +177,7 @@ class Shadows(NamedTuple):
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
         at_light = np.abs(occluders.lights).sum(axis=0)[light]
-        on = occluders.side[light, other] == ON
+        on = entries(occluders.side, light, other) == ON
         reach = np.where(on, np.maximum(reach, at_light), reach)
         return SURFACE_TOLERANCE * (reach + occluders.size[other])
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, runs
+from tracer.groups import Bools, Triple, columns, dot, each, entries, expand, pick, put, runs
 from tracer.intersection import box_and_capsule, sphere_and_capsule
 from tracer.occluders import SLACK, Balls, Occluders, Pairs
 from tracer.scene import Floats, Ints
@@ -21,8 +21,9 @@ from tracer.visibility import Hits
 
 __all__ = ["InStretches", "in_stretches"]
 
-# Points in a stretch at most, coarse and fine, and pixels along the sides of a tile.
-_LONG, _SHORT, _TILE = 24, 6, 24
+# Points in a stretch at most, long and short; pixels along the sides of a tile, and tiles along
+# those of a block.
+_LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 
 # Pairs of objects, and pairs of a stretch and an object, that are tried at a time.
 _OBJECTS, _BATCH = 1 << 17, 1 << 15
@@ -80,15 +81,17 @@ class InStretches(NamedTuple):
         balls.radius[:] += margin
         asked = np.logical_or.reduceat(facing, start, axis=1)
         search = _Search(self.occluders, hits, balls, margin, asked, dark)
-        tiles = _tiles(hits, balls, run)
+        blocks, tiles, order = _tiles(hits, balls, run)
         for kind in self.lists:
-            light, tile, other = search.of_tiles(tiles, kind)
+            light, tile, other = search.of_tiles(
+                kind, *search.of_blocks(kind, blocks), blocks, tiles
+            )
             for batch in _batches(tiles.length[tile]):
                 part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
-                stretch = tiles.order[place]
-                found = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
-                if found.other.size:
-                    yield found
+                stretch = order[place]
+                pairs = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
+                if pairs.other.size:
+                    yield pairs
 
 
 class _Search(NamedTuple):
@@ -113,14 +116,25 @@ class _Search(NamedTuple):
     asked: Bools
     dark: Bools
 
-    def of_tiles(self, tiles: _Tiles, kind: _List) -> tuple[Ints, Ints, Ints]:
-        """Light, tile and object that may come between."""
+    def of_blocks(self, kind: _List, blocks: _Tiles) -> tuple[Ints, Ints, Ints]:
+        """Light, block and object that may come between."""
         lights, objects = self.occluders.side.shape
-        # Every tile for every light.
-        key = np.add.outer(np.arange(lights) * objects, tiles.owner).ravel()
+        # Every block for every light.
+        key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
         place, listed = expand(kind.first[key + 1] - kind.first[key], kind.first[key])
-        other = kind.listed[listed]
-        light, tile = np.divmod(place, tiles.owner.size)
+        light, block = np.divmod(place, blocks.owner.size)
+        return self._in_tiles(kind, blocks, light, block, kind.listed[listed])
+
+    def of_tiles(
+        self, kind: _List, light: Ints, block: Ints, other: Ints, blocks: _Tiles, tiles: _Tiles
+    ) -> tuple[Ints, Ints, Ints]:
+        """The same for the tiles of some blocks."""
+        part, tile = expand(blocks.length[block], blocks.first[block])
+        return self._in_tiles(kind, tiles, light[part], tile, other[part])
+
+    def _in_tiles(
+        self, kind: _List, tiles: _Tiles, light: Ints, tile: Ints, other: Ints
+    ) -> tuple[Ints, Ints, Ints]:
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
         may, _ = _near(self.occluders, kind, middle, radius, light, other)
         near = np.flatnonzero(may)
@@ -128,13 +142,13 @@ class _Search(NamedTuple):
 
     def of_stretches(self, kind: _List, light: Ints, stretch: Ints, other: Ints) -> Pairs:
         """Short stretches, of these, that may be shaded; marks what certainly is."""
-        some = np.flatnonzero(self.asked[light, stretch])
+        some = np.flatnonzero(entries(self.asked, light, stretch))
         light, stretch, other = light[some], stretch[some], other[some]
         balls = self.balls.take(stretch)
         may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
-        self.asked[light[cut], stretch[cut]] = False
+        put(self.asked, light[cut], stretch[cut], False)
         self._darken(light, balls, cut)
-        near = np.flatnonzero(may & self.asked[light, stretch])
+        near = np.flatnonzero(may & entries(self.asked, light, stretch))
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
         at = near[parent]
         light, stretch, other = light[at], stretch[at], other[at]
@@ -142,13 +156,13 @@ class _Search(NamedTuple):
         balls.radius[:] += self.margin[stretch]
         may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
         self._darken(light, balls, cut)
-        near = np.flatnonzero(may & ~self.dark[light, start])
+        near = np.flatnonzero(may & ~entries(self.dark, light, start))
         return Pairs(balls.take(near), light[near], other[near])
 
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
         """All points of some stretches are in shadow."""
         start, length = balls.start[mask], balls.length[mask]
-        self.dark[np.repeat(light[mask], length), runs(start, length)] = True
+        put(self.dark, np.repeat(light[mask], length), runs(start, length), True)
 
 
 def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
@@ -184,48 +198,48 @@ def _near(
 
 
 class _Tiles(NamedTuple):
-    """The stretches of one object in a tile of the picture, in a ball.
+    """Parts of objects, each in a ball: what is seen of one in a tile, or in a block of tiles.
 
     Attributes
     ----------
     owner : (m,)
         The object.
-    order : (n,)
-        The stretches, tile by tile.
     first, length : (m,)
-        Those of each tile.
+        The places of its stretches in their order, or its tiles.
     middle, radius : three (m,) and (m,)
     """
 
     owner: Ints
-    order: Ints
     first: Ints
     length: Ints
     middle: Triple
     radius: Floats
 
+    @classmethod
+    def around(cls, owner: Ints, key: Ints, middle: Triple, radius: Floats) -> _Tiles:
+        """Put what lies next to each other and has the same key in one ball."""
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
+        high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
+        half = each(lambda a, b: 0.5 * (b - a), low, high)
+        middle = each(lambda a, b: 0.5 * (a + b), low, high)
+        length = np.diff(first, append=key.size)
+        return cls(owner[first], first, length, middle, np.sqrt(dot(half, half)))
 
-def _tiles(hits: Hits, balls: Balls, run: Ints) -> _Tiles:
-    """Sort stretches into tiles by where they begin."""
-    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE + 1
-    row = hits.row[run] // _TILE + 1
-    owner = hits.owner[run]
-    key = (owner * (row.max() + 1) + row) * (column.max() + 1) + column
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    radius = balls.radius[order]
-    middle = pick(balls.middle, order)
-    low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
-    high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
-    half = each(lambda a, b: 0.5 * (b - a), low, high)
-    return _Tiles(
-        owner[order[first]],
-        order,
-        first,
-        np.diff(first, append=order.size),
-        each(lambda a, b: 0.5 * (a + b), low, high),
-        np.sqrt(dot(half, half)),
-    )
+
+def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[_Tiles, _Tiles, Ints]:
+    """Sort stretches by where they begin: into blocks, and tiles in these; and their order."""
+    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE + _BLOCK
+    row = hits.row[run] // _TILE + _BLOCK
+    block = hits.owner[run]
+    for m in (row // _BLOCK, column // _BLOCK):
+        block = block * (m.max() + 1) + m
+    tile = (block * _BLOCK + row % _BLOCK) * _BLOCK + column % _BLOCK
+    order = np.argsort(tile, kind="stable")
+    owner, tile = balls.owner[order], tile[order]
+    tiles = _Tiles.around(owner, tile, pick(balls.middle, order), balls.radius[order])
+    block = tile[tiles.first] // _BLOCK**2
+    return _Tiles.around(tiles.owner, block, tiles.middle, tiles.radius), tiles, order
 
 
 def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
