@@ -89,14 +89,18 @@ class Numbers:
         with self._locked():
             self._state[:] = self.round, count, 0
 
+    def left(self) -> bool:
+        """Whether there are any left in this round."""
+        now, count, number = self._state.tolist()
+        return bool(now == self.round and number < count)
+
     def take(self) -> int | None:
-        """The next one, if any is left in this round."""
+        """The next one, if there is one left."""
         with self._locked():
-            now, count, number = self._state.tolist()
-            if now != self.round or number == count:
+            if not self.left():
                 return None
             self._state[2] += 1
-        return int(number)
+            return int(self._state[2]) - 1
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
@@ -327,6 +331,8 @@ def serve(
                 while (message := listen()) is not None:
                     if message:
                         numbers.round, job = pickle.loads(message)
+                        if not numbers.left():
+                            continue
                         assert memory is not None
                         slots = memory[: prod(job.shape)].reshape(job.shape)
                         do(job.make(*job.arguments), slots)
