@@ -250,7 +250,8 @@ def _look(
         for bit in reached:
             key = key * 2 + bit
         seen.key[cell] = key
-        seen.several[cell] |= narrow(lighting, hits, group, here, reached, footprint[part])
+        for places in narrow(lighting, hits, group, here, reached, footprint[part]):
+            seen.several[cell[places]] = True
         at = np.flatnonzero((point >= part.start) & (point < part.stop))
         if at.size:
             places = point[at] - part.start
@@ -259,7 +260,7 @@ def _look(
             seen.lines.extend(surface.ridges())
         else:
             turning = surface.turning(here)
-            seen.several[cell] |= surface.kinks(turning, tolerance)
+            seen.several[cell[surface.kinks(turning, tolerance)]] = True
             seen.lines.extend(surface.terminators(here, turning))
     return seen
 
@@ -336,16 +337,17 @@ class _Surface(NamedTuple):
         near: Bools = light.falls**2 < reach**2 * light.length2
         return near
 
-    def kinks(self, turning: Bools, tolerance: float) -> Bools:
-        """Where light begins so fast (n,), as it is `turning`, that one sample is off by more."""
+    def kinks(self, turning: Bools, tolerance: float) -> Ints:
+        """Where light begins so fast, as it is `turning`, that one sample is off by more."""
         lighting, group = self.lighting, self.group
+        at = np.flatnonzero(turning.any(axis=0))
         # On either side of the middle by a quarter of the cell, half of the time.
-        change = self.footprint / group.of(self.view.surfaces.radius) / 8
+        radius = select(group.of(self.view.surfaces.radius), at)
         diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
-        change = change * group.of(diffuse)
+        change = self.footprint[at] / radius / 8 * select(group.of(diffuse), at)
         steep = change * lighting.intensities.max(axis=1)[:, None] > tolerance
-        result: Bools = (steep & turning).any(axis=0)
-        return result
+        kinks: Ints = at[(steep & turning[:, at]).any(axis=0)]
+        return kinks
 
     def terminators(self, light: Incoming, turning: Bools) -> Iterator[Lines]:
         """Where a highlight ends because the sphere is `turning` away from its light."""
@@ -365,7 +367,7 @@ class _Surface(NamedTuple):
     def ridges(self) -> Iterator[Lines]:
         """Where a box's face meets another that is seen as well."""
         surfaces, eye, group = self.view.surfaces, self.view.raster.eye, self.group
-        p = self.hits.points(group.part)
+        p = rows(self.hits.p, group.part)
         box = group.owner - len(surfaces.radius)
         for k in range(3):
             if k == group.face:
@@ -374,7 +376,7 @@ class _Surface(NamedTuple):
                 shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
                 if not shown.any():
                     continue
-                offset = p[k] - group.spread(corner[box, k])
+                offset = eye[k] + self.hits.raster.component(p, k) - group.spread(corner[box, k])
                 at = np.flatnonzero((np.abs(offset) < self.footprint) & group.spread(shown))
                 across, down = self.steps(at)
                 kind = np.full(at.size, Kind.RIDGE)
@@ -383,6 +385,8 @@ class _Surface(NamedTuple):
 
 def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
     """Outlines across cells; marks `several` where they are not straight enough."""
+    if not cells.cell.size:
+        return
     raster, lines = view.raster, view.outlines
     spheres = len(lines.radius)
     s, g = raster.across(cells.x[cells.cell]), raster.down(cells.y[cells.cell])

@@ -57,9 +57,14 @@ class Raster(NamedTuple):
 
     def turned(self, vector: Triple) -> Triple:
         """A vector in the camera's axes, in the scene's."""
-        u, v, w = self.axes.tolist()
-        x, y, z = (vector[0] * u[k] + vector[1] * v[k] + vector[2] * w[k] for k in range(3))
+        x, y, z = (self.component(vector, axis) for axis in range(3))
         return x, y, z
+
+    def component(self, vector: Triple, axis: int) -> Floats:
+        """That of a vector in the camera's axes along one of the scene's."""
+        u, v, w = self.axes[:, axis].tolist()
+        component: Floats = vector[0] * u + vector[1] * v + vector[2] * w
+        return component
 
     def across(self, x: Floats) -> Floats:
         """First component of the direction, at x pixels from the left."""

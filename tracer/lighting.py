@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -166,17 +167,16 @@ def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bo
 
 def narrow(
     lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bools, footprint: Floats
-) -> Bools:
-    """Whether there may be a highlight (n,) too narrow for one sample of so large a footprint.
+) -> Iterator[Ints]:
+    """Points where there may be a highlight too narrow for one sample of so large a footprint.
 
     Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
     between normal and half vector, which bends with the surface and with the
     directions to light and eye.
     """
-    result = np.zeros(group.sample.size, dtype=np.bool_)
     gloss = _Gloss.of(lighting, hits, group)
     if not gloss.any:
-        return result
+        return
     bending = 1 / gloss.distance
     if group.face == 3:
         bending += 1 / group.of(lighting.shadows.occluders.radius)
@@ -188,8 +188,7 @@ def narrow(
         if at.size:
             cosine = light.falls[number, at] / length[at]
             power = gloss.highlight(number, at, cosine, length[at], light.along[number, at])
-            result[at] |= np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
-    return result
+            yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
 
 
 class _Gloss(NamedTuple):
