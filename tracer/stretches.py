@@ -1,8 +1,8 @@
 """What may shade points, found from coarse to fine.
 
-One test decides, for whole objects, for tiles of the picture, for stretches of
-neighbouring points, each in a ball: the segments from a ball to a light lie in
-a capsule, which an object misses, meets or cuts.  Missed, it casts no shadow
+One test decides, for whole objects, for blocks and tiles of the picture, for
+stretches of neighbouring points, each in a ball: the segments from a ball to a
+light lie in a capsule, which an object misses, meets or cuts.  Missed, it casts no shadow
 there; cut, the shadow is certain; only what is met goes to the next finer step.
 """
 
