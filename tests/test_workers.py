@@ -12,10 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tracer.helpers
 from tracer.scene import Floats
 from tracer.workers import Numbers, forked
 
 COUNT = 11
+
+
+@pytest.fixture(autouse=True)
+def no_helpers() -> None:
+    """Whoever helped in other tests is no longer there."""
+    tracer.helpers._crew.stop()
 
 
 def patiently(number: int, _: object = None) -> int:
