@@ -122,10 +122,17 @@ def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not team.workers
 
 
-def test_a_helper_that_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", "/bin/false")
+@pytest.mark.parametrize("name", ["python3", "a-program-of-its-own"])
+def test_a_helper_that_cannot_start(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / name
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/started\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
     assert set(together(0.5, count=100, wait=False)) == {os.getpid()}
     assert set(together(0.5, wait=False)) == {os.getpid()}
+    assert (tmp_path / "started").exists() == (name == "python3")
 
 
 def test_a_fork_has_helpers_of_its_own() -> None:

@@ -59,7 +59,7 @@ class _Helper(Worker):
             self._memory = np.frombuffer(mmap(shared, 0))
             ends = calls_in, results_out, numbers, shared
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _CODE.format(path=sys.path, ends=ends)],
+                [sys.executable, "-c", _CODE.format(path=[*map(str, sys.path)], ends=ends)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -180,7 +180,9 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
         How much there is to do, in units of 10 ns or so.
     """
     others, busy = min(others, count - 1), _crew.busy
-    possible = POSSIBLE and 8 * prod(job.shape) <= _SHARED
+    # A program that Python is only a part of would start itself, and not know what to do.
+    python = os.path.basename(sys.executable or "").startswith("python")
+    possible = POSSIBLE and python and 8 * prod(job.shape) <= _SHARED
     if not (others > 0 and possible and busy.acquire(blocking=False)):
         yield Team.alone(count)
         return
