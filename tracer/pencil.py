@@ -240,6 +240,9 @@ def _silhouettes(
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
     """
+    if not len(min_pt):
+        none = np.zeros((6, 0))
+        return (none, none, none), (none[0], none[0])
     corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
     u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
     slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)

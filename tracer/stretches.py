@@ -264,6 +264,8 @@ def in_stretches(occluders: Occluders) -> InStretches:
     """Prepare the coarsest step: all objects tried against each other."""
     lights = occluders.lights.T
     surfaces, count = occluders.surfaces, len(occluders.surfaces)
+    if count < 2:
+        return InStretches(occluders, ())
     # A row for each light and each object it may light, a column for each that may shade it.
     light, own = (m.ravel() for m in np.indices((len(lights), count)))
     step = max(1, _OBJECTS // max(1, count))
