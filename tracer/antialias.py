@@ -16,7 +16,19 @@ import numpy as np
 
 from tracer.cells import InCells
 from tracer.edges import Kind, Lines, Pencil, joined
-from tracer.groups import Bools, Triple, columns, dot, each, expand, pick, rows, scaled, select
+from tracer.groups import (
+    Bools,
+    Triple,
+    columns,
+    dot,
+    each,
+    entries,
+    expand,
+    pick,
+    rows,
+    scaled,
+    select,
+)
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting, incoming, narrow, radiance_at, shade
 from tracer.pencil import Outlines, Spans, box_corners, silhouette_planes
@@ -316,7 +328,8 @@ class _Surface(NamedTuple):
         ball = other[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
         discs, turn = pencil.take(on).discs(center, surfaces.radius[ball])
-        odd = (turn > _BEND) | (self.lighting.shadows.occluders.side[light[on], ball] != OUTSIDE)
+        side = entries(self.lighting.shadows.occluders.side, light[on], ball)
+        odd = (turn > _BEND) | (side != OUTSIDE)
         several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
         on = np.flatnonzero(other >= spheres)
         # Every box and light once.

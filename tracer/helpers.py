@@ -44,7 +44,7 @@ _START = 1 << 23
 class _Helper(Worker):
     """A process with an interpreter of its own."""
 
-    __slots__ = ("_here", "_job", "_memory", "_process")
+    __slots__ = ("_here", "_memory", "_message", "_process")
 
     def __init__(self, numbers: int) -> None:
         """Start it; it takes `Numbers` from that file."""
@@ -74,12 +74,12 @@ class _Helper(Worker):
                 os.close(end)
         # None if it could not start.
         self._here: bool | None = False
-        self._job = b""
+        self._message = b""
 
-    def begin(self, job: bytes, shape: tuple[int, ...]) -> None:
-        """Give it something to do, in slots of this shape."""
-        self._job = job
-        self.slots = self._memory[: prod(shape)].reshape(shape)
+    def begin(self, job: Job, message: bytes) -> None:
+        """Give it something to do, in so many words."""
+        self._message = message
+        self.slots = job.slots(self._memory)
         self.joins()
 
     def joins(self) -> bool:
@@ -90,9 +90,9 @@ class _Helper(Worker):
                 self._here = True
             except ChildProcessError:
                 self._here = None
-        if self._here and self._job:
-            self.send(self._job)
-            self._job = b""
+        if self._here and self._message:
+            self.send(self._message)
+            self._message = b""
         return bool(self._here)
 
     def died(self) -> bool:
@@ -141,7 +141,7 @@ class _Crew:
         helpers = self._helpers[:others]
         message = pickle.dumps((numbers.round, job))
         for helper in helpers:
-            helper.begin(message, job.shape)
+            helper.begin(job, message)
         return Team(count, numbers.take, [*helpers])
 
     def stop(self) -> None:

@@ -83,9 +83,7 @@ class InStretches(NamedTuple):
         search = _Search(self.occluders, hits, balls, margin, asked, dark)
         blocks, tiles, order = _tiles(hits, balls, run)
         for kind in self.lists:
-            light, tile, other = search.of_tiles(
-                kind, *search.of_blocks(kind, blocks), blocks, tiles
-            )
+            light, tile, other = search.of_tiles(kind, blocks, tiles)
             for batch in _batches(tiles.length[tile]):
                 part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
                 stretch = order[place]
@@ -116,25 +114,21 @@ class _Search(NamedTuple):
     asked: Bools
     dark: Bools
 
-    def of_blocks(self, kind: _List, blocks: _Tiles) -> tuple[Ints, Ints, Ints]:
-        """Light, block and object that may come between."""
+    def of_tiles(self, kind: _List, blocks: _Tiles, tiles: _Tiles) -> tuple[Ints, Ints, Ints]:
+        """Light, tile and object that may come between: for blocks first, then for their tiles."""
         lights, objects = self.occluders.side.shape
         # Every block for every light.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
         place, listed = expand(kind.first[key + 1] - kind.first[key], kind.first[key])
         light, block = np.divmod(place, blocks.owner.size)
-        return self._in_tiles(kind, blocks, light, block, kind.listed[listed])
-
-    def of_tiles(
-        self, kind: _List, light: Ints, block: Ints, other: Ints, blocks: _Tiles, tiles: _Tiles
-    ) -> tuple[Ints, Ints, Ints]:
-        """The same for the tiles of some blocks."""
+        light, block, other = self._in_tiles(kind, blocks, light, block, kind.listed[listed])
         part, tile = expand(blocks.length[block], blocks.first[block])
         return self._in_tiles(kind, tiles, light[part], tile, other[part])
 
     def _in_tiles(
         self, kind: _List, tiles: _Tiles, light: Ints, tile: Ints, other: Ints
     ) -> tuple[Ints, Ints, Ints]:
+        """Those of these."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
         may, _ = _near(self.occluders, kind, middle, radius, light, other)
         near = np.flatnonzero(may)
@@ -268,7 +262,7 @@ def in_stretches(occluders: Occluders) -> InStretches:
         return InStretches(occluders, ())
     # A row for each light and each object it may light, a column for each that may shade it.
     light, own = (m.ravel() for m in np.indices((len(lights), count)))
-    step = max(1, _OBJECTS // max(1, count))
+    step = max(1, _OBJECTS // count)
     center, low, high = (
         columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
     )

@@ -128,6 +128,10 @@ class Job(NamedTuple):
     arguments: tuple[Any, ...]
     shape: tuple[int, ...]
 
+    def slots(self, memory: Floats) -> Floats:
+        """The part of shared memory that its results go into."""
+        return memory[: prod(self.shape)].reshape(self.shape)
+
 
 class Worker:
     """Another process that takes part, as it is seen from this one.
@@ -334,8 +338,7 @@ def serve(
                         if not numbers.left():
                             continue
                         assert memory is not None
-                        slots = memory[: prod(job.shape)].reshape(job.shape)
-                        do(job.make(*job.arguments), slots)
+                        do(job.make(*job.arguments), job.slots(memory))
             except BaseException as error:
                 tell(False, error)
     finally:
