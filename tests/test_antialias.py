@@ -64,12 +64,14 @@ def test_no_worse_than_the_uniform_grid(path: Path) -> None:
 BALL = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
 
 
-def view(*surfaces: Sphere | Box, light: tuple[float, float, float] = (0, 0, 10)) -> Scene:
-    """Sixteen by sixteen pixels of size 1/4 on the plane z = 0, seen from far away."""
+def view(
+    *surfaces: Sphere | Box, light: tuple[float, float, float] = (0, 0, 10), pixels: int = 16
+) -> Scene:
+    """So many pixels a side, all together of size 4 on the plane z = 0, seen from far away."""
     return Scene(
         camera=Camera(view_point=(0, 0, 100), proj_distance=100, view_width=4, view_height=4),
-        width=16,
-        height=16,
+        width=pixels,
+        height=pixels,
         lights=(PointLight(position=light),),
         surfaces=surfaces,  # type: ignore[arg-type]
     )
@@ -88,7 +90,8 @@ def test_other_numbers_are_rounded_up_to_powers_of_four() -> None:
 def test_bands_change_nothing() -> None:
     # Many spheres and boxes that shade each other, three rows at a time and all at once.
     scene = small(SCENES[0].parent / "many-objects.xml")
-    bands = np.concatenate(list(render_bands(scene, 16, band_pixels=3 * scene.width)))
+    bands = render_bands(scene, 16, band_pixels=3 * scene.width)
+    bands = np.concatenate([band.copy() for band in bands])
     assert np.array_equal(bands, render(scene, samples=16))
 
 
@@ -102,7 +105,7 @@ def test_objects_between_pixel_centres(radius: float) -> None:
     # Centred on a corner of four pixels: no pixel's centre, 1/8 away, sees it.
     scene = view(Sphere(center=(0.5, 0.5, 0), radius=radius))
     assert not render(scene).any()
-    image = render(scene, samples=256)
+    image = render(scene, samples=1024)
     assert (image > 0).any(axis=2).sum() == 4
     # A Lambertian disc under a light from the front shines with 2/3 on average; its four
     # quarters are spread over pixels of area 1/16.
@@ -112,9 +115,9 @@ def test_objects_between_pixel_centres(radius: float) -> None:
 def test_straight_edges_are_exact() -> None:
     # One edge to a pixel, at a slope or upright: its share of the pixel is known in closed form.
     wall = Box(min_pt=(-9, -9, -1), max_pt=(0.3, 9, 0))
-    image = render(view(wall), samples=16)
-    # The eye is 100 away and the wall in the plane of the picture: 0.3 is 1/5 into column 9.
-    assert image[:, 9] == pytest.approx(0.2 * image[:, 8], abs=0.01)
+    image = render(view(wall, pixels=64), samples=16)
+    # The eye is 100 away and the wall in the plane of the picture: 0.3 is 4/5 into column 36.
+    assert image[:, 36] == pytest.approx(0.8 * image[:, 35], abs=0.01)
 
 
 @pytest.mark.parametrize("height", [0.37, 0.8125])
@@ -123,14 +126,14 @@ def test_a_level_horizon_is_exact(height: float) -> None:
     # far above it that only the background is dark.
     floor = Box(min_pt=(-99, -2, -10), max_pt=(99, -1, 100))
     window = Camera(view_width=4, view_height=4, proj_distance=8)
-    scene = replace(view(floor, light=(0, 1e6, 0)), camera=window)
+    scene = replace(view(floor, light=(0, 1e6, 0), pixels=64), camera=window)
     # The eye is 1 over the floor, which ends 10 ahead: 0.8 below the eye on a window 8 ahead,
-    # raised until so much of row 8, 1/4 high, is floor.
-    up = 0.25 * (1 - height) - 0.8
+    # raised until so much of row 32, 1/16 high, is floor.
+    up = (1 - height) / 16 - 0.8
     window = replace(window, view_dir=(0, up / 8, -1), proj_normal=(0, 0, 1))
     image = render(replace(scene, camera=window), samples=16)
     # On the slant the window is a little nearer than it is told to be.
-    assert image[8] == pytest.approx(height * image[9], abs=0.02)
+    assert image[32] == pytest.approx(height * image[33], abs=0.02)
 
 
 @pytest.mark.parametrize("occluder", ["sphere", "box"])

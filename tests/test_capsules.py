@@ -18,7 +18,13 @@ from tracer.camera import raster_of
 from tracer.cells import Cells, in_cells
 from tracer.edges import Kind, Lines, Pencil
 from tracer.groups import Bools, Triple
-from tracer.intersection import box_and_capsule, box_hit, sphere_and_capsule
+from tracer.intersection import (
+    box_and_capsule,
+    box_around_capsule,
+    box_hit,
+    sphere_and_capsule,
+    sphere_around_capsule,
+)
 from tracer.occluders import occluders_of
 from tracer.pencil import box_corners, outlines, silhouette_planes
 from tracer.scene import Floats
@@ -160,9 +166,12 @@ def capsules(cases: list[Case]) -> tuple[Bools, Bools]:
     thickness = np.array([c.thickness for c in cases])
     surfaces = Surfaces.of([c.surface for c in cases])
     if len(surfaces.radius):
-        return sphere_and_capsule(start, end, thickness, columns(surfaces.center), surfaces.radius)
-    low, high = columns(surfaces.min_pt), columns(surfaces.max_pt)
-    return box_and_capsule(start, end, thickness, low, high)
+        sphere = start, end, thickness, columns(surfaces.center), surfaces.radius
+        meets, cuts = sphere_and_capsule(*sphere)
+        return meets & ~sphere_around_capsule(*sphere), cuts
+    box = start, end, thickness, columns(surfaces.min_pt), columns(surfaces.max_pt)
+    meets, cuts = box_and_capsule(*box)
+    return meets & ~box_around_capsule(*box), cuts
 
 
 def columns(points: Floats | list[Floats]) -> Triple:

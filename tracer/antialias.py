@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.cells import InCells
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.groups import (
     Bools,
@@ -35,10 +34,10 @@ from tracer.pencil import Outlines, Spans, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, Samples, View, grid, visible
 
-__all__ = ["antialiased"]
+__all__ = ["antialiased", "dense", "supersampled"]
 
-# Cells that are split at a time.
-_CHUNK = 1 << 14
+# Samples in cells that are split at a time.
+_CHUNK = 1 << 16
 
 # A correction for curvature may be off by a part of itself; where that could show, split.
 _CURVATURE = 4e-3
@@ -46,15 +45,45 @@ _CURVATURE = 4e-3
 # An outline that turns by less (in radians) across a cell passes for straight.
 _BEND = 0.2
 
-# The deepest splitting for which a sphere's limb may be one of two sides.
-_LIMB = 1
+# The last splittings are done at once, as looks would cost more than the samples they save;
+# and into some more parts on each side, as there are few such cells.
+_AT_ONCE, _MORE = 2, 2
 
-# Where outlines cross a larger share of the pixels, four samples in all cost less than a look; so
-# do sixteen, where shadows are looked up in cells, which is quick.
-_DENSE = 0.12
+# Light on a sphere changes like the root of the distance from its limb.  The mean of roots from 0
+# to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
+_ROOT = 1 / 9
+
+# Where outlines cross a larger share of the samples, samples everywhere cost less than looks.
+_DENSE = 0.03
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
 _ROWS = 32
+
+
+def dense(outlines: Outlines) -> bool:
+    """Whether a picture is so full of outlines that samples everywhere cost less than looks."""
+    return outlines.crossed() > _DENSE
+
+
+def supersampled(
+    view: View,
+    lighting: Lighting,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+    per_side: int,
+    out: Floats,
+) -> None:
+    """Mean radiance in pixels of a rectangle, into (rows, columns, 3): of per_side^2 samples each.
+
+    The view is that of a picture as many times as wide and as high.
+    """
+    samples = grid(per_side * top, per_side * bottom, per_side * left, per_side * right)
+    radiance = radiance_at(view, lighting, samples)
+    columns = radiance.reshape(3, bottom - top, per_side, -1).sum(axis=2)
+    total = sum(columns[:, :, k::per_side] for k in range(per_side))
+    out[:] = np.moveaxis(total / per_side**2, 0, 2)
 
 
 def antialiased(
@@ -71,10 +100,6 @@ def antialiased(
 
     At least as accurate as 2^depth x 2^depth samples in every pixel.
     """
-    quick = isinstance(lighting.shadows.finder, InCells)
-    if depth <= 1 + quick and view.outlines.crossed() > _DENSE:
-        out[:] = _grid_everywhere(view, lighting, top, bottom, left, right, 2**depth)
-        return
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = top - 1, bottom + 2 - top
     spans = _spans(view.outlines, top, height, depth)
@@ -109,19 +134,6 @@ def antialiased(
     out[:] = np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
-def _grid_everywhere(
-    view: View, lighting: Lighting, top: int, bottom: int, left: int, right: int, per_side: int
-) -> Floats:
-    """The same by as many samples in all pixels."""
-    samples = grid(top, bottom, left, right)
-    total = np.zeros((3, samples.size))
-    shifts = ((np.arange(per_side) + 0.5) / per_side - 0.5).tolist()
-    for y in shifts:
-        for x in shifts:
-            total += radiance_at(view, lighting, samples._replace(y=samples.y + y, x=samples.x + x))
-    return np.moveaxis(total.reshape(3, bottom - top, right - left) / per_side**2, 0, 2)
-
-
 class _Cells(NamedTuple):
     """Squares of the picture.
 
@@ -147,11 +159,16 @@ class _Cells(NamedTuple):
     cell: Ints
     owner: Ints
 
+    def parts(self, index: Ints, per_side: int) -> tuple[Floats, Floats]:
+        """Centres of the parts of some cells, one cell's after the other's."""
+        shift = self.size * ((np.arange(per_side) + 0.5) / per_side - 0.5)
+        x = (self.x[index, None] + np.tile(shift, per_side)).ravel()
+        y = (self.y[index, None] + np.repeat(shift, per_side)).ravel()
+        return x, y
+
     def split(self, index: Ints) -> _Cells:
-        """Quarters of some cells, one cell's after the other's."""
-        shift = np.array([-0.25, 0.25]) * self.size
-        x = (self.x[index, None] + np.tile(shift, 2)).ravel()
-        y = (self.y[index, None] + np.repeat(shift, 2)).ravel()
+        """Quarters of some cells."""
+        x, y = self.parts(index, 2)
         place = np.full(self.x.size, -1)
         place[index] = np.arange(index.size)
         cell = place[self.cell]
@@ -193,7 +210,7 @@ def _refined(
     wanted: Bools,
 ) -> Floats:
     """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
-    lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
+    lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
     first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
@@ -207,18 +224,22 @@ def _refined(
         mean[:, single.cell], more = _sides(view, lighting, cells, single)
         several[single.cell[more]] = True
     rest = np.flatnonzero(several & wanted)
-    for begin in range(0, rest.size, _CHUNK):
-        part = rest[begin : begin + _CHUNK]
-        quarters = cells.split(part)
-        samples, order = _sorted(quarters.x, quarters.y)
-        radiance = np.empty((3, order.size))
-        if depth > 1:
+    at_once = depth <= _AT_ONCE
+    per_side = 2**depth + _MORE if at_once else 2
+    step = max(1, _CHUNK // per_side**2)
+    for begin in range(0, rest.size, step):
+        part = rest[begin : begin + step]
+        if at_once:
+            samples, order = _sorted(*cells.parts(part, per_side))
+            radiance = np.empty((3, order.size))
+            radiance[:, order] = radiance_at(view, lighting, samples)
+        else:
+            quarters = cells.split(part)
+            samples, order = _sorted(quarters.x, quarters.y)
             seen = _look(view, lighting, samples, quarters.size, cells.tolerance, order)
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
-        else:
-            radiance[:, order] = radiance_at(view, lighting, samples)
-        mean[:, part] = radiance.reshape(3, -1, 4).mean(axis=2)
+        mean[:, part] = radiance.reshape(3, -1, per_side**2).mean(axis=2)
     return mean
 
 
@@ -396,7 +417,7 @@ class _Surface(NamedTuple):
                 yield Lines(self.cell[at], kind, across[k], down[k], offset[at]).crossing()
 
 
-def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
+def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
     """Outlines across cells; marks `several` where they are not straight enough."""
     if not cells.cell.size:
         return
@@ -405,7 +426,7 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     s, g = raster.across(cells.x[cells.cell]), raster.down(cells.y[cells.cell])
     zero, one = np.zeros(s.size), np.ones(s.size)
     pencil = Pencil(
-        Kind.OUTLINE,
+        Kind.LIMB,
         cells.cell,
         (s, g, raster.depth * one),
         (raster.step_u * cells.size * one, zero, zero),
@@ -414,14 +435,13 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     at = np.flatnonzero(cells.owner < spheres)
     ball = cells.owner[at]
     discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
-    # Towards a limb, light changes like a root: one sample is not enough for high hopes.
-    odd = turn > (_BEND if depth <= _LIMB else 0)
-    several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
+    several[discs.take(np.flatnonzero(turn > _BEND)).crossing().cell] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
     box = cells.owner[at] - spheres
     planes = each(lambda m: m[:, box], lines.edges)
-    yield pencil.take(at).boxes((planes[0], planes[1], planes[2] / raster.depth))
+    pencil = pencil.take(at)._replace(kind=Kind.OUTLINE)
+    yield pencil.boxes((planes[0], planes[1], planes[2] / raster.depth))
 
 
 def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
@@ -513,7 +533,11 @@ def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tupl
     shares = np.concatenate([share, 1 - share])
     x = np.concatenate([moment_x, -moment_x]) / np.maximum(shares, 1e-9)
     y = np.concatenate([moment_y, -moment_y]) / np.maximum(shares, 1e-9)
-    a, b = (np.concatenate([m, -m]) for m in (single.a, single.b))
+    a, b, c = (np.concatenate([m, -m]) for m in (single.a, single.b, single.c))
+    # Within a limb, towards it.
+    nearer = np.repeat([0, _ROOT], count) * np.tile(single.kind == Kind.LIMB, 2)
+    nearer *= (c + a * x + b * y) / (a * a + b * b)
+    x, y = x - nearer * a, y - nearer * b
     # To the next row on the same side of the line, along it if it is steep.
     row = np.where(b < 0, np.floor((y + 0.5) * _ROWS), np.ceil((y + 0.5) * _ROWS)) / _ROWS - 0.5
     x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)

@@ -29,9 +29,10 @@ _SAME = 0.02
 class Kind(IntEnum):
     """What draws a line: beyond it there may be lines of a later kind."""
 
-    OUTLINE = 0
-    RIDGE = 1
-    SHADOW = 2
+    LIMB = 0
+    OUTLINE = 1
+    RIDGE = 2
+    SHADOW = 3
 
 
 class Lines(NamedTuple):

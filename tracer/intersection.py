@@ -25,10 +25,12 @@ __all__ = [
     "SURFACE_TOLERANCE",
     "Disc",
     "box_and_capsule",
+    "box_around_capsule",
     "box_blocks",
     "box_hit",
     "disc_in_row",
     "sphere_and_capsule",
+    "sphere_around_capsule",
     "sphere_blocks",
     "sphere_crosses",
     "sphere_hit",
@@ -296,35 +298,58 @@ def sphere_and_capsule(
     aside2, error = distance2 - along * along / length2, _CANCELLED * distance2
     outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
     from_start, from_end = distance2 > outer, to_end2 > outer
+    before, behind = along < 0, along > length2
     # Where the segment is a point, `aside2` is not a number.
-    apart = (aside2 - error > outer) | (from_start & (along < 0)) | (from_end & (along > length2))
-    meets = ~apart & (np.maximum(distance2, to_end2) >= inner)
-    between = from_start & from_end & (along > 0) & (along < length2)
-    cuts = between & (aside2 + error < inner)
+    meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind))
+    cuts = from_start & from_end & ~(before | behind) & (aside2 + error < inner)
     return meets, cuts
+
+
+def sphere_around_capsule(
+    start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
+) -> Bools:
+    """Whether spheres hold whole capsules inside: such spheres block nothing there."""
+    a, b = each(np.subtract, start, center), each(np.subtract, end, center)
+    inner = np.maximum(radius - thickness, 0) ** 2
+    around: Bools = np.maximum(dot(a, a), dot(b, b)) < inner
+    return around
 
 
 def box_and_capsule(
     start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
 ) -> tuple[Bools, Bools]:
-    """The same for boxes."""
+    """`sphere_and_capsule`, of boxes."""
     # Parts of the segment in a box that is larger by as much, and in one that is smaller.
     enter, leave = np.full(2, [-np.inf, np.inf])
     enter_inner, leave_inner = enter, leave
-    held: Bools = np.ones((), dtype=np.bool_)
     for k in range(3):
         d = end[k] - start[k]
         below, above = low[k] - start[k], high[k] - start[k]
-        # Nearly parallel in place of parallel: no quotient is 0 / 0.
-        size = np.abs(below) + np.abs(above) + thickness
-        inverse = 1 / (d + (d == 0) * (_NEARLY * size))
+        if np.count_nonzero(d) < d.size:
+            # Nearly parallel in place of parallel: no quotient is 0 / 0.
+            size = np.abs(below) + np.abs(above) + thickness
+            d = d + (d == 0) * (_NEARLY * size)
+        inverse = 1 / d
         margin = thickness * np.abs(inverse)
-        a, b = below * inverse, above * inverse
-        near, far = np.minimum(a, b), np.maximum(a, b)
-        enter, leave = np.maximum(enter, near - margin), np.minimum(leave, far + margin)
-        near, far = near + margin, far - margin
-        enter_inner, leave_inner = np.maximum(enter_inner, near), np.minimum(leave_inner, far)
-        held = held & (near < 0) & (far > 1)
-    meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~held
+        below *= inverse
+        above *= inverse
+        near, far = np.minimum(below, above), np.maximum(below, above)
+        enter_inner = np.maximum(enter_inner, near + margin)
+        leave_inner = np.minimum(leave_inner, far - margin)
+        near -= margin
+        far += margin
+        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
+    meets = (enter <= leave) & (leave >= 0) & (enter <= 1)
     cuts: Bools = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
     return meets, cuts
+
+
+def box_around_capsule(
+    start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
+) -> Bools:
+    """`sphere_around_capsule`, of boxes."""
+    around: Bools = np.ones((), dtype=np.bool_)
+    for a, b, least, most in zip(start, end, low, high, strict=True):
+        around = around & (np.minimum(a, b) - thickness > least)
+        around = around & (np.maximum(a, b) + thickness < most)
+    return around

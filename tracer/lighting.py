@@ -93,8 +93,8 @@ class Incoming(NamedTuple):
         return Incoming(*(m[:, place] for m in self))
 
 
-def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
-    """Prepare a scene's lights, for so many samples a pixel."""
+def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
+    """Prepare a scene's lights, for pixels that may be split."""
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     intensities = np.array([light.intensity for light in lights]).reshape(-1, 3)
@@ -103,7 +103,7 @@ def lighting_of(scene: Scene, view: View, samples: int) -> Lighting:
         intensities,
         Lanes.of(intensities),
         np.column_stack(view.raster.local(positions)),
-        shadows_of(occluders_of(view, positions), scene.width * scene.height, samples > 1),
+        shadows_of(occluders_of(view, positions), view.raster.width * view.raster.height, split),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )

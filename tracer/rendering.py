@@ -14,14 +14,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from tracer.antialias import antialiased
-from tracer.camera import raster_of
+from tracer.antialias import antialiased, dense, supersampled
+from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
-from tracer.visibility import View, grid
+from tracer.visibility import View, grid, view_of
 from tracer.workers import AHEAD, Job, Work, can_fork, forked
 
 __all__ = ["render", "render_bands", "render_each"]
@@ -34,7 +34,7 @@ _QUIET = np.errstate(all="ignore")
 # How large bands are, and how small it pays to make them.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
-# What a picture takes grows with pixels, lights, (a few) objects and how often pixels are split.
+# What a picture takes grows with samples, lights, (a few) objects and how often pixels are split.
 # From so much on it pays to fork, and to ask a helper.
 _FEW_OBJECTS = 8
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 20
@@ -110,8 +110,9 @@ def render_each(
     this is for a program that does nothing else.  `work` is called with each band (rows, width,
     3) on the processor that renders it, and returns something small.
     """
-    processes = threads or (2 if can_fork() and _load(scene, samples) >= _WORTH_FORKING else 1)
-    bands = _Bands.of(scene, samples, (0.0, 0.0), _BAND_PIXELS, processes)
+    picture = _Picture.of(scene, samples)
+    processes = threads or (2 if can_fork() and picture.load() >= _WORTH_FORKING else 1)
+    bands = _Bands.of(picture, _BAND_PIXELS, processes)
     render = _Renderer.of(bands)
 
     def result(number: int, _: Floats | None) -> T:
@@ -130,9 +131,10 @@ def _rendered(
     image: Floats | None = None,
 ) -> Iterator[tuple[slice, Floats]]:
     """All bands and their rows; those that are rendered here, in their places in the image."""
-    load = _load(scene, samples)
+    picture = _Picture.of(scene, samples, offset)
+    load = picture.load()
     processes = threads or (2 if load >= _WORTH_HELP else 1)
-    bands = _Bands.of(scene, samples, offset, band_pixels, processes)
+    bands = _Bands.of(picture, band_pixels, processes)
     job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
     # Who asks for more processors gets them at once.
     load = inf if threads else load
@@ -146,15 +148,47 @@ def _rendered(
             yield bands.rows(number), band
 
 
-def _depth(samples: int) -> int:
-    """How often pixels are split: to the least power of four that is as many samples."""
-    return ((samples - 1).bit_length() + 1) // 2
+class _Picture(NamedTuple):
+    """What is rendered.
 
+    Attributes
+    ----------
+    scene : Scene
+    offset : (float, float)
+    depth : int
+        How often pixels are split, where they need it.
+    per_side : int
+        Samples along the sides of all pixels.
+    """
 
-def _load(scene: Scene, samples: int) -> float:
-    """Roughly what a picture takes: some 10 ns for each of these."""
-    each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-    return scene.width * scene.height * each * (1 + _depth(samples))
+    scene: Scene
+    offset: tuple[float, float]
+    depth: int
+    per_side: int
+
+    @classmethod
+    @_QUIET
+    def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
+        """The least power of four that is as many samples: everywhere, or by splitting."""
+        if samples < 1:
+            raise ValueError(f"samples must be at least 1, is {samples}")
+        depth = ((samples - 1).bit_length() + 1) // 2
+        everywhere = cls(scene, offset, 0, 2**depth)
+        if depth and not dense(outlines(everywhere.raster(), scene.surfaces)):
+            return cls(scene, offset, depth, 1)
+        return everywhere
+
+    def raster(self) -> Raster:
+        """The rays of the samples that are everywhere."""
+        scene, side = self.scene, self.per_side
+        offset = self.offset[0] * side, self.offset[1] * side
+        return raster_of(scene.camera, scene.width * side, scene.height * side, offset)
+
+    def load(self) -> float:
+        """Roughly what it takes: some 10 ns for each of these."""
+        scene = self.scene
+        each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
+        return scene.width * scene.height * self.per_side**2 * (1 + self.depth) * each
 
 
 class _Bands(NamedTuple):
@@ -162,50 +196,39 @@ class _Bands(NamedTuple):
 
     Attributes
     ----------
-    scene : Scene
-    samples : int
-    offset : (float, float)
-    band_pixels : int
-        In a band, at most.
+    picture : _Picture
     step : int
         Rows in a band.
+    columns : int
+        Of a row, as many as are rendered together.
     """
 
-    scene: Scene
-    samples: int
-    offset: tuple[float, float]
-    band_pixels: int
+    picture: _Picture
     step: int
+    columns: int
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        samples: int,
-        offset: tuple[float, float],
-        band_pixels: int,
-        processes: int,
-    ) -> _Bands:
-        """Bands for so many processes."""
-        if samples < 1:
-            raise ValueError(f"samples must be at least 1, is {samples}")
-        step = max(1, band_pixels // scene.width)
+    def of(cls, picture: _Picture, band_pixels: int, processes: int) -> _Bands:
+        """Bands of so many pixels at most, for so many processes."""
+        scene, each = picture.scene, picture.per_side**2
+        columns = max(1, band_pixels // each)
+        step = max(1, columns // scene.width)
         if processes > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
-            pixels = scene.width * scene.height
-            count = max(processes, min(4 * processes, pixels // _LEAST_PIXELS))
+            samples = scene.width * scene.height * each
+            count = max(processes, min(4 * processes, samples // _LEAST_PIXELS))
             step = min(step, -(-scene.height // count))
-        return cls(scene, samples, offset, band_pixels, step)
+        return cls(picture, step, columns)
 
     @property
     def tops(self) -> range:
         """The first row of each."""
-        return range(0, self.scene.height, self.step)
+        return range(0, self.picture.scene.height, self.step)
 
     def rows(self, number: int) -> slice:
         """The rows of a band."""
         top = self.tops[number]
-        return slice(top, min(top + self.step, self.scene.height))
+        return slice(top, min(top + self.step, self.picture.scene.height))
 
 
 class _Renderer(NamedTuple):
@@ -216,27 +239,32 @@ class _Renderer(NamedTuple):
     lighting: Lighting
 
     @classmethod
+    @_QUIET
     def of(cls, bands: _Bands) -> _Renderer:
         """Prepare a scene."""
         keep_heap()
-        return cls(bands, *_prepare(bands.scene, bands.offset, bands.samples))
+        picture = bands.picture
+        view = view_of(picture.raster(), picture.scene.surfaces)
+        return cls(bands, view, lighting_of(picture.scene, view, picture.depth > 0))
 
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
         """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
-        width, rows = self.bands.scene.width, self.bands.rows(number)
+        width, rows = self.bands.picture.scene.width, self.bands.rows(number)
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
-        # A row longer than a band is rendered in parts.
-        for left in range(0, width, self.bands.band_pixels):
-            right = min(left + self.bands.band_pixels, width)
+        for left in range(0, width, self.bands.columns):
+            right = min(left + self.bands.columns, width)
             self._part(rows, left, right, out[:, left:right])
         return out
 
     @_QUIET
     def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
-        if depth := _depth(self.bands.samples):
-            antialiased(view, lighting, top, bottom, left, right, depth, out)
+        picture = self.bands.picture
+        if picture.depth:
+            antialiased(view, lighting, top, bottom, left, right, picture.depth, out)
+        elif picture.per_side > 1:
+            supersampled(view, lighting, top, bottom, left, right, picture.per_side, out)
         else:
             radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
 
@@ -253,20 +281,3 @@ def _help(bands: _Bands) -> Work[Floats]:
         return render(number, out)
 
     return work
-
-
-@_QUIET
-def _prepare(scene: Scene, offset: tuple[float, float], samples: int) -> tuple[View, Lighting]:
-    """Everything that all bands share."""
-    surfaces = scene.surfaces
-    raster = raster_of(scene.camera, scene.width, scene.height, offset)
-    lines = outlines(raster, surfaces)
-    in_box = ((surfaces.min_pt <= raster.eye) & (raster.eye <= surfaces.max_pt)).all(axis=1)
-    view = View(
-        raster=raster,
-        surfaces=surfaces,
-        outlines=lines,
-        eye_inside=np.concatenate([lines.power <= 0, in_box]),
-        order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
-    )
-    return view, lighting_of(scene, view, samples)

@@ -9,12 +9,18 @@ there; cut, the shadow is certain; only what is met goes to the next finer step.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tracer.groups import Bools, Triple, columns, dot, each, entries, expand, pick, put, runs
-from tracer.intersection import box_and_capsule, sphere_and_capsule
+from tracer.intersection import (
+    INSIDE,
+    box_and_capsule,
+    box_around_capsule,
+    sphere_and_capsule,
+    sphere_around_capsule,
+)
 from tracer.occluders import SLACK, Balls, Occluders, Pairs
 from tracer.scene import Floats, Ints
 from tracer.visibility import Hits
@@ -35,11 +41,14 @@ class _List(NamedTuple):
     Attributes
     ----------
     spheres : bool
+    lit : bool
+        Whether there is a light inside any of them.
     first, listed : (lights * n + 1,) and (m,)
         For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
     """
 
     spheres: bool
+    lit: bool
     first: Ints
     listed: Ints
 
@@ -180,15 +189,28 @@ def _near(
     occluders: Occluders, kind: _List, middle: Triple, radius: Floats, light: Ints, other: Ints
 ) -> tuple[Bools, Bools]:
     """Whether objects may come between balls and lights, and whether they surely do."""
+    met_or_cut = sphere_and_capsule if kind.spheres else box_and_capsule
+    meets, cuts = met_or_cut(*_capsules(occluders, kind, middle, radius, light, other))
+    if kind.lit:
+        at = np.flatnonzero(entries(occluders.side, light, other) == INSIDE)
+        around = sphere_around_capsule if kind.spheres else box_around_capsule
+        some = pick(middle, at), radius[at], light[at], other[at]
+        meets[at] &= ~around(*_capsules(occluders, kind, *some))
+    return meets, cuts
+
+
+def _capsules(
+    occluders: Occluders, kind: _List, middle: Triple, radius: Floats, light: Ints, other: Ints
+) -> tuple[Triple, Triple, Floats, Triple, Any]:
+    """Capsules from balls to lights, and bounds of objects."""
     surfaces = occluders.surfaces
     x, y, z = occluders.lights
     end = x[light], y[light], z[light]
     if kind.spheres:
-        center = columns(surfaces.center, other)
-        return sphere_and_capsule(middle, end, radius, center, surfaces.radius[other])
+        return middle, end, radius, columns(surfaces.center, other), surfaces.radius[other]
     box = other - len(surfaces.radius)
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-    return box_and_capsule(middle, end, radius, low, high)
+    return middle, end, radius, low, high
 
 
 class _Tiles(NamedTuple):
@@ -283,8 +305,15 @@ def in_stretches(occluders: Occluders) -> InStretches:
         for kind, part, before in ((0, may[:, :spheres], 0), (1, may[:, spheres:], spheres)):
             many[kind].append(np.count_nonzero(part, axis=1))
             listed[kind].append(np.nonzero(part)[1] + before)
+    inside = (occluders.side == INSIDE).any(axis=0)
+    lit = inside[: len(surfaces.radius)].any(), inside[len(surfaces.radius) :].any()
     lists = (
-        _List(kind == 0, np.cumsum([0, *np.concatenate(many[kind])]), np.concatenate(listed[kind]))
+        _List(
+            kind == 0,
+            bool(lit[kind]),
+            np.cumsum([0, *np.concatenate(many[kind])]),
+            np.concatenate(listed[kind]),
+        )
         for kind in (0, 1)
         if any(part.size for part in listed[kind])
     )

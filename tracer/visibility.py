@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tracer.camera import Raster
 from tracer.groups import Bools, Index, Triple, dot, pick, rows, runs, select, spread
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
-from tracer.pencil import Outlines, Spans
+from tracer.pencil import Outlines, Spans, outlines
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Group", "Hits", "Samples", "View", "grid", "visible"]
+__all__ = ["Group", "Hits", "Samples", "View", "grid", "view_of", "visible"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
@@ -105,6 +105,19 @@ class View(NamedTuple):
     outlines: Outlines
     eye_inside: Bools
     order: Ints
+
+
+def view_of(raster: Raster, surfaces: Surfaces) -> View:
+    """Look at surfaces."""
+    lines, eye = outlines(raster, surfaces), raster.eye
+    in_box = ((surfaces.min_pt <= eye) & (eye <= surfaces.max_pt)).all(axis=1)
+    return View(
+        raster,
+        surfaces,
+        lines,
+        eye_inside=np.concatenate([lines.power <= 0, in_box]),
+        order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
+    )
 
 
 class Group(NamedTuple):
