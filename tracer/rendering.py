@@ -34,9 +34,10 @@ _QUIET = np.errstate(all="ignore")
 # How large bands are, and how small it pays to make them.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 
-# What a picture takes grows with samples, lights, (a few) objects and how often pixels are split.
-# From so much on it pays to fork, and to ask a helper.
-_FEW_OBJECTS = 8
+# What a picture takes grows with samples, lights, (a few) objects and how often pixels are split,
+# which is as much work each time as three samples.  From so much on it pays to fork, and to ask a
+# helper.
+_FEW_OBJECTS, _SPLIT = 8, 3
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 20
 
 
@@ -188,7 +189,7 @@ class _Picture(NamedTuple):
         """Roughly what it takes: some 10 ns for each of these."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        return scene.width * scene.height * self.per_side**2 * (1 + self.depth) * each
+        return scene.width * scene.height * self.per_side**2 * (1 + _SPLIT * self.depth) * each
 
 
 class _Bands(NamedTuple):
