@@ -159,6 +159,10 @@ def warm(rounds: int, quick: bool) -> Table:
     sizes = ((320, 180),) if quick else ((320, 180), (1280, 720), _LARGE)
     names = [path.stem for path in sorted(SCENES.glob("*.xml"))]
     rows: list[tuple[object, ...]] = []
+    # Both are ready: Mitsuba has compiled its kernels, and the tracer's helper is there.
+    for _ in range(2):
+        render(resized(load_scene(SCENES / f"{_FEW[-1]}.xml"), *_LARGE))
+        sleep(0.5)
     for size in sizes:
         for name in _FEW if quick else names:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
@@ -170,8 +174,9 @@ def warm(rounds: int, quick: bool) -> Table:
         "Warm: rendering alone",
         "Milliseconds in process, one sample a pixel: median (fastest–slowest) of at least"
         f" {rounds}, taken in turns with pauses of 20 ms, for Mitsuba's threads stay awake as long."
-        f" Mitsuba {variant}, scene and kernels ready. Exact: the same picture, by this project's"
-        " plugins; stock: a similar one by its own, with one light a sample.",
+        f" Mitsuba {variant}, scene and kernels ready, as is the tracer's helper. Exact: the same"
+        " picture, by this project's plugins; stock: a similar one by its own, with one light a"
+        " sample.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )

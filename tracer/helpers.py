@@ -21,7 +21,7 @@ from select import select
 import numpy as np
 
 from tracer.memory import keep_heap
-from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, serve
+from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, keep_apart, serve
 
 __all__ = ["helped", "live"]
 
@@ -91,6 +91,7 @@ class _Helper(Worker):
             except ChildProcessError:
                 self._here = None
         if self._here and self._message:
+            keep_apart(self._process.pid)
             self.send(self._message)
             self._message = b""
         return bool(self._here)

@@ -38,7 +38,7 @@ _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 # which is as much work each time as three samples.  From so much on it pays to fork, and to ask a
 # helper.
 _FEW_OBJECTS, _SPLIT = 8, 3
-_WORTH_FORKING, _WORTH_HELP = 1 << 21, 1 << 20
+_WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
 
 
 def render(

@@ -10,6 +10,7 @@ What is to be done has numbers, and whoever is idle takes the next.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import select
@@ -39,6 +40,7 @@ __all__ = [
     "Worker",
     "can_fork",
     "forked",
+    "keep_apart",
     "serve",
 ]
 
@@ -251,6 +253,17 @@ class Team(NamedTuple):
         return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
 
 
+def keep_apart(process: int) -> None:
+    """Keep a process off the processor that this one runs on, if there are others.
+
+    Where it is woken, Linux may leave it to wait there for milliseconds: half a small picture.
+    """
+    with suppress(AttributeError, OSError):
+        others = os.sched_getaffinity(0) - {ctypes.CDLL(None).sched_getcpu()}
+        if others:
+            os.sched_setaffinity(process, others)
+
+
 def can_fork() -> bool:
     """Whether forking is safe here: where it is well tried, and without other threads."""
     return sys.platform == "linux" and threading.active_count() == 1
@@ -278,6 +291,7 @@ def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
                 renew_heap()
                 serve(calls_in, results_out, numbers, work)
             pids.append(pid)
+            keep_apart(pid)
             workers.append(Worker(calls_out, results_in))
             os.close(calls_in)
             os.close(results_out)
