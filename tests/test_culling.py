@@ -26,6 +26,7 @@ def assert_same(scene: Scene) -> None:
     for samples_each, large in ((0.001, 100), (1e9, 1e9)):
         with (
             patch("tracer.shadow._PIXELS_EACH", samples_each),
+            patch("tracer.shadow._FEW", 0),
             patch("tracer.visibility._LARGE", large),
         ):
             image = render(scene)

@@ -31,8 +31,8 @@ from tracer.visibility import Hits
 __all__ = ["Shadows", "shadows_of"]
 
 # Stretches pay where each object has so many pixels (not so many, if pixels are split), and the
-# objects are not too many.
-_PIXELS_EACH, _SPLIT_EACH, _MOST = 1000, 240, 1024
+# objects are not too many; and where they are few.
+_PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 1000, 240, 1024, 64
 
 
 class Shadows(NamedTuple):
@@ -185,5 +185,5 @@ class Shadows(NamedTuple):
 def shadows_of(occluders: Occluders, pixels: int, split: bool) -> Shadows:
     """Prepare for the shadows in so many pixels, which may be split."""
     each = _SPLIT_EACH if split else _PIXELS_EACH
-    few = len(occluders.surfaces) <= min(pixels / each, _MOST)
+    few = len(occluders.surfaces) <= max(_FEW, min(pixels / each, _MOST))
     return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))
