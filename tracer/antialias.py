@@ -39,8 +39,9 @@ __all__ = ["antialiased", "dense", "supersampled"]
 # Samples in cells that are split at a time.
 _CHUNK = 1 << 16
 
-# A correction for curvature may be off by a part of itself; where that could show, split.
-_CURVATURE = 4e-3
+# A correction for curvature may be off by a part of itself; where that could show, split.  Grids
+# err less with the power 3/2 of the samples along each side.
+_CURVATURE = 1e-2
 
 # An outline that turns by less (in radians) across a cell passes for straight.
 _BEND = 0.2
@@ -114,7 +115,7 @@ def antialiased(
     left, width = start - 1, right + 2 - start
     samples = grid(top, bottom + 1, left, right + 1)
     # The finer the grid that is asked for, the less a sample may be off.
-    tolerance = _CURVATURE / 2**depth
+    tolerance = _CURVATURE / 2 ** (1.5 * depth)
     seen = _look(view, lighting, samples, 1.0, tolerance)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
     row, column, owner = _met(spans, left, height, width, depth)
@@ -210,7 +211,7 @@ def _refined(
     wanted: Bools,
 ) -> Floats:
     """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
-    lines = joined([*_outlines(view, cells, seen.several), *seen.lines])
+    lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
     first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
@@ -334,6 +335,17 @@ class _Surface(NamedTuple):
             raster.turned((down[0], down[1] + v, down[2])),
         )
 
+    def bow(self, at: Ints) -> Triple | None:
+        """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
+        if self.group.face < 3:
+            return None
+        raster, group = self.hits.raster, self.group
+        p, lift = rows(self.hits.p, group.part.start + at), select(group.lift, at)
+        radius = select(group.of(self.view.surfaces.radius), at)
+        # As far as the surface has turned from its tangent plane, along the ray.
+        along = self.footprint[at] ** 2 * raster.depth / (2 * radius * lift * p[2])
+        return raster.turned(scaled(p, along))
+
     def from_light(self, light: Ints | int, at: Ints) -> Triple:
         """Rays from lights to some points."""
         x, y, z = self.lighting.positions[light].T
@@ -344,7 +356,8 @@ class _Surface(NamedTuple):
         """Edges of shadows; marks `several` where they are not straight."""
         surfaces, lights = self.view.surfaces, self.lighting.positions
         spheres = len(surfaces.radius)
-        pencil = Pencil(Kind.SHADOW, self.cell[at], self.from_light(light, at), *self.steps(at))
+        rays = self.from_light(light, at)
+        pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at), self.bow(at))
         on = np.flatnonzero(other < spheres)
         ball = other[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
@@ -363,7 +376,9 @@ class _Surface(NamedTuple):
         planes = each(lambda m: m[:, place], planes)
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
         several[pencil.cell[on[unknown]]] = True
-        return joined([discs.crossing(), pencil.take(on).boxes(planes)])
+        edges, turn = pencil.take(on).boxes(planes)
+        several[edges.cell[turn > _BEND]] = True
+        return joined([discs.crossing(), edges])
 
     def turning(self, light: Incoming) -> Bools:
         """Where a sphere turns away from lights, (lights, n)."""
@@ -417,7 +432,7 @@ class _Surface(NamedTuple):
                 yield Lines(self.cell[at], kind, across[k], down[k], offset[at]).crossing()
 
 
-def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
+def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
     """Outlines across cells; marks `several` where they are not straight enough."""
     if not cells.cell.size:
         return
@@ -435,13 +450,16 @@ def _outlines(view: View, cells: _Cells, several: Bools) -> Iterator[Lines]:
     at = np.flatnonzero(cells.owner < spheres)
     ball = cells.owner[at]
     discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
-    several[discs.take(np.flatnonzero(turn > _BEND)).crossing().cell] = True
+    # Within a limb light is not even: that is for the smallest cells.
+    odd = np.flatnonzero(turn > (_BEND if depth <= _AT_ONCE else 0))
+    several[discs.take(odd).crossing().cell] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
     box = cells.owner[at] - spheres
     planes = each(lambda m: m[:, box], lines.edges)
     pencil = pencil.take(at)._replace(kind=Kind.OUTLINE)
-    yield pencil.boxes((planes[0], planes[1], planes[2] / raster.depth))
+    edges, _ = pencil.boxes((planes[0], planes[1], planes[2] / raster.depth))
+    yield edges
 
 
 def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
@@ -535,7 +553,7 @@ def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tupl
     y = np.concatenate([moment_y, -moment_y]) / np.maximum(shares, 1e-9)
     a, b, c = (np.concatenate([m, -m]) for m in (single.a, single.b, single.c))
     # Within a limb, towards it.
-    nearer = np.repeat([0, _ROOT], count) * np.tile(single.kind == Kind.LIMB, 2)
+    nearer = np.repeat([0.0, _ROOT], count) * np.tile(single.kind == Kind.LIMB, 2)
     nearer *= (c + a * x + b * y) / (a * a + b * b)
     x, y = x - nearer * a, y - nearer * b
     # To the next row on the same side of the line, along it if it is steep.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, pick
+from tracer.groups import Bools, Triple, dot, each, pick, scaled
 from tracer.scene import Floats, Ints
 
 __all__ = ["Kind", "Lines", "Pencil", "joined"]
@@ -115,6 +115,8 @@ class Pencil(NamedTuple):
     ray : three (n,)
     across, down : three (n,), or numbers
         How the ray changes from one side of the cell to the other.
+    bow : three (n,), optional
+        How far it is off in the corners, for the cell's surface is curved.
     """
 
     kind: Kind
@@ -122,11 +124,13 @@ class Pencil(NamedTuple):
     ray: Triple
     across: Triple
     down: Triple
+    bow: Triple | None = None
 
     def take(self, index: Ints) -> Pencil:
         """Some of them."""
         across, down = pick(self.across, index), pick(self.down, index)
-        return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down)
+        bow = pick(self.bow, index) if self.bow else None
+        return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down, bow)
 
     def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats]:
         """Outlines of spheres, one for each ray, and how far they turn in the cell (radians)."""
@@ -142,19 +146,32 @@ class Pencil(NamedTuple):
         bend = (dot(along, along) - ahead * ahead / dot(self.ray, self.ray)) / radius
         # A chord as long as the cell lies so far inside a flat arc on average.
         sag = np.where(bend < size, bend / 24, 0)
-        return self._lines(a, b, distance - radius + sag), bend / size
+        lines = self._lines(a, b, distance - radius + sag)
+        return lines, bend / size + self._turn(lines, scaled(offset, slope))
 
-    def boxes(self, planes: Triple) -> Lines:
-        """Outlines of boxes, one for each ray: planes three (6, n) contain their edges."""
+    def boxes(self, planes: Triple) -> tuple[Lines, Floats]:
+        """The same of boxes: planes three (6, n) contain the edges of their outlines."""
+        normals = [*zip(*planes, strict=True)]
         edges = [
             self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
-            for normal in zip(*planes, strict=True)
+            for normal in normals
         ]
-        at = np.flatnonzero(np.all([edge.c >= -edge.reach() for edge in edges], axis=0))
+        within = np.all([edge.c >= -edge.reach() for edge in edges], axis=0)
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
-        return joined(edge.take(at).crossing() for edge in edges)
+        turn = [self._turn(edge, normal) for edge, normal in zip(edges, normals, strict=True)]
+        at = [np.flatnonzero(within & (np.abs(edge.c) < edge.reach())) for edge in edges]
+        lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
+        return lines, np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
+
+    def _turn(self, lines: Lines, slope: Triple) -> Floats:
+        """How far lines turn in the cell because the surface is curved; `slope` is that of c."""
+        if self.bow is None:
+            return np.zeros(lines.cell.size)
+        # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
+        turn: Floats = 4 * np.abs(dot(slope, self.bow)) / lines.reach()
+        return turn
 
     def _lines(self, a: Floats, b: Floats, c: Floats) -> Lines:
         return Lines(self.cell, np.full(self.cell.size, self.kind), a, b, c)
