@@ -370,7 +370,8 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
     planes = silhouette_planes(
         (corners[0], corners[1], corners[2]), apex, surfaces.min_pt, surfaces.max_pt
     )
-    lines = pencil.boxes(planes)
+    lines, turn = pencil.boxes(planes)
+    assert not turn.any()
     x, y = spread(150)
     inner = np.ones((400, x.size), dtype=np.bool_)
     near = np.zeros((400, x.size), dtype=np.bool_)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from contextlib import suppress
 from itertools import islice
@@ -14,7 +16,7 @@ import pytest
 
 import tracer.helpers
 from tracer.scene import Floats
-from tracer.workers import Numbers, forked
+from tracer.workers import Numbers, forked, keep_apart
 
 COUNT = 11
 
@@ -44,6 +46,15 @@ def children() -> int:
 def test_results_in_order(others: int) -> None:
     with forked(patiently, COUNT, others) as team:
         assert list(team.results(patiently)) == list(range(COUNT))
+
+
+def test_workers_keep_off_this_processor() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        keep_apart(process.pid)
+        mine, its = os.sched_getaffinity(0), os.sched_getaffinity(process.pid)
+        process.communicate(b"\n")
+    assert its <= mine
+    assert len(its) == max(1, len(mine) - 1)
 
 
 def test_each_number_is_worked_on_once(tmp_path: Path) -> None:

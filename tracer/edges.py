@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, pick, scaled
+from tracer.groups import Bools, Triple, cross, dot, each, pick, scaled
 from tracer.scene import Floats, Ints
 
 __all__ = ["Kind", "Lines", "Pencil", "joined"]
@@ -134,20 +134,26 @@ class Pencil(NamedTuple):
 
     def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats]:
         """Outlines of spheres, one for each ray, and how far they turn in the cell (radians)."""
-        nearest = dot(center, self.ray) / dot(self.ray, self.ray)
+        length2 = dot(self.ray, self.ray)
+        nearest = dot(center, self.ray) / length2
         offset = each(lambda c, d: c - nearest * d, center, self.ray)
         distance = np.sqrt(dot(offset, offset))
-        slope = -nearest / distance
-        a, b = slope * dot(offset, self.across), slope * dot(offset, self.down)
-        # Along the line, rays move around the sphere.
-        size = np.sqrt(a * a + b * b)
-        along = each(lambda x, y: nearest * (y * a - x * b) / size, self.across, self.down)
-        ahead = dot(along, self.ray)
-        bend = (dot(along, along) - ahead * ahead / dot(self.ray, self.ray)) / radius
+        # Across the ray, at the sphere: how far the cell's sides lead out of it, and around it.
+        out = scaled(offset, -nearest / distance)
+        around = scaled(cross(out, self.ray), 1 / np.sqrt(length2))
+        a, b = dot(out, self.across), dot(out, self.down)
+        turn_a, turn_b = dot(around, self.across), dot(around, self.down)
+        c, size = distance - radius, np.sqrt(a * a + b * b)
+        # From the cell's middle to the line, at most to its rim, it turns as well.
+        most = 0.5 / np.maximum(np.abs(a), np.abs(b))
+        turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
+        bend = ((b * turn_a - a * turn_b) / size) ** 2 / distance
+        a, b = a + turn_a * turned / distance, b + turn_b * turned / distance
+        c -= turned * turned / (2 * distance)
         # A chord as long as the cell lies so far inside a flat arc on average.
-        sag = np.where(bend < size, bend / 24, 0)
-        lines = self._lines(a, b, distance - radius + sag)
-        return lines, bend / size + self._turn(lines, scaled(offset, slope))
+        c += np.where(bend < size, bend / 24, 0)
+        lines = self._lines(a, b, c)
+        return lines, bend / size + self._turn(lines, out)
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats]:
         """The same of boxes: planes three (6, n) contain the edges of their outlines."""

@@ -23,6 +23,7 @@ __all__ = [
     "Index",
     "Triple",
     "columns",
+    "cross",
     "dot",
     "each",
     "entries",
@@ -54,6 +55,11 @@ def dot(a: Triple, b: Triple, out: Floats | None = None) -> Floats:
     """Dot product, element by element."""
     total: Floats = np.add(a[0] * b[0] + a[1] * b[1], a[2] * b[2], out=out)
     return total
+
+
+def cross(a: Triple, b: Triple) -> Triple:
+    """Cross product, element by element."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def select(value: T, index: Index | slice) -> T:

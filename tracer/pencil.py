@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Triple, dot, each, expand, pick
+from tracer.groups import Triple, cross, dot, each, expand, pick
 from tracer.intersection import disc_in_row
 from tracer.scene import Floats, Ints, Surfaces
 
@@ -216,7 +216,7 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     start, end = _EDGE_START[region].T, _EDGE_END[region].T
     a = each(lambda m: m[start, every], corners)
     b = each(lambda m: m[end, every], corners)
-    normal = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    normal = cross(a, b)
     doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * dot(a, a) * dot(b, b)
     normal = each(lambda n: np.where(doubtful, 0.0, n), normal)
     middle = [m.mean(axis=0) for m in corners]
