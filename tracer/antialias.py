@@ -3,8 +3,9 @@
 Most pixels see one smooth surface: there the sample at the centre, with a
 correction for curvature, is worth more than any number of samples.  Where one
 edge crosses a pixel, its place is known in closed form, and a sample on either
-side is enough.  A pixel that holds more is split into four, and so on down to
-the grid of samples asked for.
+side is enough.  A pixel that holds more is split into four, and so on; the last
+splittings, down to the grid of samples asked for, are done at once.  Pictures
+that are full of edges are such grids everywhere.
 """
 
 from __future__ import annotations
