@@ -162,7 +162,10 @@ class _Cells(NamedTuple):
     owner: Ints
 
     def parts(self, index: Ints, per_side: int) -> tuple[Floats, Floats]:
-        """Centres of the parts of some cells, one cell's after the other's."""
+        """Centres of the parts of some cells, one cell's after the other's.
+
+        Like cells, those of a row come from left to right.
+        """
         shift = self.size * ((np.arange(per_side) + 0.5) / per_side - 0.5)
         x = (self.x[index, None] + np.tile(shift, per_side)).ravel()
         y = (self.y[index, None] + np.repeat(shift, per_side)).ravel()
@@ -232,12 +235,12 @@ def _refined(
     for begin in range(0, rest.size, step):
         part = rest[begin : begin + step]
         if at_once:
-            samples, order = _sorted(*cells.parts(part, per_side))
+            samples, order = _sorted(*cells.parts(part, per_side), along=True)
             radiance = np.empty((3, order.size))
             radiance[:, order] = radiance_at(view, lighting, samples)
         else:
             quarters = cells.split(part)
-            samples, order = _sorted(quarters.x, quarters.y)
+            samples, order = _sorted(quarters.x, quarters.y, along=True)
             seen = _look(view, lighting, samples, quarters.size, cells.tolerance, order)
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
@@ -245,9 +248,9 @@ def _refined(
     return mean
 
 
-def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
-    """Positions as samples, and which is which."""
-    order = np.lexsort((x, y))
+def _sorted(x: Floats, y: Floats, along: bool = False) -> tuple[Samples, Ints]:
+    """Positions as samples, and which is which; x may ascend `along` each row already."""
+    order = np.argsort(y, kind="stable") if along else np.lexsort((x, y))
     y = y[order]
     new = np.diff(y, prepend=-np.inf) != 0
     return Samples(y[new], x[order], np.cumsum(new) - 1), order
@@ -367,6 +370,8 @@ class _Surface(NamedTuple):
         odd = (turn > _BEND) | (side != OUTSIDE)
         several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
         on = np.flatnonzero(other >= spheres)
+        if not on.size:
+            return discs.crossing()
         # Every box and light once.
         pair, place = np.unique(light[on] * len(surfaces) + other[on], return_inverse=True)
         number, box = np.divmod(pair, len(surfaces))
@@ -456,6 +461,8 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     several[discs.take(odd).crossing().cell] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
+    if not at.size:
+        return
     box = cells.owner[at] - spheres
     planes = each(lambda m: m[:, box], lines.edges)
     pencil = pencil.take(at)._replace(kind=Kind.OUTLINE)

@@ -477,8 +477,9 @@ def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
         first, owner = (np.cumsum(group.counts) - group.counts)[run], select(group.owner, run)
         if piece is not None:
             # Samples in a row may be far apart.
-            gaps = np.flatnonzero(np.diff(piece[group.sample])) + 1
-            every = np.union1d(first, gaps)
+            starts = np.diff(piece[group.sample], prepend=-1) != 0
+            starts[first] = True
+            every = np.flatnonzero(starts)
             owner = select(owner, np.searchsorted(first, every, side="right") - 1)
             first = every
         firsts.append(first + group.part.start)
