@@ -373,7 +373,9 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
     leads: dict[bool, list[Lead]] = {False: [], True: []}
     left = _LEFT
     for whole, wide in zip((False, True), _WIDE, strict=True):
-        xlim = _limits([p.time.median for p in points if p.process == whole])
+        low, high = _limits([p.time.median for p in points if p.process == whole])
+        # On the left is place for the pictures and for the arrows' labels.
+        xlim = low * (low / high) ** 0.14, high
         bottom = height - _TOP - _ROW
         for name, scene in scenes.items():
             place = (left / _WIDTH, bottom / height, wide / _WIDTH, _ROW / height)
