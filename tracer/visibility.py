@@ -108,7 +108,7 @@ class View(NamedTuple):
 
 
 def view_of(raster: Raster, surfaces: Surfaces) -> View:
-    """Look at surfaces."""
+    """How surfaces look from the eye of a picture's rays."""
     lines, eye = outlines(raster, surfaces), raster.eye
     in_box = ((surfaces.min_pt <= eye) & (eye <= surfaces.max_pt)).all(axis=1)
     return View(
