@@ -61,6 +61,19 @@ def test_a_late_helper_joins() -> None:
     assert len(set(together(0.5, count=400, wait=False))) == 2
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system with helpers")
+def test_no_help_where_there_is_one_processor() -> None:
+    code = """if True:
+        import os, sys, tracer, tracer.helpers
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        scene = tracer.Scene(camera=tracer.Camera(), width=4000, height=2500)
+        for _ in range(3):
+            tracer.render(scene)
+        sys.exit(len(tracer.helpers._crew._helpers))
+    """
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
 def test_one_picture_at_a_time_has_help() -> None:
     with helped(8, 1, Job(add, (1,), SHAPE), np.inf) as team:
         assert len(team.workers) == 1

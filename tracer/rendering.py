@@ -22,7 +22,7 @@ from tracer.memory import keep_heap
 from tracer.pencil import outlines
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid, view_of
-from tracer.workers import AHEAD, Job, Work, can_fork, forked
+from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -112,7 +112,8 @@ def render_each(
     3) on the processor that renders it, and returns something small.
     """
     picture = _Picture.of(scene, samples)
-    processes = threads or (2 if can_fork() and picture.load() >= _WORTH_FORKING else 1)
+    pays = can_fork() and picture.load() >= _WORTH_FORKING
+    processes = threads or (min(2, processors()) if pays else 1)
     bands = _Bands.of(picture, _BAND_PIXELS, processes)
     render = _Renderer.of(bands)
 
@@ -134,7 +135,7 @@ def _rendered(
     """All bands and their rows; those that are rendered here, in their places in the image."""
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
-    processes = threads or (2 if load >= _WORTH_HELP else 1)
+    processes = threads or (min(2, processors()) if load >= _WORTH_HELP else 1)
     bands = _Bands.of(picture, band_pixels, processes)
     job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
     # Who asks for more processors gets them at once.

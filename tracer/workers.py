@@ -41,6 +41,7 @@ __all__ = [
     "can_fork",
     "forked",
     "keep_apart",
+    "processors",
     "serve",
 ]
 
@@ -251,6 +252,12 @@ class Team(NamedTuple):
         for pipe in by_pipe:
             poll.register(pipe, select.POLLIN)
         return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    # Only Linux says; others have no workers.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
 def keep_apart(process: int) -> None:
