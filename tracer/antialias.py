@@ -67,25 +67,12 @@ def dense(outlines: Outlines) -> bool:
     return outlines.crossed() > _DENSE
 
 
-def supersampled(
-    view: View,
-    lighting: Lighting,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-    per_side: int,
-    out: Floats,
-) -> None:
-    """Mean radiance in pixels of a rectangle, into (rows, columns, 3): of per_side^2 samples each.
-
-    The view is that of a picture as many times as wide and as high.
-    """
-    samples = grid(per_side * top, per_side * bottom, per_side * left, per_side * right)
+def supersampled(view: View, lighting: Lighting, samples: Samples, per_side: int) -> Floats:
+    """Mean radiance (rows, columns, 3) of per_side x per_side neighbours in a grid of samples."""
     radiance = radiance_at(view, lighting, samples)
-    columns = radiance.reshape(3, bottom - top, per_side, -1).sum(axis=2)
-    total = sum(columns[:, :, k::per_side] for k in range(per_side))
-    out[:] = np.moveaxis(total / per_side**2, 0, 2)
+    columns = radiance.reshape(3, samples.y.size // per_side, per_side, -1).sum(axis=2)
+    total: Floats = sum(columns[:, :, k::per_side] for k in range(per_side))
+    return np.moveaxis(total / per_side**2, 0, 2)
 
 
 def antialiased(
@@ -323,13 +310,18 @@ class _Surface(NamedTuple):
     footprint: Floats
     size: float
 
+    def height(self, at: Ints) -> Floats:
+        """Of the eye over the surface's tangent planes at some points: a number, or (n,)."""
+        lift = select(self.group.lift, at)
+        if self.group.face < 3:
+            return lift
+        p = rows(self.hits.p, self.group.part.start + at)
+        return lift * p[2] / self.hits.raster.depth
+
     def steps(self, at: Ints) -> tuple[Triple, Triple]:
         """How some points move on their surface, across their cells and down."""
         raster, group = self.hits.raster, self.group
-        p, n = rows(self.hits.p, self.group.part.start + at), pick(group.n, at)
-        height = select(group.lift, at)
-        if group.face == 3:
-            height = height * p[2] / raster.depth
+        p, n, height = rows(self.hits.p, group.part.start + at), pick(group.n, at), self.height(at)
         u = p[2] / raster.depth * (raster.step_u * self.size)
         v = p[2] / raster.depth * (raster.step_v * self.size)
         # Along the window, and then along the ray as far as the surface needs.
@@ -343,12 +335,11 @@ class _Surface(NamedTuple):
         """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
         if self.group.face < 3:
             return None
-        raster, group = self.hits.raster, self.group
-        p, lift = rows(self.hits.p, group.part.start + at), select(group.lift, at)
-        radius = select(group.of(self.view.surfaces.radius), at)
+        p = rows(self.hits.p, self.group.part.start + at)
+        radius = select(self.group.of(self.view.surfaces.radius), at)
         # As far as the surface has turned from its tangent plane, along the ray.
-        along = self.footprint[at] ** 2 * raster.depth / (2 * radius * lift * p[2])
-        return raster.turned(scaled(p, along))
+        along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
+        return self.hits.raster.turned(scaled(p, along))
 
     def from_light(self, light: Ints | int, at: Ints) -> Triple:
         """Rays from lights to some points."""
@@ -368,7 +359,7 @@ class _Surface(NamedTuple):
         discs, turn = pencil.take(on).discs(center, surfaces.radius[ball])
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         odd = (turn > _BEND) | (side != OUTSIDE)
-        several[discs.take(np.flatnonzero(odd)).crossing().cell] = True
+        several[discs.cell[odd & discs.crosses()]] = True
         on = np.flatnonzero(other >= spheres)
         if not on.size:
             return discs.crossing()
@@ -457,8 +448,8 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     ball = cells.owner[at]
     discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
     # Within a limb light is not even: that is for the smallest cells.
-    odd = np.flatnonzero(turn > (_BEND if depth <= _AT_ONCE else 0))
-    several[discs.take(odd).crossing().cell] = True
+    odd = turn > (_BEND if depth <= _AT_ONCE else 0)
+    several[discs.cell[odd & discs.crosses()]] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
     if not at.size:

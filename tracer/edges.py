@@ -55,9 +55,14 @@ class Lines(NamedTuple):
             self.cell[index], self.kind[index], self.a[index], self.b[index], self.c[index]
         )
 
+    def crosses(self) -> Bools:
+        """Whether each passes through its cell."""
+        crosses: Bools = np.abs(self.c) < self.reach()
+        return crosses
+
     def crossing(self) -> Lines:
-        """Those that do pass through their cells."""
-        return self.take(np.flatnonzero(np.abs(self.c) < self.reach()))
+        """Those that do."""
+        return self.take(np.flatnonzero(self.crosses()))
 
     def differ(self, other: Lines) -> Bools:
         """Whether each is another line than its counterpart."""
@@ -167,7 +172,7 @@ class Pencil(NamedTuple):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [self._turn(edge, normal) for edge, normal in zip(edges, normals, strict=True)]
-        at = [np.flatnonzero(within & (np.abs(edge.c) < edge.reach())) for edge in edges]
+        at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         return lines, np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
 

@@ -112,8 +112,7 @@ def render_each(
     3) on the processor that renders it, and returns something small.
     """
     picture = _Picture.of(scene, samples)
-    pays = can_fork() and picture.load() >= _WORTH_FORKING
-    processes = threads or (min(2, processors()) if pays else 1)
+    processes = _processes(threads, can_fork() and picture.load() >= _WORTH_FORKING)
     bands = _Bands.of(picture, _BAND_PIXELS, processes)
     render = _Renderer.of(bands)
 
@@ -135,7 +134,7 @@ def _rendered(
     """All bands and their rows; those that are rendered here, in their places in the image."""
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
-    processes = threads or (min(2, processors()) if load >= _WORTH_HELP else 1)
+    processes = _processes(threads, load >= _WORTH_HELP)
     bands = _Bands.of(picture, band_pixels, processes)
     job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
     # Who asks for more processors gets them at once.
@@ -148,6 +147,11 @@ def _rendered(
 
         for number, band in enumerate(team.results(work)):
             yield bands.rows(number), band
+
+
+def _processes(threads: int | None, pays: bool) -> int:
+    """As many as are asked for, or else one or two."""
+    return threads or (min(2, processors()) if pays else 1)
 
 
 class _Picture(NamedTuple):
@@ -265,10 +269,13 @@ class _Renderer(NamedTuple):
         picture = self.bands.picture
         if picture.depth:
             antialiased(view, lighting, top, bottom, left, right, picture.depth, out)
-        elif picture.per_side > 1:
-            supersampled(view, lighting, top, bottom, left, right, picture.per_side, out)
+            return
+        side = picture.per_side
+        samples = grid(side * top, side * bottom, side * left, side * right)
+        if side > 1:
+            out[:] = supersampled(view, lighting, samples, side)
         else:
-            radiance_at(view, lighting, grid(top, bottom, left, right), out.reshape(-1, 3).T)
+            radiance_at(view, lighting, samples, out.reshape(-1, 3).T)
 
 
 def _help(bands: _Bands) -> Work[Floats]:

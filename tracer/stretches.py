@@ -288,6 +288,8 @@ def in_stretches(occluders: Occluders) -> InStretches:
     center, low, high = (
         columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
     )
+    # Spheres come first.
+    kinds = slice(0, len(surfaces.radius)), slice(len(surfaces.radius), count)
     many: list[list[Ints]] = [[], []]
     listed: list[list[Ints]] = [[], []]
     for start in range(0, light.size, step):
@@ -301,20 +303,17 @@ def in_stretches(occluders: Occluders) -> InStretches:
         may = np.concatenate([balls, boxes], axis=1)
         may[np.arange(len(may)), own[row]] = False
         may &= occluders.seen[own[row], None]
-        spheres = len(surfaces.radius)
-        for kind, part, before in ((0, may[:, :spheres], 0), (1, may[:, spheres:], spheres)):
-            many[kind].append(np.count_nonzero(part, axis=1))
-            listed[kind].append(np.nonzero(part)[1] + before)
-    inside = (occluders.side == INSIDE).any(axis=0)
-    lit = inside[: len(surfaces.radius)].any(), inside[len(surfaces.radius) :].any()
+        for kind, place in enumerate(kinds):
+            many[kind].append(np.count_nonzero(may[:, place], axis=1))
+            listed[kind].append(np.nonzero(may[:, place])[1] + place.start)
     lists = (
         _List(
             kind == 0,
-            bool(lit[kind]),
+            bool((occluders.side[:, place] == INSIDE).any()),
             np.cumsum([0, *np.concatenate(many[kind])]),
             np.concatenate(listed[kind]),
         )
-        for kind in (0, 1)
+        for kind, place in enumerate(kinds)
         if any(part.size for part in listed[kind])
     )
     return InStretches(occluders, tuple(lists))
