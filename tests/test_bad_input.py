@@ -31,6 +31,12 @@ def faults_of(path) -> list[str]:
     return [line.removeprefix(f"{path}:").strip() for line in lines]
 
 
+@pytest.fixture(params=["small", "large"], autouse=True)
+def _either_reader(request, monkeypatch):
+    """Every fault is told alike, whether the file is read without line numbers first or not."""
+    monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+
+
 @pytest.fixture
 def faults(tmp_path):
     def read(content: str | bytes) -> list[str]:
@@ -109,6 +115,8 @@ NOT_XML = [
         "3: entity 'lol': is not defined; write out what it stands for",
     ),
     ("<scen/>", "1: scen: the root must be <scene>"),
+    (f"<Scene>{EMPTY}</Scene>", "1: Scene: the root must be <scene>"),
+    (f'<scene version="2">{EMPTY}</scene>', "1: scene: unknown attribute 'version'; remove it"),
     ("<html><body>", "1: html: the root must be <scene>"),
 ]
 
