@@ -6,10 +6,9 @@ straight into flat arrays.
 
 Every fault of a file is found and told in a line of its own, as
 ``FILE:LINE: element: what is wrong; what would be right``.  Line numbers take
-more time than all the rest, so a large file is read without them first, and
-again from its start if it has any fault.  The reader holds against the limits
-below whatever it is given, so that no file can exhaust the memory or the
-reader's patience.
+time, so a large file is read without them first, and again from its start if
+it has any fault.  The reader holds against the limits below whatever it is
+given, so that no file can exhaust the memory or the reader's patience.
 """
 
 from __future__ import annotations
