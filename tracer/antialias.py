@@ -40,6 +40,9 @@ __all__ = ["antialiased", "dense", "supersampled"]
 # Samples in cells that are split at a time.
 _CHUNK = 1 << 16
 
+# Pixels that are looked at, at a time.
+_STRIP = 3 << 15
+
 # A correction for curvature may be off by a part of itself; where that could show, split.  Grids
 # err less with the power 3/2 of the samples along each side.
 _CURVATURE = 1e-2
@@ -59,7 +62,7 @@ _ROOT = 1 / 9
 _DENSE = 0.03
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
-_ROWS = 32
+_ROWS = 16
 
 
 def dense(outlines: Outlines) -> bool:
@@ -104,7 +107,13 @@ def antialiased(
     samples = grid(top, bottom + 1, left, right + 1)
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / 2 ** (1.5 * depth)
-    seen = _look(view, lighting, samples, 1.0, tolerance)
+    seen = _Seen.of(height * width)
+    # As much at a time as the processor's cache holds.
+    step = max(1, _STRIP // width)
+    for begin in range(0, height, step):
+        strip = samples._replace(y=samples.y[begin : begin + step])
+        places = np.arange(begin * width, begin * width + strip.size)
+        _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
     row, column, owner = _met(spans, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
@@ -191,6 +200,12 @@ class _Seen(NamedTuple):
     lines: list[Lines]
     several: Bools
 
+    @classmethod
+    def of(cls, count: int) -> _Seen:
+        """Nothing so far, of so many samples."""
+        none = np.zeros(count, dtype=np.bool_)
+        return cls(np.zeros((3, count)), np.full(count, -1), [], none)
+
 
 def _refined(
     view: View,
@@ -212,9 +227,14 @@ def _refined(
     several[lines.cell[differ]] = True
     mean = seen.radiance + correction
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
-    if single.cell.size:
-        mean[:, single.cell], more = _sides(view, lighting, cells, single)
-        several[single.cell[more]] = True
+    sides = _Sides.of(cells, single)
+    colors = np.empty((3, sides.x.size))
+    # All of a surface has been looked at where only a shadow's edge divides it.
+    known = np.tile(single.kind == Kind.SHADOW, 2)
+    beyond, beside = np.flatnonzero(~known), np.flatnonzero(known)
+    if beyond.size:
+        colors[:, beyond], more = _beyond(view, lighting, cells, single, sides, beyond)
+        several[more] = True
     rest = np.flatnonzero(several & wanted)
     at_once = depth <= _AT_ONCE
     per_side = 2**depth + _MORE if at_once else 2
@@ -222,25 +242,41 @@ def _refined(
     for begin in range(0, rest.size, step):
         part = rest[begin : begin + step]
         if at_once:
-            samples, order = _sorted(*cells.parts(part, per_side), along=True)
-            radiance = np.empty((3, order.size))
-            radiance[:, order] = radiance_at(view, lighting, samples)
+            x, y = cells.parts(part, per_side)
+            # Along with the first of them the sides of shadows' edges.
+            x, y = np.append(x, sides.x[beside]), np.append(y, sides.y[beside])
+            radiance = _radiance(view, lighting, x, y)
+            radiance, colors[:, beside] = np.split(radiance, [x.size - beside.size], axis=1)
+            beside = beside[:0]
         else:
             quarters = cells.split(part)
-            samples, order = _sorted(quarters.x, quarters.y, along=True)
-            seen = _look(view, lighting, samples, quarters.size, cells.tolerance, order)
+            samples, order = _sorted(quarters.x, quarters.y)
+            seen = _Seen.of(order.size)
+            _look(view, lighting, samples, quarters.size, cells.tolerance, seen, order)
             every = np.ones(order.size, dtype=np.bool_)
             radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
         mean[:, part] = radiance.reshape(3, -1, per_side**2).mean(axis=2)
+    if beside.size:
+        colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
+    alone = np.flatnonzero(~several[single.cell])
+    mean[:, single.cell[alone]] = sides.mean(colors)[:, alone]
     return mean
 
 
-def _sorted(x: Floats, y: Floats, along: bool = False) -> tuple[Samples, Ints]:
-    """Positions as samples, and which is which; x may ascend `along` each row already."""
-    order = np.argsort(y, kind="stable") if along else np.lexsort((x, y))
+def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
+    """Positions as samples, and which is which."""
+    order = np.lexsort((x, y))
     y = y[order]
     new = np.diff(y, prepend=-np.inf) != 0
     return Samples(y[new], x[order], np.cumsum(new) - 1), order
+
+
+def _radiance(view: View, lighting: Lighting, x: Floats, y: Floats) -> Floats:
+    """Radiance (3, n) at positions in any order."""
+    samples, order = _sorted(x, y)
+    radiance = np.empty((3, order.size))
+    radiance[:, order] = radiance_at(view, lighting, samples)
+    return radiance
 
 
 def _look(
@@ -249,14 +285,12 @@ def _look(
     samples: Samples,
     size: float,
     tolerance: float,
-    order: Ints | None = None,
-) -> _Seen:
-    """What samples see, and the lines through cells of a size around them."""
-    count = samples.size
-    order = np.arange(count) if order is None else order
-    close = np.zeros(count, dtype=np.bool_)
+    seen: _Seen,
+    order: Ints,
+) -> None:
+    """Put what samples see, and the lines through cells of a size around them, in their places."""
+    close = np.zeros(samples.size, dtype=np.bool_)
     hits = visible(view, samples, close, size)
-    seen = _Seen(np.zeros((3, count)), np.full(count, -1), [], np.zeros(count, dtype=np.bool_))
     seen.several[order[close]] = True
     light = incoming(lighting, hits)
     facing = light.falls > 0
@@ -287,7 +321,6 @@ def _look(
             turning = surface.turning(here)
             seen.several[cell[surface.kinks(turning, tolerance)]] = True
             seen.lines.extend(surface.terminators(here, turning))
-    return seen
 
 
 def _footprint(hits: Hits, group: Group) -> Floats:
@@ -543,38 +576,63 @@ def _met(spans: Spans, left: int, height: int, width: int, depth: int) -> tuple[
     return row[each_one], column, owner[each_one]
 
 
-def _sides(view: View, lighting: Lighting, cells: _Cells, single: Lines) -> tuple[Floats, Bools]:
-    """Mean radiance (3, n) of cells that one line crosses; and whether there are more lines."""
-    share, moment_x, moment_y = single.halves()
-    count = share.size
-    shares = np.concatenate([share, 1 - share])
-    x = np.concatenate([moment_x, -moment_x]) / np.maximum(shares, 1e-9)
-    y = np.concatenate([moment_y, -moment_y]) / np.maximum(shares, 1e-9)
-    a, b, c = (np.concatenate([m, -m]) for m in (single.a, single.b, single.c))
-    # Within a limb, towards it.
-    nearer = np.repeat([0.0, _ROOT], count) * np.tile(single.kind == Kind.LIMB, 2)
-    nearer *= (c + a * x + b * y) / (a * a + b * b)
-    x, y = x - nearer * a, y - nearer * b
-    # To the next row on the same side of the line, along it if it is steep.
-    row = np.where(b < 0, np.floor((y + 0.5) * _ROWS), np.ceil((y + 0.5) * _ROWS)) / _ROWS - 0.5
-    x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)
-    at = np.tile(single.cell, 2)
-    x_at, y_at = cells.x[at] + cells.size * x, cells.y[at] + cells.size * row
-    radiance, more = np.empty((3, at.size)), np.zeros(count, dtype=np.bool_)
-    # All of a surface has been looked at where only a shadow's edge divides it.
-    last = single.kind == Kind.SHADOW
-    known = np.flatnonzero(np.tile(last, 2))
-    samples, order = _sorted(x_at[known], y_at[known])
-    radiance[:, known[order]] = radiance_at(view, lighting, samples)
-    rest = np.flatnonzero(~np.tile(last, 2))
-    samples, order = _sorted(x_at[rest], y_at[rest])
-    seen = _look(view, lighting, samples, 2 * cells.size, cells.tolerance, order)
-    radiance[:, rest] = seen.radiance
-    more[rest[seen.several] % count] = True
+class _Sides(NamedTuple):
+    """Samples on either side of lines: first where c + a x + b y > 0 for each, then beyond.
+
+    Attributes
+    ----------
+    share : (n,)
+        Of the cell, that of the first side.
+    row, column : (2 n,)
+        Where they are in their cells, from -1/2 to 1/2.
+    x, y : (2 n,)
+        Where they are in the picture.
+    """
+
+    share: Floats
+    row: Floats
+    column: Floats
+    x: Floats
+    y: Floats
+
+    @classmethod
+    def of(cls, cells: _Cells, lines: Lines) -> _Sides:
+        """Where they stand for all of their side: in its middle, but that light falls off."""
+        share, moment_x, moment_y = lines.halves()
+        shares = np.concatenate([share, 1 - share])
+        x = np.concatenate([moment_x, -moment_x]) / np.maximum(shares, 1e-9)
+        y = np.concatenate([moment_y, -moment_y]) / np.maximum(shares, 1e-9)
+        a, b, c = (np.concatenate([m, -m]) for m in (lines.a, lines.b, lines.c))
+        # Within a limb, towards it.
+        nearer = np.repeat([0.0, _ROOT], share.size) * np.tile(lines.kind == Kind.LIMB, 2)
+        nearer *= (c + a * x + b * y) / (a * a + b * b)
+        x, y = x - nearer * a, y - nearer * b
+        # To the next row on the same side of the line, along it if it is steep.
+        row = (y + 0.5) * _ROWS
+        row = np.where(b < 0, np.floor(row), np.ceil(row)) / _ROWS - 0.5
+        x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)
+        at = np.tile(lines.cell, 2)
+        return cls(share, row, x, cells.x[at] + cells.size * x, cells.y[at] + cells.size * row)
+
+    def mean(self, radiance: Floats) -> Floats:
+        """Of the radiance (3, 2 n) on both sides."""
+        first, second = np.split(radiance, 2, axis=1)
+        mean: Floats = self.share * first + (1 - self.share) * second
+        return mean
+
+
+def _beyond(
+    view: View, lighting: Lighting, cells: _Cells, single: Lines, sides: _Sides, which: Ints
+) -> tuple[Floats, Ints]:
+    """Radiance (3, n) at some samples beside lines; and cells that hold more lines there."""
+    count = single.cell.size
+    samples, order = _sorted(sides.x[which], sides.y[which])
+    seen = _Seen.of(order.size)
+    _look(view, lighting, samples, 2 * cells.size, cells.tolerance, seen, order)
     found = joined(seen.lines)
-    side = rest[found.cell]
+    side = which[found.cell]
     a, b = found.a / 2, found.b / 2
-    c = found.c - a * x[side] - b * row[side]
+    c = found.c - a * sides.column[side] - b * sides.row[side]
     found = Lines(side % count, found.kind, a, b, c).crossing()
-    more[found.cell[found.differ(single.take(found.cell))]] = True
-    return share * radiance[:, :count] + (1 - share) * radiance[:, count:], more
+    differ = found.cell[found.differ(single.take(found.cell))]
+    return seen.radiance, single.cell[np.append(which[seen.several] % count, differ)]

@@ -31,8 +31,9 @@ T = TypeVar("T")
 # Infinities and NaN are answers here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-# How large bands are, and how small it pays to make them.
+# How large bands are, and how small it pays to make them; times as much where pixels are split.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
+_SPLIT_BANDS = 3
 
 # What a picture takes grows with samples, lights, (a few) objects and how often pixels are split,
 # which is as much work each time as three samples.  From so much on it pays to fork, and to ask a
@@ -74,7 +75,7 @@ def render(
     """
     # Where nothing is seen, its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
-    for rows, band in _rendered(scene, samples, threads, offset, _BAND_PIXELS, image):
+    for rows, band in _rendered(scene, samples, threads, offset, image=image):
         if not np.may_share_memory(band, image):
             image[rows] = band
     return image
@@ -86,12 +87,12 @@ def render_bands(
     *,
     threads: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
-    band_pixels: int = _BAND_PIXELS,
+    band_pixels: int | None = None,
 ) -> Iterator[Floats]:
     """Render a scene from the top, band by band.
 
-    Parameters are those of `render`; `band_pixels` is the size of a band,
-    which changes no pixel.
+    Parameters are those of `render`; `band_pixels` is the size of a band, if
+    not whatever is fast: it changes no pixel.
 
     Yields
     ------
@@ -113,7 +114,7 @@ def render_each(
     """
     picture = _Picture.of(scene, samples)
     processes = _processes(threads, can_fork() and picture.load() >= _WORTH_FORKING)
-    bands = _Bands.of(picture, _BAND_PIXELS, processes)
+    bands = _Bands.of(picture, processes)
     render = _Renderer.of(bands)
 
     def result(number: int, _: Floats | None) -> T:
@@ -128,14 +129,14 @@ def _rendered(
     samples: int,
     threads: int | None,
     offset: tuple[float, float],
-    band_pixels: int,
+    band_pixels: int | None = None,
     image: Floats | None = None,
 ) -> Iterator[tuple[slice, Floats]]:
     """All bands and their rows; those that are rendered here, in their places in the image."""
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP)
-    bands = _Bands.of(picture, band_pixels, processes)
+    bands = _Bands.of(picture, processes, band_pixels)
     job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
     # Who asks for more processors gets them at once.
     load = inf if threads else load
@@ -214,15 +215,17 @@ class _Bands(NamedTuple):
     columns: int
 
     @classmethod
-    def of(cls, picture: _Picture, band_pixels: int, processes: int) -> _Bands:
-        """Bands of so many pixels at most, for so many processes."""
-        scene, each = picture.scene, picture.per_side**2
-        columns = max(1, band_pixels // each)
+    def of(cls, picture: _Picture, processes: int, band_pixels: int | None = None) -> _Bands:
+        """Bands for so many processes; of so many pixels, if not of as many as is fast."""
+        scene = picture.scene
+        # Few pixels are split, and those should be many at a time.
+        times = (_SPLIT_BANDS if picture.depth else 1) / picture.per_side**2
+        columns = max(1, int(band_pixels or _BAND_PIXELS * times))
         step = max(1, columns // scene.width)
         if processes > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
-            samples = scene.width * scene.height * each
-            count = max(processes, min(4 * processes, samples // _LEAST_PIXELS))
+            least = _LEAST_PIXELS * times
+            count = max(processes, min(4 * processes, int(scene.width * scene.height / least)))
             step = min(step, -(-scene.height // count))
         return cls(picture, step, columns)
 
