@@ -225,7 +225,8 @@ def _refined(
     differ = lines.differ(lines.take(np.repeat(first, count)))
     several = seen.several | (cells.rough > cells.tolerance)
     several[lines.cell[differ]] = True
-    mean = seen.radiance + correction
+    mean = seen.radiance
+    mean += correction
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
     sides = _Sides.of(cells, single)
     colors = np.empty((3, sides.x.size))
@@ -501,7 +502,7 @@ def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]
     and how far (height * width,) that may be off.  On the rim it says nothing.
     """
     count = key.size
-    total, rough = np.zeros(radiance.shape), np.zeros(count)
+    total, rough = np.empty(radiance.shape), np.zeros(count)
     lone = np.ones(count, dtype=np.bool_)
     for stride in (1, width):
         middle = slice(stride, count - stride)
@@ -518,10 +519,13 @@ def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]
             bend = step[stride:] - step[:-stride]
             np.maximum(off, np.abs(bend[one]), out=off)
             bend[none] = 0
-            out[middle] += bend
+            if stride == 1:
+                out[0], out[middle], out[-1] = 0, bend, 0
+            else:
+                out[middle] += bend
         rough[one + stride] = np.maximum(rough[one + stride], off)
-    total /= 24
-    rough /= 24
+    total *= 1 / 24
+    rough *= 1 / 24
     for channel in total:
         np.maximum(rough, np.abs(channel), out=rough)
     # Surfaces that coincide may change from one ray to the next.
