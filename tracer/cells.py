@@ -33,6 +33,9 @@ _LEAST_ANGLE = 1e-5
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 256, 1024
 
+# Of so few cells hardly one is apart from an object whose bounding box can touch it.
+_FEW_CELLS = 12
+
 _NONE, _MANY = -1, -2
 
 
@@ -68,11 +71,13 @@ class Cells(NamedTuple):
         Cells along each side of an octant.
     scale, shift : (2, 8)
         From octahedral coordinates to cells, per octant.
-    first : (8 * side * side + 1,)
+    base : (8,)
+        Each octant's first cell; of those where nothing needs light it is 0, which is empty.
+    first : (cells + 1,)
         Where each cell's list begins in `listed`.
     listed : (m,)
         Objects.
-    sole : (8 * side * side,)
+    sole : (cells,)
         The only object in a cell; `_MANY` or `_NONE`.
     near : (n,)
         Each object's least distance to the light, in the 1-norm.
@@ -83,6 +88,7 @@ class Cells(NamedTuple):
     side: int
     scale: Floats
     shift: Floats
+    base: Ints
     first: Ints
     listed: Ints
     sole: Ints
@@ -101,7 +107,7 @@ class Cells(NamedTuple):
         last = self.side - 1
         column = np.fmin(np.fmax(i, 0), last).astype(np.intp)
         row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
-        return total * (1 + _SLACK), (octant * self.side + column) * self.side + row
+        return total * (1 + _SLACK), self.base[octant] + column * self.side + row
 
     def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints]:
         """Distance of balls (1-norm), and pairs of a ball and a cell that it reaches into."""
@@ -128,9 +134,9 @@ class Cells(NamedTuple):
             tall = south - north + 1
             owner, place = expand((east - west + 1) * tall)
             over, down = np.divmod(place, tall[owner])
-            row = number * self.side + west[owner] + over
+            cell = (west[owner] + over) * self.side + north[owner] + down
             balls.append(ball[owner])
-            cells.append(row * self.side + north[owner] + down)
+            cells.append(self.base[number] + cell)
         return total * (1 + _SLACK), np.concatenate(balls), np.concatenate(cells)
 
     def objects(self, cell: Ints) -> tuple[Ints, Ints]:
@@ -150,18 +156,13 @@ class _Octant(NamedTuple):
     farthest: Floats
 
 
-def _cells_around(
-    light: Floats, surfaces: Surfaces, extents: _Extents, silhouettes: Triple
-) -> Cells:
-    """Fill the cells around a light (3,).
-
-    `silhouettes`: three (6, B), planes through the light around every box.
-    """
+def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells:
+    """Fill the cells around a light (3,)."""
     count = len(surfaces)
     root = np.sqrt(count)
     side = int(min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST))
     scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
-    hits = np.zeros((8, side * side), dtype=np.intp)
+    base, hits = np.zeros(8, dtype=np.intp), [np.zeros(1, dtype=np.intp)]
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
     cells, listed = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
     slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
@@ -176,44 +177,49 @@ def _cells_around(
             continue
         # The cells cover just the directions in which there is something to light.
         origin = octant.bounds[::2, seen].min(axis=1)
-        scale[:, number] = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
-        shift[:, number] = -origin * scale[:, number]
+        times = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
         west, east, north, south = (
-            np.floor(octant.bounds[k] * scale[k // 2, number] + shift[k // 2, number])
-            for k in range(4)
+            np.floor(octant.bounds[k] * times[k // 2] - (origin * times)[k // 2]) for k in range(4)
         )
         may = np.flatnonzero(
             (octant.nearest <= _reach(octant, seen) * (1 + _SLACK))
             & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
         )
+        if not may.size:
+            continue
         left, top = (np.maximum(m, 0).astype(np.intp) for m in (west, north))
         right, bottom = (np.minimum(m, side - 1).astype(np.intp) for m in (east, south))
         tall = bottom[may] - top[may] + 1
-        owner, place = expand((right[may] - left[may] + 1) * tall)
+        size = (right[may] - left[may] + 1) * tall
+        owner, place = expand(size)
         over, down = np.divmod(place, tall[owner])
         column, row = left[may][owner] + over, top[may][owner] + down
-        grid = _Grid(
-            tuple(1.0 if number >> k & 1 else -1.0 for k in range(3)), scale[:, number], origin
-        )
-        touching = ~_apart(grid, column, row, objects[may][owner], light, surfaces, silhouettes)
-        owner, cell = may[owner[touching]], (column * side + row)[touching]
-        cells.append(number * side * side + cell)
+        large = np.flatnonzero(size[owner] > _FEW_CELLS)
+        grid = _Grid(tuple(1.0 if number >> k & 1 else -1.0 for k in range(3)), times, origin)
+        owner = may[owner]
+        apart = _apart(grid, column[large], row[large], objects[owner[large]], light, surfaces)
+        cell = column * side + row
+        if apart.any():
+            owner, cell = np.delete(owner, large[apart]), np.delete(cell, large[apart])
+        base[number] = 1 + (len(hits) - 1) * side * side
+        scale[:, number], shift[:, number] = times, -origin * times
+        cells.append(base[number] + cell)
         listed.append(objects[owner])
-        hits[number] = np.bincount(cell, minlength=side * side)
+        hits.append(np.bincount(cell, minlength=side * side))
         # How many are listed in a rectangle, by sums over all rectangles at the corner.
         sums = np.zeros((side + 1, side + 1), dtype=np.intp)
-        sums[1:, 1:] = hits[number].reshape(side, side).cumsum(axis=0).cumsum(axis=1)
+        sums[1:, 1:] = hits[-1].reshape(side, side).cumsum(axis=0).cumsum(axis=1)
         x0, x1, y0, y1 = left[seen], right[seen] + 1, top[seen], bottom[seen] + 1
         others = sums[x1, y1] - sums[x0, y1] - sums[x1, y0] + sums[x0, y0]
         others -= np.bincount(owner, minlength=objects.size)[seen]
         safe[objects[seen]] &= others == 0
-    first = np.zeros(8 * side * side + 1, dtype=np.intp)
-    np.cumsum(hits, out=first[1:])
-    ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells), kind="stable")]
-    single = np.flatnonzero(hits == 1)
-    sole = np.where(hits.ravel() == 0, _NONE, _MANY)
+    counts = np.concatenate(hits)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells))]
+    single = np.flatnonzero(counts == 1)
+    sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = ordered[first[:-1][single]]
-    return Cells(side, scale, shift, first, ordered, sole, near * (1 - _SLACK), safe)
+    return Cells(side, scale, shift, base, first, ordered, sole, near * (1 - _SLACK), safe)
 
 
 def _octant(number: int, below: Floats, above: Floats) -> _Octant:
@@ -286,7 +292,6 @@ def _apart(
     owner: Ints,
     light: Floats,
     surfaces: Surfaces,
-    silhouettes: Triple,
 ) -> Bools:
     """Whether a plane through the light lies between cells and objects, pair by pair.
 
@@ -315,7 +320,11 @@ def _apart(
     column, row = column[at], row[at]
     boxes, box = _distinct(owner[at] - spheres, len(surfaces.min_pt))
     beyond = np.zeros(at.size, dtype=np.bool_)
-    for plane in zip(*grid.planes(each(lambda n: n[:, boxes], silhouettes)), strict=True):
+    low, high = surfaces.min_pt[boxes], surfaces.max_pt[boxes]
+    x, y, z = np.moveaxis(np.array(box_corners(low, high)) - light, 2, 0)
+    silhouettes = silhouette_planes((x, y, z), light, low, high)
+    size = sum(each(np.abs, silhouettes))
+    for plane in zip(*grid.planes(each(lambda n: n / size, silhouettes)), strict=True):
         beyond |= _beyond(pick(plane, box), column, row)
     apart[at] = beyond
     return apart
@@ -400,12 +409,5 @@ def in_cells(occluders: Occluders) -> InCells:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
     extents = _Extents.of(surfaces, occluders.seen)
-    corners = np.array(box_corners(surfaces.min_pt, surfaces.max_pt))
-    cells = []
-    for light in occluders.lights.T:
-        x, y, z = np.moveaxis(corners - light, 2, 0)
-        silhouettes = silhouette_planes((x, y, z), light, surfaces.min_pt, surfaces.max_pt)
-        size = sum(each(np.abs, silhouettes))
-        silhouettes = each(lambda n, size=size: n / size, silhouettes)
-        cells.append(_cells_around(light, surfaces, extents, silhouettes))
+    cells = (_cells_around(light, surfaces, extents) for light in occluders.lights.T)
     return InCells(occluders, tuple(cells))
