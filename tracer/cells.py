@@ -31,7 +31,7 @@ _SLACK = 1e-9
 _LEAST_ANGLE = 1e-5
 
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
-_SIDE_FEW, _SIDE_MOST = 256, 1024
+_SIDE_FEW, _SIDE_MOST = 256, 512
 
 # Of so few cells hardly one is apart from an object whose bounding box can touch it.
 _FEW_CELLS = 12
