@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.groups import Bools, Triple, dot, each, expand, pick, scaled
 from tracer.occluders import Occluders, Pairs, pairs_of_points
@@ -31,10 +32,13 @@ _SLACK = 1e-9
 _LEAST_ANGLE = 1e-5
 
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
-_SIDE_FEW, _SIDE_MOST = 256, 512
+_SIDE_FEW, _SIDE_MOST = 128, 320
 
 # Of so few cells hardly one is apart from an object whose bounding box can touch it.
 _FEW_CELLS = 12
+
+# Bounds in cells are kept in float32, widened by more than that rounds.
+_ROUNDED = np.array([[-1e-4], [1e-4], [-1e-4], [1e-4]])
 
 _NONE, _MANY = -1, -2
 
@@ -77,6 +81,8 @@ class Cells(NamedTuple):
         Where each cell's list begins in `listed`.
     listed : (m,)
         Objects.
+    bounds : (4, m) float32
+        How far each reaches in its octant, in cells: left, right, top and bottom.
     sole : (cells,)
         The only object in a cell; `_MANY` or `_NONE`.
     near : (n,)
@@ -91,12 +97,16 @@ class Cells(NamedTuple):
     base: Ints
     first: Ints
     listed: Ints
+    bounds: NDArray[np.float32]
     sole: Ints
     near: Floats
     safe: Bools
 
-    def locate(self, to_light: Triple) -> tuple[Floats, Ints]:
-        """Distance from the light (1-norm) and cell of points, given the way to it."""
+    def locate(self, to_light: Triple) -> tuple[Floats, Ints, Floats]:
+        """Distance from the light (1-norm) and cell of points, and place there (2, n).
+
+        `to_light` is the way to the light.
+        """
         x, y, z = each(np.abs, to_light)
         total = x + y + z
         inverse = 1 / total
@@ -107,14 +117,18 @@ class Cells(NamedTuple):
         last = self.side - 1
         column = np.fmin(np.fmax(i, 0), last).astype(np.intp)
         row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
-        return total * (1 + _SLACK), self.base[octant] + column * self.side + row
+        cell = self.base[octant] + column * self.side + row
+        return total * (1 + _SLACK), cell, np.array([i, j])
 
-    def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints]:
-        """Distance of balls (1-norm), and pairs of a ball and a cell that it reaches into."""
+    def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints, Floats]:
+        """Distance of balls (1-norm), pairs of a ball and a cell that it reaches into, and how far.
+
+        That is (4, n), like `bounds`.
+        """
         x, y, z = to_light
         total = sum(each(np.abs, to_light)) + 2 * radius
         none = np.zeros(0, dtype=np.intp)
-        balls, cells = [none], [none]
+        balls, cells, reaches = [none], [none], [np.zeros((4, 0))]
         for number in range(8):
             a, b, c = (-m if number >> k & 1 else m for k, m in enumerate((x, y, z)))
             ball = np.flatnonzero((a >= -radius) & (b >= -radius) & (c >= -radius))
@@ -123,27 +137,33 @@ class Cells(NamedTuple):
             middle, r = pick((a, b, c), ball), radius[ball]
             low = each(np.maximum, each(np.subtract, middle, (r, r, r)), (0 * r, 0 * r, 0 * r))
             bounds = _octahedral(low, each(np.add, middle, (r, r, r)))
-            west, east, north, south = (
-                np.clip(
-                    np.floor(bounds[k] * self.scale[k // 2, number] + self.shift[k // 2, number]),
-                    0,
-                    self.side - 1,
-                ).astype(np.intp)
-                for k in range(4)
-            )
+            bounds *= np.repeat(self.scale[:, number], 2)[:, None]
+            bounds += np.repeat(self.shift[:, number], 2)[:, None]
+            west, east, north, south = np.clip(bounds, 0, self.side - 1).astype(np.intp)
             tall = south - north + 1
             owner, place = expand((east - west + 1) * tall)
             over, down = np.divmod(place, tall[owner])
             cell = (west[owner] + over) * self.side + north[owner] + down
             balls.append(ball[owner])
             cells.append(self.base[number] + cell)
-        return total * (1 + _SLACK), np.concatenate(balls), np.concatenate(cells)
+            reaches.append(bounds[:, owner])
+        ball, cell = np.concatenate(balls), np.concatenate(cells)
+        return total * (1 + _SLACK), ball, cell, np.concatenate(reaches, axis=1)
 
-    def objects(self, cell: Ints) -> tuple[Ints, Ints]:
-        """All pairs of a cell (its index in `cell`) and an object listed there."""
+    def objects(self, cell: Ints, reach: Floats) -> tuple[Ints, Ints]:
+        """Pairs of a cell (its index in `cell`) and an object there that may lie at a place.
+
+        `reach` (2, n) or (4, n): the place in the cell, or how far around it matters.
+        """
         first = self.first[cell]
         owner, place = expand(self.first[cell + 1] - first, first)
-        return owner, self.listed[place]
+        left, right, top, bottom = reach if len(reach) == 4 else np.repeat(reach, 2, axis=0)
+        near = self.bounds[0][place] <= right[owner]
+        near &= self.bounds[1][place] >= left[owner]
+        near &= self.bounds[2][place] <= bottom[owner]
+        near &= self.bounds[3][place] >= top[owner]
+        at = np.flatnonzero(near)
+        return owner[at], self.listed[place[at]]
 
 
 class _Octant(NamedTuple):
@@ -165,6 +185,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     base, hits = np.zeros(8, dtype=np.intp), [np.zeros(1, dtype=np.intp)]
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
     cells, listed = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+    bounds = [np.zeros((4, 0), dtype=np.float32)]
     slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
     below = extents.low - _SLACK * slack - light[:, None]
     above = extents.high + _SLACK * slack - light[:, None]
@@ -178,9 +199,9 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         # The cells cover just the directions in which there is something to light.
         origin = octant.bounds[::2, seen].min(axis=1)
         times = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
-        west, east, north, south = (
-            np.floor(octant.bounds[k] * times[k // 2] - (origin * times)[k // 2]) for k in range(4)
-        )
+        extent = octant.bounds * np.repeat(times, 2)[:, None]
+        extent -= np.repeat(origin * times, 2)[:, None]
+        west, east, north, south = np.floor(extent)
         may = np.flatnonzero(
             (octant.nearest <= _reach(octant, seen) * (1 + _SLACK))
             & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
@@ -205,6 +226,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         scale[:, number], shift[:, number] = times, -origin * times
         cells.append(base[number] + cell)
         listed.append(objects[owner])
+        bounds.append((extent + _ROUNDED).astype(np.float32)[:, owner])
         hits.append(np.bincount(cell, minlength=side * side))
         # How many are listed in a rectangle, by sums over all rectangles at the corner.
         sums = np.zeros((side + 1, side + 1), dtype=np.intp)
@@ -215,11 +237,13 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         safe[objects[seen]] &= others == 0
     counts = np.concatenate(hits)
     first = np.concatenate([[0], np.cumsum(counts)])
-    ordered = np.concatenate(listed)[np.argsort(np.concatenate(cells))]
+    order = np.argsort(np.concatenate(cells))
+    ordered = np.concatenate(listed)[order]
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = ordered[first[:-1][single]]
-    return Cells(side, scale, shift, base, first, ordered, sole, near * (1 - _SLACK), safe)
+    least, reach = near * (1 - _SLACK), np.concatenate(bounds, axis=1)[:, order]
+    return Cells(side, scale, shift, base, first, ordered, reach, sole, least, safe)
 
 
 def _octant(number: int, below: Floats, above: Floats) -> _Octant:
@@ -371,12 +395,12 @@ class InCells(NamedTuple):
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
-                distance, cell = cells.locate(to_light)
-                at, other = _listed(cells, own[asked], cell, distance)
+                distance, cell, reach = cells.locate(to_light)
+                at, other = _listed(cells, own[asked], cell, distance, reach)
                 point = asked[at]
             else:
-                distance, ball, cell = cells.around(to_light, footprint[asked])
-                at, other = _listed(cells, own[asked[ball]], cell, distance[ball])
+                distance, ball, cell, reach = cells.around(to_light, footprint[asked])
+                at, other = _listed(cells, own[asked[ball]], cell, distance[ball], reach)
                 point, other = _once(asked[ball[at]], other, len(cells.near))
             for of_kind in (other < spheres, other >= spheres):
                 at = np.flatnonzero(of_kind)
@@ -388,14 +412,16 @@ class InCells(NamedTuple):
                     )
 
 
-def _listed(cells: Cells, own: Ints, cell: Ints, distance: Floats) -> tuple[Ints, Ints]:
+def _listed(
+    cells: Cells, own: Ints, cell: Ints, distance: Floats, reach: Floats
+) -> tuple[Ints, Ints]:
     """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
     # Most cells hold nothing, or the object itself.
     sole = cells.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
-    owner, other = cells.objects(cell[asked])
+    owner, other = cells.objects(cell[asked], reach[:, asked])
     point = asked[owner]
-    keep = (other != own[point]) & (cells.near[other] <= distance[point])
+    keep = np.flatnonzero((other != own[point]) & (cells.near[other] <= distance[point]))
     return point[keep], other[keep]
 
 
