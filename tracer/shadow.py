@@ -32,7 +32,7 @@ __all__ = ["Shadows", "shadows_of"]
 
 # Stretches pay where each object has so many pixels (not so many, if pixels are split), and the
 # objects are not too many; and where they are few.
-_PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 2400, 400, 1024, 64
+_PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 2000, 400, 1024, 64
 
 
 class Shadows(NamedTuple):
