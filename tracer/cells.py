@@ -3,7 +3,8 @@
 The cells are those of an octahedral map (Engelhardt and Dachsbacher 2008): each
 octant of directions is projected onto its face of |x| + |y| + |z| = 1, where
 planes through the light are straight lines.  An object is listed in the cells
-that its bounding box can touch, less those that a plane keeps apart from it.
+that its bounding box can touch, less those that a plane keeps apart from it;
+with it, how far it reaches there, which rules out most of a cell's points.
 
 All bounds are interval arithmetic and valid with the light beside, on or inside
 an object: they leave out only pairs that cannot meet.
