@@ -272,6 +272,7 @@ class _Reader:
         self.white: int | None = None
         self.spheres = _Rows("center", "radius")
         self.boxes = _Rows("min_pt", "max_pt")
+        self.surface_count = 0
 
     def fault(self, at: _Element | int, message: str) -> None:
         """Note a fault, of an element or in a line; at the `MAX_FAULTS`-th raise `_GiveUp`."""
@@ -519,7 +520,8 @@ class _Reader:
         else:
             self.values(element, {**_SPHERE, **_BOX})
             return
-        rows.index.append(len(self.spheres.index) + len(self.boxes.index))
+        rows.index.append(self.surface_count)
+        self.surface_count += 1
         if "shader" in values:
             rows.shader.fromlist(values["shader"])
         else:
@@ -709,6 +711,14 @@ class _Reader:
         return Surfaces()
 
 
+# The beginning of a file in UTF-8: nothing in it is hidden from a search for bytes.
+_PLAIN = re.compile(
+    rb"(\xef\xbb\xbf)?(<\?xml version=[\"']1\.0[\"']( encoding=[\"']utf-8[\"'])? ?\?>|(?!<\?xml))"
+    rb"[^\0]*\Z",
+    re.IGNORECASE,
+)
+
+
 class _Unclear(Exception):  # noqa: N818 - not an error: whatever it is, the other reader tells it
     """The file is not for the reader without lines."""
 
@@ -726,35 +736,38 @@ class _LinelessReader(_Reader):
 
     def read(self, file: IO[bytes]) -> None:
         """Parse the file to its end; raise `_Unclear` unless it is faultless so far."""
-        from xml.etree.ElementTree import TreeBuilder  # takes some milliseconds
+        from xml.etree.ElementTree import (  # takes some milliseconds
+            ParseError,
+            TreeBuilder,
+            XMLParser,
+        )
 
         builder = TreeBuilder()
         document = builder.start("", {})
-        parser = self.parser
-        parser.buffer_text = True
-        parser.StartElementHandler = builder.start
-        parser.EndElementHandler = builder.end
-        parser.CharacterDataHandler = builder.data
-        parser.StartDoctypeDeclHandler = self.doctype
-        parser.SkippedEntityHandler = self.skipped
-        given = taken = 0
+        parser = XMLParser(target=builder)
+        end, given, taken = b"", 0, 0
         try:
             while chunk := file.read(_CHUNK):
-                parser.Parse(chunk)
+                # Declarations stand before the root, and this parser would obey them.
+                if not given and (not _PLAIN.match(chunk) or b"<!DOCTYPE" in chunk):
+                    raise _Unclear
+                # It swallows the attributes of this name.
+                if b"xmlns" in end + chunk:
+                    raise _Unclear
+                end = chunk[-8:]
                 given += len(chunk)
-                for scene in document:  # once it has begun
-                    # The last child may not have ended, nor the text after it.
-                    if self.take_children(scene, len(scene) - 1):
-                        taken = given
+                parser.feed(chunk)
+                if not len(document):
+                    raise _Unclear
+                # The last child may not have ended, nor the text after it.
+                if self.take_children(document[0], len(document[0]) - 1):
+                    taken = given
                 if given - taken > MAX_TOKEN:
                     raise _Unclear
-            parser.Parse(b"", True)
-            for scene in document:
-                self.take_children(scene, len(scene))
-        except (expat.ExpatError, LookupError, ValueError):
+            parser.close()
+            self.take_children(document[0], len(document[0]))
+        except (ParseError, LookupError, ValueError):
             raise _Unclear from None
-        finally:
-            del self.parser  # it holds this reader by its handlers: a cycle
 
     def take_children(self, scene: Element, count: int) -> bool:
         """Take in the first children of the scene, and delete them; whether there are any."""
