@@ -42,8 +42,8 @@ PIECES = [
     b"<!--", b"-->", b"<![CDATA[", b"]]>", b"<?", b"?>", b"<!DOCTYPE scene [", b"]>",
     b'<!ENTITY lol "&lol;">', b'<!ATTLIST surface type CDATA "Sphere">', b"a:b",
     b'xmlns="x"', b'xmlns:a="x"', b"nan", b"inf", b"1e999", b"-1e999", b"1e-999", b"0x10", b"1_0",
-    b"-0", b"9" * 400,
-    b"1,5", b"\0", b"\xff", b"\xef\xbb\xbf", b"\xff\xfe", b"\xc2\xa0", b"\xd9\xa3", b"\r", b"\x0b", b"\x85",
+    b"-0", b"9" * 400, b"1,5",
+    b"\0", b"\xff", b"\xef\xbb\xbf", b"\xff\xfe", b"\xc2\xa0", b"\xd9\xa3", b"\r", b"\x0b", b"\x85",
     b'encoding="utf-16"', b'encoding="rot13"', b'encoding="utf-7"', b'encoding="idna"',
     b'encoding="undefined"', b'encoding="cp037"', b"<a>" * 100, b"<a/>" * 100,
 ]  # fmt: skip
