@@ -712,10 +712,9 @@ class _Reader:
 
 
 # The beginning of a file in UTF-8: nothing in it is hidden from a search for bytes.
-_PLAIN = re.compile(
-    rb"(\xef\xbb\xbf)?(<\?xml version=[\"']1\.0[\"']( encoding=[\"']utf-8[\"'])? ?\?>|(?!<\?xml))"
-    rb"[^\0]*\Z",
-    re.IGNORECASE,
+_PLAIN = (
+    rb"(?i)(\xef\xbb\xbf)?"
+    rb"(<\?xml version=[\"']1\.0[\"']( encoding=[\"']utf-8[\"'])? ?\?>|(?!<\?xml))[^\0]*\Z"
 )
 
 
@@ -749,7 +748,7 @@ class _LinelessReader(_Reader):
         try:
             while chunk := file.read(_CHUNK):
                 # Declarations stand before the root, and this parser would obey them.
-                if not given and (not _PLAIN.match(chunk) or b"<!DOCTYPE" in chunk):
+                if not given and (not re.match(_PLAIN, chunk) or b"<!DOCTYPE" in chunk):
                     raise _Unclear
                 # It swallows the attributes of this name.
                 if b"xmlns" in end + chunk:
