@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tracer import SceneFileError, load_scene, reader
+from tracer import SceneFileError, contents, load_scene, reader
 
 EMPTY = "<camera/><image>4 3</image>"
 LIGHT = "<light><position>1 2 3</position>{}</light>"
@@ -31,10 +31,8 @@ def faults_of(path) -> list[str]:
     return [line.removeprefix(f"{path}:").strip() for line in lines]
 
 
-@pytest.fixture(params=["small", "large"], autouse=True)
-def _either_reader(request, monkeypatch):
-    """Every fault is told alike, whether the file is read without line numbers first or not."""
-    monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+# Every fault is told alike, whether the file is read without line numbers first or not.
+pytestmark = pytest.mark.usefixtures("either_reader")
 
 
 @pytest.fixture
@@ -427,8 +425,8 @@ def test_what_one_fault_leads_to_is_no_fault(faults):
 
 def test_the_number_of_faults_told_is_bounded(faults):
     told = faults(f"<scene>{EMPTY}{'<a/>' * 100_000}</scene>")
-    assert len(told) == reader.MAX_FAULTS + 1
-    assert told[-1] == f"1: {reader.MAX_FAULTS} faults so far; mend these first"
+    assert len(told) == contents.MAX_FAULTS + 1
+    assert told[-1] == f"1: {contents.MAX_FAULTS} faults so far; mend these first"
 
 
 @pytest.mark.parametrize(

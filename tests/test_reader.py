@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, reader
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
 
 EMPTY = "<camera/><image>4 3</image>"
 
 
-@pytest.fixture(params=["small", "large"], autouse=True)
-def _either_reader(request, monkeypatch):
-    """A file means the same, whether it is read without line numbers or with them."""
-    monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+# A file means the same, whether it is read without line numbers or with them.
+pytestmark = pytest.mark.usefixtures("either_reader")
 
 
 @pytest.fixture

@@ -31,7 +31,16 @@ from tracer.scene import (
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = ["CONTAINERS", "Contents", "Faults", "GiveUp", "LineElement", "quoted", "short"]
+__all__ = [
+    "CONTAINERS",
+    "MAX_FAULTS",
+    "Contents",
+    "Faults",
+    "GiveUp",
+    "LineElement",
+    "quoted",
+    "short",
+]
 
 MAX_FAULTS = 1_000
 """How many faults are told before the reader gives up on a file."""
@@ -59,7 +68,10 @@ _PHONG: _Fields = {
     "specularColor": ("specular", 3),
     "exponent": ("exponent", 1),
 }
-_SHADERS = {"Lambertian": _LAMBERTIAN, "Phong": _PHONG}
+_SHADERS: Mapping[str, tuple[Callable[..., Shader], _Fields]] = {
+    "Lambertian": (Lambertian, _LAMBERTIAN),
+    "Phong": (Phong, _PHONG),
+}
 # A shader holds no number of its own; it yields its place among the shaders.
 _SPHERE: _Fields = {"shader": ("shader", 0), "center": ("center", 3), "radius": ("radius", 1)}
 _BOX: _Fields = {"shader": ("shader", 0), "minPt": ("min_pt", 3), "maxPt": ("max_pt", 3)}
@@ -286,10 +298,8 @@ class Contents:
             return place
         kind = self.type_of(element, _SHADERS, ("type", "name"))
         shader: Shader | None = None
-        if kind == "Lambertian":
-            shader = self.made(Lambertian, element, _LAMBERTIAN)
-        elif kind == "Phong":
-            shader = self.made(Phong, element, _PHONG)
+        if kind in _SHADERS:
+            shader = self.made(_SHADERS[kind][0], element, _SHADERS[kind][1])
         else:
             self.values(element, _PHONG)
         name = attributes.get("name")
