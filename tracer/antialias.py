@@ -115,6 +115,7 @@ def antialiased(
         places = np.arange(begin * width, begin * width + strip.size)
         _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
+    np.add(seen.radiance, curvature, out=seen.radiance)
     row, column, owner = _met(spans, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
@@ -128,7 +129,7 @@ def antialiased(
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    image = _refined(view, lighting, pixels, seen, curvature, depth, inside.ravel())
+    image = _refined(view, lighting, pixels, seen, depth, inside.ravel())
     out[:] = np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
@@ -158,10 +159,7 @@ class _Cells(NamedTuple):
     owner: Ints
 
     def parts(self, index: Ints, per_side: int) -> tuple[Floats, Floats]:
-        """Centres of the parts of some cells, one cell's after the other's.
-
-        Like cells, those of a row come from left to right.
-        """
+        """Centres of the parts of some cells, one cell's after the other's."""
         shift = self.size * ((np.arange(per_side) + 0.5) / per_side - 0.5)
         x = (self.x[index, None] + np.tile(shift, per_side)).ravel()
         y = (self.y[index, None] + np.repeat(shift, per_side)).ravel()
@@ -212,11 +210,10 @@ def _refined(
     lighting: Lighting,
     cells: _Cells,
     seen: _Seen,
-    correction: Floats | float,
     depth: int,
     wanted: Bools,
 ) -> Floats:
-    """Mean radiance (3, n) of cells, of which the centres have been `seen`."""
+    """Mean radiance (3, n) of cells, in place of that `seen` at their centres."""
     lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
@@ -226,7 +223,6 @@ def _refined(
     several = seen.several | (cells.rough > cells.tolerance)
     several[lines.cell[differ]] = True
     mean = seen.radiance
-    mean += correction
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
     sides = _Sides.of(cells, single)
     colors = np.empty((3, sides.x.size))
@@ -251,11 +247,9 @@ def _refined(
             beside = beside[:0]
         else:
             quarters = cells.split(part)
-            samples, order = _sorted(quarters.x, quarters.y)
-            seen = _Seen.of(order.size)
-            _look(view, lighting, samples, quarters.size, cells.tolerance, seen, order)
-            every = np.ones(order.size, dtype=np.bool_)
-            radiance = _refined(view, lighting, quarters, seen, 0.0, depth - 1, every)
+            seen = _looked(view, lighting, quarters.x, quarters.y, quarters.size, cells.tolerance)
+            every = np.ones(quarters.x.size, dtype=np.bool_)
+            radiance = _refined(view, lighting, quarters, seen, depth - 1, every)
         mean[:, part] = radiance.reshape(3, -1, per_side**2).mean(axis=2)
     if beside.size:
         colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
@@ -278,6 +272,16 @@ def _radiance(view: View, lighting: Lighting, x: Floats, y: Floats) -> Floats:
     radiance = np.empty((3, order.size))
     radiance[:, order] = radiance_at(view, lighting, samples)
     return radiance
+
+
+def _looked(
+    view: View, lighting: Lighting, x: Floats, y: Floats, size: float, tolerance: float
+) -> _Seen:
+    """What positions in any order see, and the lines through cells of a size around them."""
+    samples, order = _sorted(x, y)
+    seen = _Seen.of(order.size)
+    _look(view, lighting, samples, size, tolerance, seen, order)
+    return seen
 
 
 def _look(
@@ -630,9 +634,8 @@ def _beyond(
 ) -> tuple[Floats, Ints]:
     """Radiance (3, n) at some samples beside lines; and cells that hold more lines there."""
     count = single.cell.size
-    samples, order = _sorted(sides.x[which], sides.y[which])
-    seen = _Seen.of(order.size)
-    _look(view, lighting, samples, 2 * cells.size, cells.tolerance, seen, order)
+    x, y = sides.x[which], sides.y[which]
+    seen = _looked(view, lighting, x, y, 2 * cells.size, cells.tolerance)
     found = joined(seen.lines)
     side = which[found.cell]
     a, b = found.a / 2, found.b / 2

@@ -134,8 +134,7 @@ class Cells(NamedTuple):
             middle, r = pick((a, b, c), ball), radius[ball]
             low = each(np.maximum, each(np.subtract, middle, (r, r, r)), (0 * r, 0 * r, 0 * r))
             bounds = _octahedral(low, each(np.add, middle, (r, r, r)))
-            bounds *= np.repeat(self.scale[:, number], 2)[:, None]
-            bounds += np.repeat(self.shift[:, number], 2)[:, None]
+            bounds = _to_cells(bounds, self.scale[:, number], self.shift[:, number])
             west, east, north, south = np.clip(bounds, 0, self.side - 1).astype(np.intp)
             tall = south - north + 1
             owner, place = expand((east - west + 1) * tall)
@@ -199,8 +198,8 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         # The cells cover just the directions in which there is something to light.
         origin = octant.bounds[::2, seen].min(axis=1)
         times = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
-        extent = octant.bounds * np.repeat(times, 2)[:, None]
-        extent -= np.repeat(origin * times, 2)[:, None]
+        offset = -origin * times
+        extent = _to_cells(octant.bounds, times, offset)
         west, east, north, south = np.floor(extent)
         may = np.flatnonzero(
             (octant.nearest <= _reach(octant, seen) * (1 + _SLACK))
@@ -223,7 +222,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         if apart.any():
             owner, cell = np.delete(owner, large[apart]), np.delete(cell, large[apart])
         base[number] = 1 + (len(hits) - 1) * side * side
-        scale[:, number], shift[:, number] = times, -origin * times
+        scale[:, number], shift[:, number] = times, offset
         cells.append(base[number] + cell)
         listed.append(objects[owner])
         bounds.append((_OUTWARD * extent.T + _ROUNDED).astype(np.float32)[owner])
@@ -273,6 +272,12 @@ def _octahedral(low: Triple, high: Triple) -> Floats:
     whole = np.array([[0.0], [1.0], [0.0], [1.0]])
     bounds = np.where(np.isnan(bounds), whole, bounds) + _SLACK * (2 * whole - 1)
     return bounds
+
+
+def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
+    """Bounds (4, n) in cells, from those in octahedral coordinates."""
+    result: Floats = bounds * np.repeat(scale, 2)[:, None] + np.repeat(shift, 2)[:, None]
+    return result
 
 
 def _reach(octant: _Octant, seen: Ints) -> Floats:
