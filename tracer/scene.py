@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -368,6 +368,13 @@ class Surfaces(Sequence[Sphere | Box]):
         ]
         if faults:
             raise SceneError(sorted(faults, key=lambda fault: fault.index or 0))
+
+    def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
+        # Unpickled arrays have equal data types, not NumPy's own: with these, `ufunc.at` takes a
+        # general way, twenty times as slow, and all that is computed from them inherits it.
+        for name, value in state[1].items():
+            own = isinstance(value, np.ndarray)
+            setattr(self, name, value.view(value.dtype.type) if own else value)
 
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
