@@ -9,6 +9,7 @@ silhouette edges for a box.  What lies outside them is never looked at again.
 from __future__ import annotations
 
 from itertools import product
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,15 @@ class Spans(NamedTuple):
     right: Floats
 
 
+class Frames(NamedTuple):
+    """Rectangles of the picture (n,) that objects lie in; of none, `top` is beyond `bottom`."""
+
+    top: Floats
+    bottom: Floats
+    left: Floats
+    right: Floats
+
+
 class Outlines(NamedTuple):
     """What all rows share: each object's place in the camera's axes."""
 
@@ -61,13 +71,13 @@ class Outlines(NamedTuple):
     center: Triple
     radius: Floats
     power: Floats
-    sphere_rows: tuple[Floats, Floats]
+    sphere_frames: Frames
     edges: Triple
-    box_rows: tuple[Floats, Floats]
+    box_frames: Frames
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _meetings(self.sphere_rows, rows, pad)
+        owner, row = _meetings(self.sphere_frames, rows, pad)
         disc = disc_in_row(
             self.raster.down(rows)[row],
             self.raster.depth,
@@ -81,7 +91,7 @@ class Outlines(NamedTuple):
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _meetings(self.box_rows, rows, pad)
+        owner, row = _meetings(self.box_frames, rows, pad)
         g = self.raster.down(rows)[row]
         low = np.full(owner.size, -np.inf)
         high = np.full(owner.size, np.inf)
@@ -99,18 +109,38 @@ class Outlines(NamedTuple):
 
     def in_picture(self) -> NDArray[np.bool_]:
         """Which objects, spheres first, may be seen (up to what hides them)."""
-        top, bottom = -1.0, self.raster.height + 1.0
-        return np.concatenate(
-            [(rows[0] <= bottom) & (rows[1] >= top) for rows in (self.sphere_rows, self.box_rows)]
+        top, bottom, left, right = self._frames()
+        width, height = self.raster.width, self.raster.height
+        seen: NDArray[np.bool_] = (
+            (top <= height + 1) & (bottom >= -1) & (left <= width + 1) & (right >= -1)
+        )
+        return seen
+
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the picture outside of which nothing is seen."""
+        top, bottom, left, right = (m[self.in_picture()] for m in self._frames())
+
+        def between(low: Floats, high: Floats, size: int) -> slice:
+            first, last = np.clip([low.min(initial=size) - 1, high.max(initial=0) + 1], 0, size)
+            return slice(int(first), ceil(last))
+
+        return (
+            between(top, bottom, self.raster.height),
+            between(left, right, self.raster.width),
         )
 
     def crossed(self) -> float:
         """Roughly the share of the picture's pixels that outlines cross, hidden ones too."""
-        rows = np.concatenate([self.sphere_rows, self.box_rows], axis=1)
-        top, bottom = np.clip(rows, 0, self.raster.height)
+        frames = self._frames()
+        top, bottom = (np.clip(m, 0, self.raster.height) for m in (frames.top, frames.bottom))
         # As wide as they are high, more or less, and crossed on both sides.
         total = 4 * np.maximum(bottom - top, 0).sum()
         return float(total / (self.raster.width * self.raster.height))
+
+    def _frames(self) -> Frames:
+        """Those of all objects, spheres first."""
+        pairs = zip(self.sphere_frames, self.box_frames, strict=True)
+        return Frames(*(np.concatenate(pair) for pair in pairs))
 
     def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
         # One column more on either side than the picture has: antialiasing looks there.
@@ -128,15 +158,21 @@ def outlines(raster: Raster, surfaces: Surfaces) -> Outlines:
     distance = np.sqrt(u * u + v * v + w * w)
     power = (distance - radius) * (distance + radius)
     top, bottom = _tangents(v, w, radius * radius, v * v + w * w - radius * radius)
-    sphere_rows = (raster.row(top * raster.depth), raster.row(bottom * raster.depth))
-    edges, box_rows = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
-    return Outlines(raster, (u, v, w), radius, power, sphere_rows, edges, box_rows)
+    left, right = _tangents(u, w, radius * radius, u * u + w * w - radius * radius)
+    frames = Frames(
+        raster.row(top * raster.depth),
+        raster.row(bottom * raster.depth),
+        raster.column(left * raster.depth),
+        raster.column(right * raster.depth),
+    )
+    edges, box_frames = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
+    return Outlines(raster, (u, v, w), radius, power, frames, edges, box_frames)
 
 
-def _meetings(extent: tuple[Floats, Floats], rows: Floats, pad: float) -> tuple[Ints, Ints]:
-    """Pairs (object, row) with the row inside the object's vertical extent."""
-    first = np.searchsorted(rows, extent[0] - pad)
-    last = np.searchsorted(rows, extent[1] + pad, side="right")
+def _meetings(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
+    """Pairs (object, row) with the row inside the object's frame."""
+    first = np.searchsorted(rows, frames.top - pad)
+    last = np.searchsorted(rows, frames.bottom + pad, side="right")
     return expand(np.maximum(last - first, 0), first)
 
 
@@ -232,23 +268,21 @@ def box_corners(min_pt: Floats, max_pt: Floats) -> list[Floats]:
     ]
 
 
-def _silhouettes(
-    raster: Raster, min_pt: Floats, max_pt: Floats
-) -> tuple[Triple, tuple[Floats, Floats]]:
-    """Planes (6, n) through the eye and each silhouette edge, and the rows between.
+def _silhouettes(raster: Raster, min_pt: Floats, max_pt: Floats) -> tuple[Triple, Frames]:
+    """Planes (6, n) through the eye and each silhouette edge, and the frames.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
     """
     if not len(min_pt):
         none = np.zeros((6, 0))
-        return (none, none, none), (none[0], none[0])
+        return (none, none, none), Frames(none[0], none[0], none[0], none[0])
     corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
     u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
     slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
-    projected = raster.row(v / w * raster.depth)
-    top, bottom = projected.min(axis=0), projected.max(axis=0)
-    behind = w.min(axis=0) <= 0
-    top = np.where(behind, -np.inf, top)
-    bottom = np.where(behind, np.where(w.max(axis=0) >= 0, np.inf, -np.inf), bottom)
-    return (slope, tilt, level * raster.depth), (top, bottom)
+    behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
+    ends = []
+    for places in (raster.row(v / w * raster.depth), raster.column(u / w * raster.depth)):
+        ends.append(np.where(behind, -np.inf, places.min(axis=0)))
+        ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), places.max(axis=0)))
+    return (slope, tilt, level * raster.depth), Frames(*ends)

@@ -75,9 +75,9 @@ def render(
     """
     # Where nothing is seen, its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
-    for rows, band in _rendered(scene, samples, threads, offset, image=image):
+    for rows, columns, band in _rendered(scene, samples, threads, offset, image=image):
         if not np.may_share_memory(band, image):
-            image[rows] = band
+            image[rows, columns] = band[:, columns]
     return image
 
 
@@ -97,10 +97,12 @@ def render_bands(
     Yields
     ------
     band : (rows, width, 3) float64
-        The next rows of the picture, there until more are asked for.
+        The next rows of the picture.
     """
-    for _, band in _rendered(scene, samples, threads, offset, band_pixels):
-        yield band
+    for _, columns, band in _rendered(scene, samples, threads, offset, band_pixels):
+        whole = np.zeros_like(band)
+        whole[:, columns] = band[:, columns]
+        yield whole
 
 
 def render_each(
@@ -131,8 +133,11 @@ def _rendered(
     offset: tuple[float, float],
     band_pixels: int | None = None,
     image: Floats | None = None,
-) -> Iterator[tuple[slice, Floats]]:
-    """All bands and their rows; those that are rendered here, in their places in the image."""
+) -> Iterator[tuple[slice, slice, Floats]]:
+    """Rows of the picture, the columns where something may be seen, and the band.
+
+    What is rendered here is in its place in the image.
+    """
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP)
@@ -147,7 +152,7 @@ def _rendered(
             return render(number, None if image is None else image[bands.rows(number)])
 
         for number, band in enumerate(team.results(work)):
-            yield bands.rows(number), band
+            yield bands.rows(number), render.columns(number), band
 
 
 def _processes(threads: int | None, pays: bool) -> int:
@@ -241,11 +246,21 @@ class _Bands(NamedTuple):
 
 
 class _Renderer(NamedTuple):
-    """Bands, and all that they share."""
+    """Bands, and all that they share.
+
+    Attributes
+    ----------
+    bands : _Bands
+    view : View
+    lighting : Lighting
+    window : (slice, slice)
+        Rows and columns of the picture outside of which nothing is seen.
+    """
 
     bands: _Bands
     view: View
     lighting: Lighting
+    window: tuple[slice, slice]
 
     @classmethod
     @_QUIET
@@ -254,16 +269,29 @@ class _Renderer(NamedTuple):
         keep_heap()
         picture = bands.picture
         view = view_of(picture.raster(), picture.scene.surfaces)
-        return cls(bands, view, lighting_of(picture.scene, view, picture.depth > 0))
+        lighting = lighting_of(picture.scene, view, picture.depth > 0)
+        side = picture.per_side
+        rows, columns = (slice(m.start // side, -(-m.stop // side)) for m in view.outlines.window())
+        return cls(bands, view, lighting, (rows, columns))
+
+    def columns(self, number: int) -> slice:
+        """Where something may be seen in a band."""
+        here, (rows, columns) = self.bands.rows(number), self.window
+        return columns if here.start < rows.stop and rows.start < here.stop else slice(0, 0)
 
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
         """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
-        width, rows = self.bands.picture.scene.width, self.bands.rows(number)
+        width, rows, columns = (
+            self.bands.picture.scene.width,
+            self.bands.rows(number),
+            self.columns(number),
+        )
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
-        for left in range(0, width, self.bands.columns):
-            right = min(left + self.bands.columns, width)
-            self._part(rows, left, right, out[:, left:right])
+        if columns.start < columns.stop:
+            for left in range(0, width, self.bands.columns):
+                right = min(left + self.bands.columns, width)
+                self._part(rows, left, right, out[:, left:right])
         return out
 
     @_QUIET
@@ -289,7 +317,7 @@ def _help(bands: _Bands) -> Work[Floats]:
         assert slot is not None
         rows = bands.rows(number)
         out = slot[: rows.stop - rows.start]
-        out[:] = 0
+        out[:, render.columns(number)] = 0
         return render(number, out)
 
     return work
