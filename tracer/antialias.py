@@ -310,7 +310,7 @@ def _look(
         here, reached = light.part(part), lit[:, part]
         for k, values in enumerate(shade(lighting, hits, group, here, reached)):
             seen.radiance[k, cell] = values
-        key = group.spread(group.owner * 4 + group.face)
+        key = group.spread(group.owner * 4) + group.face
         for bit in reached:
             key = key * 2 + bit
         seen.key[cell] = key
@@ -320,7 +320,7 @@ def _look(
         if at.size:
             places = point[at] - part.start
             seen.lines.append(surface.shadows(number[at], places, other[at], seen.several))
-        if group.face < 3:
+        if group.flat:
             seen.lines.extend(surface.ridges())
         else:
             turning = surface.turning(here)
@@ -351,7 +351,7 @@ class _Surface(NamedTuple):
     def height(self, at: Ints) -> Floats:
         """Of the eye over the surface's tangent planes at some points: a number, or (n,)."""
         lift = select(self.group.lift, at)
-        if self.group.face < 3:
+        if self.group.flat:
             return lift
         p = rows(self.hits.p, self.group.part.start + at)
         return lift * p[2] / self.hits.raster.depth
@@ -371,7 +371,7 @@ class _Surface(NamedTuple):
 
     def bow(self, at: Ints) -> Triple | None:
         """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
-        if self.group.face < 3:
+        if self.group.flat:
             return None
         p = rows(self.hits.p, self.group.part.start + at)
         radius = select(self.group.of(self.view.surfaces.radius), at)
@@ -454,14 +454,16 @@ class _Surface(NamedTuple):
         p = rows(self.hits.p, group.part)
         box = group.owner - len(surfaces.radius)
         for k in range(3):
-            if k == group.face:
+            across_face = group.face != k
+            if not np.any(across_face):
                 continue
             for corner, sign in ((surfaces.min_pt, -1), (surfaces.max_pt, 1)):
                 shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
                 if not shown.any():
                     continue
                 offset = eye[k] + self.hits.raster.component(p, k) - group.spread(corner[box, k])
-                at = np.flatnonzero((np.abs(offset) < self.footprint) & group.spread(shown))
+                near = (np.abs(offset) < self.footprint) & across_face
+                at = np.flatnonzero(near & group.spread(shown))
                 across, down = self.steps(at)
                 kind = np.full(at.size, Kind.RIDGE)
                 yield Lines(self.cell[at], kind, across[k], down[k], offset[at]).crossing()

@@ -115,7 +115,7 @@ def columns(points: Floats, index: Ints | slice) -> Triple:
     return points[:, 0][index], points[:, 1][index], points[:, 2][index]
 
 
-def entries(table: NDArray[Any], row: Ints, column: Ints) -> NDArray[Any]:
+def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:
     """Some entries of a table (m, n)."""
     some: NDArray[Any] = table.reshape(-1)[row * table.shape[1] + column]
     return some

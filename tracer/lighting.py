@@ -119,7 +119,7 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
             falls, length2, along = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
-            if group.face < 3:
+            if group.flat:
                 place = lighting.positions[number, group.face]
                 falls[:] = group.sign * (place - group.level)
             else:
@@ -178,7 +178,7 @@ def narrow(
     if not gloss.any:
         return
     bending = 1 / gloss.distance
-    if group.face == 3:
+    if not group.flat:
         bending += 1 / group.of(lighting.shadows.occluders.radius)
     scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
     for number, reached in enumerate(lit):

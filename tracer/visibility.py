@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, dot, pick, rows, runs, select, spread
+from tracer.groups import Bools, Index, Triple, dot, entries, pick, rows, runs, select, spread
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.pencil import Outlines, Spans, outlines
 from tracer.scene import Floats, Ints, Surfaces
@@ -135,10 +135,10 @@ class Group(NamedTuple):
         Which object they see (spheres first): one, or one for each run.
     counts : (runs,)
         Samples in each run: neighbours in one row that see one object.
-    face : int
-        Of a box, the axis of the face; 3 for spheres.
+    face
+        Of boxes, the axis of the face: a number, or (n,); 3 for spheres.
     sign, level
-        Of a face: whether it looks up (1) or down (-1) that axis, and its place there.
+        Of faces: whether they look up (1) or down (-1) that axis, and their place there.
     n : three
         The unit normal towards the eye, in the camera's axes.
     lift
@@ -150,11 +150,16 @@ class Group(NamedTuple):
     sample: Ints
     owner: Index
     counts: Ints
-    face: int
-    sign: float
+    face: Index
+    sign: Floats
     level: Floats
     n: Triple
     lift: Floats
+
+    @property
+    def flat(self) -> bool:
+        """Whether these are faces of boxes."""
+        return not (isinstance(self.face, int) and self.face == 3)
 
     def spread(self, values: Any) -> Any:
         """What belongs to the one object, or to runs, for each of the samples."""
@@ -199,7 +204,7 @@ class Hits(NamedTuple):
         """Distance from the eye, and cosine between the normal and the way there, (n,)."""
         x, y, z = self.p[:, group.part]
         distance = np.sqrt(dot((x, y, z), (x, y, z)))
-        if group.face < 3:
+        if group.flat:
             return distance, group.lift / distance
         return distance, group.lift * z / (distance * self.raster.depth)
 
@@ -404,37 +409,48 @@ def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
 
 def _faces(
     view: View, samples: Samples, group: _Fragments
-) -> Iterator[tuple[_Fragments, int, float]]:
-    """Boxes face by face, each with its axis and sign; spheres as they are, with 3."""
+) -> Iterator[tuple[_Fragments, Index, Floats]]:
+    """Fragments, the axis of the face, and whether that looks up (1) or down (-1).
+
+    Those of boxes are told apart if there are many; spheres have 3 for the axis.
+    """
     if group.sphere:
-        yield group, 3, 1.0
+        yield group, 3, np.ones(())
         return
-    raster, owner = view.raster, group.owner
-    inside = view.eye_inside[len(view.surfaces.radius) :][owner]
+    down = [_looks_down(view, samples, group, axis) for axis in range(3)]
+    if group.t.size < _LARGE:
+        faces = group.detail.astype(np.intp)
+        yield group, faces, np.where(np.choose(faces, down), -1.0, 1.0)
+        return
     for axis in range(3):
-        # The face that looks towards the eye; seen from inside, ahead of the ray.
-        down = raster.eye[axis] < view.surfaces.min_pt[owner, axis]
-        if inside.any():
-            g = raster.down(samples.y)
-            u, v, w = raster.axes[:, axis].tolist()
-            ahead = group.s * u + group.along(g * v + raster.depth * w) > 0
-            down = np.where(group.spread(inside), ahead, group.spread(down))
-        else:
-            down = group.spread(down)
         on_axis = group.detail == axis
-        for sign, looks in ((-1.0, down), (1.0, ~down)):
+        for sign, looks in ((-1.0, down[axis]), (1.0, ~down[axis])):
             if looks.any():
                 part = group.where(on_axis & looks)
                 if part.t.size:
-                    yield part, axis, sign
+                    yield part, axis, np.asarray(sign)
+
+
+def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> Bools:
+    """Whether the face of boxes that is seen across an axis looks down: one answer, or (n,)."""
+    raster, owner = view.raster, group.owner
+    inside = view.eye_inside[len(view.surfaces.radius) :][owner]
+    # The face that looks towards the eye; seen from inside, ahead of the ray.
+    down = group.spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis])
+    if inside.any():
+        g = raster.down(samples.y)
+        u, v, w = raster.axes[:, axis].tolist()
+        ahead = group.s * u + group.along(g * v + raster.depth * w) > 0
+        down = np.where(group.spread(inside), ahead, down)
+    return np.asarray(down)
 
 
 def _hit(
     view: View,
     samples: Samples,
     part: _Fragments,
-    face: int,
-    sign: float,
+    face: Index,
+    sign: Floats,
     place: slice,
     p: Floats,
 ) -> Group:
@@ -453,12 +469,16 @@ def _hit(
             n = [flip * m for m in n]
         level, lift = np.zeros(()), part.detail * inverse
     else:
-        low, high = surfaces.min_pt[owner, face], surfaces.max_pt[owner, face]
-        inside = view.eye_inside[len(lines.radius) :][owner]
+        # One face of each box, or one of each sample.
+        one = isinstance(face, int)
+        box = owner if one else part.spread(owner)
+        low, high = entries(surfaces.min_pt, box, face), entries(surfaces.max_pt, box, face)
+        inside = view.eye_inside[len(lines.radius) :][box]
         level = np.where(inside == (sign > 0), low, high)
-        lift = part.spread(sign * (raster.eye[face] - level))
-        level = part.spread(level)
-        n = [np.asarray(sign * m) for m in raster.axes[:, face]]
+        lift = sign * (raster.eye[face] - level)
+        if one:
+            level, lift = part.spread(level), part.spread(lift)
+        n = [np.asarray(sign * axis[face]) for axis in raster.axes]
         owner = owner + len(lines.radius)
     return Group(
         place, part.sample, owner, part.counts, face, sign, level, (n[0], n[1], n[2]), lift
