@@ -129,6 +129,17 @@ class Outlines(NamedTuple):
             between(left, right, self.raster.width),
         )
 
+    def in_rows(self) -> Ints:
+        """How many objects may be seen in each row of pixels (height,)."""
+        height, seen = self.raster.height, self.in_picture()
+        frames = self._frames()
+        first, last = (
+            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), minlength=height + 1)
+            for m in (frames.top, frames.bottom + 1)
+        )
+        count: Ints = np.cumsum(first - last)[:height]
+        return count
+
     def crossed(self) -> float:
         """Roughly the share of the picture's pixels that outlines cross, hidden ones too."""
         frames = self._frames()

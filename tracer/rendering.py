@@ -9,6 +9,7 @@ in any order, side by side, and written out as they come.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from math import inf
 from typing import NamedTuple, TypeVar
 
@@ -122,7 +123,7 @@ def render_each(
     def result(number: int, _: Floats | None) -> T:
         return work(render(number))
 
-    with forked(result, len(bands.tops), processes - 1) as team:
+    with forked(result, bands.total, processes - 1) as team:
         yield from team.results(result)
 
 
@@ -142,10 +143,10 @@ def _rendered(
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP)
     bands = _Bands.of(picture, processes, band_pixels)
-    job = Job(_help, (bands,), (AHEAD, bands.step, scene.width, 3))
+    job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
     # Who asks for more processors gets them at once.
     load = inf if threads else load
-    with helped(len(bands.tops), processes - 1, job, load) as team:
+    with helped(bands.total, processes - 1, job, load) as team:
         render = _Renderer.of(bands)
 
         def work(number: int, _: Floats | None) -> Floats:
@@ -196,6 +197,15 @@ class _Picture(NamedTuple):
         offset = self.offset[0] * side, self.offset[1] * side
         return raster_of(scene.camera, scene.width * side, scene.height * side, offset)
 
+    @_QUIET
+    def shares(self, count: int) -> list[int]:
+        """So many bands with much the same number of outlines: see `_Bands.tops`."""
+        total = np.cumsum(outlines(self.raster(), self.scene.surfaces).in_rows())
+        between: list[int] = np.searchsorted(
+            total, total[-1] * np.arange(1, count) / count
+        ).tolist()
+        return [0, *between, self.scene.height]
+
     def load(self) -> float:
         """Roughly what it takes: some 10 ns for each of these."""
         scene = self.scene
@@ -209,40 +219,48 @@ class _Bands(NamedTuple):
     Attributes
     ----------
     picture : _Picture
-    step : int
-        Rows in a band.
+    tops : list of int
+        The first row of each; then the picture's height.
     columns : int
         Of a row, as many as are rendered together.
     """
 
     picture: _Picture
-    step: int
+    tops: list[int]
     columns: int
 
     @classmethod
     def of(cls, picture: _Picture, processes: int, band_pixels: int | None = None) -> _Bands:
         """Bands for so many processes; of so many pixels, if not of as many as is fast."""
-        scene = picture.scene
+        width, height = picture.scene.width, picture.scene.height
         # Few pixels are split, and those should be many at a time.
         times = (_SPLIT_BANDS if picture.depth else 1) / picture.per_side**2
         columns = max(1, int(band_pixels or _BAND_PIXELS * times))
-        step = max(1, columns // scene.width)
+        step = max(1, columns // width)
         if processes > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
             least = _LEAST_PIXELS * times
-            count = max(processes, min(4 * processes, int(scene.width * scene.height / least)))
-            step = min(step, -(-scene.height // count))
-        return cls(picture, step, columns)
+            count = max(processes, min(4 * processes, int(width * height / least)))
+            step = min(step, -(-height // count))
+        tops = [*range(0, height, step), height]
+        if picture.depth and 1 < processes == len(tops) - 1:
+            # One for each: with as many outlines, not as many rows.
+            tops = picture.shares(processes)
+        return cls(picture, tops, columns)
 
     @property
-    def tops(self) -> range:
-        """The first row of each."""
-        return range(0, self.picture.scene.height, self.step)
+    def total(self) -> int:
+        """How many there are."""
+        return len(self.tops) - 1
+
+    @property
+    def tallest(self) -> int:
+        """Rows in the tallest."""
+        return max(bottom - top for top, bottom in pairwise(self.tops))
 
     def rows(self, number: int) -> slice:
         """The rows of a band."""
-        top = self.tops[number]
-        return slice(top, min(top + self.step, self.picture.scene.height))
+        return slice(self.tops[number], self.tops[number + 1])
 
 
 class _Renderer(NamedTuple):
