@@ -39,7 +39,7 @@ _SIDE_FEW, _SIDE_MOST = 128, 320
 _FEW_CELLS = 12
 
 # Bounds in cells are kept in float32, widened by more than that rounds.
-_OUTWARD, _ROUNDED = np.array([-1.0, 1.0, -1.0, 1.0]), 1e-4
+_ROUNDED = 1e-4
 
 _NONE, _MANY = -1, -2
 
@@ -150,12 +150,21 @@ class Cells(NamedTuple):
         """Pairs of a cell and an object listed there whose bounds meet what is asked `within`."""
         first = self.first[cell]
         owner, place = expand(self.first[cell + 1] - first, first)
-        # Four bounds are taken as one complex number, and their answers compared as one: NumPy
-        # takes single numbers much faster than short rows.
-        mine, asked = (m.view(np.complex128)[:, 0] for m in (self.bounds, within))
-        meet = mine[place].view(np.float32) >= asked[owner].view(np.float32)
+        mine, asked = _as_one(self.bounds)[place], _as_one(within)[owner]
+        meet = mine.view(np.float32) >= asked.view(np.float32)
+        # Four answers as one as well.
         at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
         return owner[at], self.listed[place[at]]
+
+
+def _as_one(bounds: Bounds) -> NDArray[np.complex128]:
+    """Four bounds as one number (n,): NumPy takes single numbers much faster than short rows."""
+    return bounds.view(np.complex128)[:, 0]
+
+
+def _outward(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """`Cells.bounds` (n, 4) of objects: what just meets them is within the same the other way."""
+    return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
@@ -183,8 +192,9 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
     base, hits = np.zeros(8, dtype=np.intp), [np.zeros(1, dtype=np.intp)]
     near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
-    cells, listed = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
-    bounds = [np.zeros((0, 4), dtype=np.float32)]
+    # Objects of all octants, one's after the other's; and where those in cells are among them.
+    everyone, bounds = [np.zeros(0, dtype=np.intp)], [_within(*np.zeros((4, 0)))]
+    cells, places, before = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], 0
     slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
     below = extents.low - _SLACK * slack - light[:, None]
     above = extents.high + _SLACK * slack - light[:, None]
@@ -196,8 +206,9 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         if not seen.size:
             continue
         # The cells cover just the directions in which there is something to light.
-        origin = octant.bounds[::2, seen].min(axis=1)
-        times = side / (octant.bounds[1::2, seen].max(axis=1) - origin)
+        u0, u1, v0, v1 = octant.bounds
+        origin = np.array([u0[seen].min(), v0[seen].min()])
+        times = side / (np.array([u1[seen].max(), v1[seen].max()]) - origin)
         offset = -origin * times
         extent = _to_cells(octant.bounds, times, offset)
         west, east, north, south = np.floor(extent)
@@ -223,9 +234,11 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
             owner, cell = np.delete(owner, large[apart]), np.delete(cell, large[apart])
         base[number] = 1 + (len(hits) - 1) * side * side
         scale[:, number], shift[:, number] = times, offset
+        everyone.append(objects)
+        bounds.append(_outward(*extent))
         cells.append(base[number] + cell)
-        listed.append(objects[owner])
-        bounds.append((_OUTWARD * extent.T + _ROUNDED).astype(np.float32)[owner])
+        places.append(before + owner)
+        before += objects.size
         hits.append(np.bincount(cell, minlength=side * side))
         # How many are listed in a rectangle, by sums over all rectangles at the corner.
         sums = np.zeros((side + 1, side + 1), dtype=np.intp)
@@ -236,13 +249,13 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         safe[objects[seen]] &= others == 0
     counts = np.concatenate(hits)
     first = np.concatenate([[0], np.cumsum(counts)])
-    order = np.argsort(np.concatenate(cells))
-    ordered = np.concatenate(listed)[order]
+    listed = np.concatenate(places)[np.argsort(np.concatenate(cells))]
+    reach = _as_one(np.concatenate(bounds))[listed].view(np.float32).reshape(-1, 4)
+    listed = np.concatenate(everyone)[listed]
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
-    sole[single] = ordered[first[:-1][single]]
-    reach, least = np.concatenate(bounds)[order], near * (1 - _SLACK)
-    return Cells(side, scale, shift, base, first, ordered, reach, sole, least, safe)
+    sole[single] = listed[first[:-1][single]]
+    return Cells(side, scale, shift, base, first, listed, reach, sole, near * (1 - _SLACK), safe)
 
 
 def _octant(number: int, below: Floats, above: Floats) -> _Octant:

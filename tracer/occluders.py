@@ -136,19 +136,22 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
     half = 0.5 * np.sqrt(((surfaces.max_pt - surfaces.min_pt) ** 2).sum(axis=1))
     middle = np.concatenate([center, 0.5 * (surfaces.min_pt + surfaces.max_pt)])
     size = np.concatenate([np.abs(center).sum(axis=1) + radius, corner.sum(axis=1)])
-    every = lights[:, None, :]
-    away = center - every
-    strictly = ((surfaces.min_pt < every) & (every < surfaces.max_pt)).all(axis=2)
-    around = np.abs(every).sum(axis=2) + size[: radius.size]
-    side = [
-        sphere_side(np.sqrt((away * away).sum(axis=2)), radius, SURFACE_TOLERANCE * around),
-        np.where(strictly, INSIDE, ON).astype(np.int8),
-    ]
     slack = SLACK * (size + np.abs(eye).sum())
+    away = center - lights[:, None, :]
+    around = np.abs(lights).sum(axis=1)[:, None] + size[: radius.size]
+    distance = np.sqrt((away * away).sum(axis=2))
+    inside = np.ones((len(lights), len(half)), dtype=np.bool_)
     on_plane = np.zeros((len(lights), size.size), dtype=np.bool_)
-    reach = slack[radius.size :, None] + SLACK * np.abs(every)
-    for corners in (surfaces.min_pt, surfaces.max_pt):
-        on_plane[:, radius.size :] |= (np.abs(every - corners) <= reach).any(axis=2)
+    for k in range(3):
+        place, low, high = lights[:, k, None], surfaces.min_pt[:, k], surfaces.max_pt[:, k]
+        inside &= (low < place) & (place < high)
+        reach = slack[radius.size :] + SLACK * np.abs(place)
+        for corner in (low, high):
+            on_plane[:, radius.size :] |= np.abs(place - corner) <= reach
+    side = [
+        sphere_side(distance, radius, SURFACE_TOLERANCE * around),
+        np.where(inside, INSIDE, ON).astype(np.int8),
+    ]
     return Occluders(
         surfaces,
         eye,

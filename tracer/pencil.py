@@ -32,6 +32,9 @@ __all__ = [
 ROUNDING = 1e-12
 """More than all roundings of a plane's coefficients, relative to their size."""
 
+# Of boxes of so few pixels across, or down, the frame is as good as the silhouette.
+_SMALL = 8.0
+
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
 _LEAST_ANGLE = 1e-6
 
@@ -65,7 +68,22 @@ class Frames(NamedTuple):
 
 
 class Outlines(NamedTuple):
-    """What all rows share: each object's place in the camera's axes."""
+    """What all rows share: each object's place in the camera's axes.
+
+    Attributes
+    ----------
+    raster : Raster
+    center, radius, power : three (s,), (s,), (s,)
+        Of spheres: seen from the eye, in the camera's axes; power is the squared distance
+        of the centre less that of the surface.
+    sphere_frames : Frames
+    edges : three (6, b)
+        Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
+        frame says enough.
+    shaped : (b,)
+        Whether it does not.
+    box_frames : Frames
+    """
 
     raster: Raster
     center: Triple
@@ -73,6 +91,7 @@ class Outlines(NamedTuple):
     power: Floats
     sphere_frames: Frames
     edges: Triple
+    shaped: NDArray[np.bool_]
     box_frames: Frames
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
@@ -87,17 +106,20 @@ class Outlines(NamedTuple):
         )
         low, high = _tangents(disc.along, disc.tilt, disc.chord2, disc.power)
         hypot = np.sqrt(disc.hypot2)
-        return self._clip(owner, row, low * hypot, high * hypot, pad)
+        left, right = self.raster.column(low * hypot), self.raster.column(high * hypot)
+        return self._clip(owner, row, left, right, pad)
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
         owner, row = _meetings(self.box_frames, rows, pad)
-        g = self.raster.down(rows)[row]
-        low = np.full(owner.size, -np.inf)
-        high = np.full(owner.size, np.inf)
+        left, right = self.box_frames.left[owner], self.box_frames.right[owner]
+        at = np.flatnonzero(self.shaped[owner])
+        box, g = owner[at], self.raster.down(rows)[row[at]]
+        low = np.full(at.size, -np.inf)
+        high = np.full(at.size, np.inf)
         for k in range(6):
-            slope = self.edges[0][k][owner]
-            tilted, level = self.edges[1][k][owner] * g, self.edges[2][k][owner]
+            slope = self.edges[0][k][box]
+            tilted, level = self.edges[1][k][box] * g, self.edges[2][k][box]
             # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
             # the plane contains the whole row.
             slack = ROUNDING * (np.abs(tilted) + np.abs(level))
@@ -105,7 +127,8 @@ class Outlines(NamedTuple):
             bound = -(tilted + level + slack) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
-        return self._clip(owner, row, low, high, pad)
+        left[at], right[at] = self.raster.column(low), self.raster.column(high)
+        return self._clip(owner, row, left, right, pad)
 
     def in_picture(self) -> NDArray[np.bool_]:
         """Which objects, spheres first, may be seen (up to what hides them)."""
@@ -153,17 +176,20 @@ class Outlines(NamedTuple):
         pairs = zip(self.sphere_frames, self.box_frames, strict=True)
         return Frames(*(np.concatenate(pair) for pair in pairs))
 
-    def _clip(self, owner: Ints, row: Ints, low: Floats, high: Floats, pad: float) -> Spans:
+    def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
         # One column more on either side than the picture has: antialiasing looks there.
-        left = np.maximum(self.raster.column(low) - pad, -1.0)
-        right = np.minimum(self.raster.column(high) + pad, self.raster.width + 1.0)
+        left = np.maximum(left - pad, -1.0)
+        right = np.minimum(right + pad, self.raster.width + 1.0)
         keep = np.flatnonzero(left <= right)
         keep = keep[np.argsort(row[keep], kind="stable")]
         return Spans(owner[keep], row[keep], left[keep], right[keep])
 
 
-def outlines(raster: Raster, surfaces: Surfaces) -> Outlines:
-    """Project all surfaces onto the picture."""
+def outlines(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
+    """Project all surfaces onto the picture.
+
+    The silhouettes of small boxes are left out unless pixels are `split`.
+    """
     u, v, w = raster.local(surfaces.center)
     radius = surfaces.radius
     distance = np.sqrt(u * u + v * v + w * w)
@@ -176,8 +202,8 @@ def outlines(raster: Raster, surfaces: Surfaces) -> Outlines:
         raster.column(left * raster.depth),
         raster.column(right * raster.depth),
     )
-    edges, box_frames = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
-    return Outlines(raster, (u, v, w), radius, power, frames, edges, box_frames)
+    boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, 0.0 if split else _SMALL)
+    return Outlines(raster, (u, v, w), radius, power, frames, *boxes)
 
 
 def _meetings(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
@@ -279,21 +305,30 @@ def box_corners(min_pt: Floats, max_pt: Floats) -> list[Floats]:
     ]
 
 
-def _silhouettes(raster: Raster, min_pt: Floats, max_pt: Floats) -> tuple[Triple, Frames]:
-    """Planes (6, n) through the eye and each silhouette edge, and the frames.
+def _silhouettes(
+    raster: Raster, min_pt: Floats, max_pt: Floats, small: float
+) -> tuple[Triple, NDArray[np.bool_], Frames]:
+    """Planes (6, n) through the eye and each silhouette edge, whether they are there, and frames.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
+    They are there for boxes of more than so many pixels across and down.
     """
+    planes = np.zeros((3, 6, len(min_pt)))
     if not len(min_pt):
-        none = np.zeros((6, 0))
-        return (none, none, none), Frames(none[0], none[0], none[0], none[0])
+        none = np.zeros(0)
+        return (planes[0], planes[1], planes[2]), none > 0, Frames(none, none, none, none)
     corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
     u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
-    slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
     behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
     ends = []
     for places in (raster.row(v / w * raster.depth), raster.column(u / w * raster.depth)):
         ends.append(np.where(behind, -np.inf, places.min(axis=0)))
         ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), places.max(axis=0)))
-    return (slope, tilt, level * raster.depth), Frames(*ends)
+    frames = Frames(*ends)
+    shaped = (frames.right - frames.left > small) & (frames.bottom - frames.top > small)
+    at = np.flatnonzero(shaped)
+    there = u[:, at], v[:, at], w[:, at]
+    planes[:, :, at] = silhouette_planes(there, raster.eye, min_pt[at], max_pt[at])
+    planes[2] *= raster.depth
+    return (planes[0], planes[1], planes[2]), shaped, frames

@@ -187,7 +187,7 @@ class _Picture(NamedTuple):
             raise ValueError(f"samples must be at least 1, is {samples}")
         depth = ((samples - 1).bit_length() + 1) // 2
         everywhere = cls(scene, offset, 0, 2**depth)
-        if depth and not dense(outlines(everywhere.raster(), scene.surfaces)):
+        if depth and not dense(outlines(everywhere.raster(), scene.surfaces, split=False)):
             return cls(scene, offset, depth, 1)
         return everywhere
 
@@ -200,7 +200,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """So many bands with much the same number of outlines: see `_Bands.tops`."""
-        total = np.cumsum(outlines(self.raster(), self.scene.surfaces).in_rows())
+        total = np.cumsum(outlines(self.raster(), self.scene.surfaces, split=False).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -286,8 +286,9 @@ class _Renderer(NamedTuple):
         """Prepare a scene."""
         keep_heap()
         picture = bands.picture
-        view = view_of(picture.raster(), picture.scene.surfaces)
-        lighting = lighting_of(picture.scene, view, picture.depth > 0)
+        split = picture.depth > 0
+        view = view_of(picture.raster(), picture.scene.surfaces, split)
+        lighting = lighting_of(picture.scene, view, split)
         side = picture.per_side
         rows, columns = (slice(m.start // side, -(-m.stop // side)) for m in view.outlines.window())
         return cls(bands, view, lighting, (rows, columns))

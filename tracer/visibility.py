@@ -107,9 +107,9 @@ class View(NamedTuple):
     order: Ints
 
 
-def view_of(raster: Raster, surfaces: Surfaces) -> View:
-    """How surfaces look from the eye of a picture's rays."""
-    lines, eye = outlines(raster, surfaces), raster.eye
+def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
+    """How surfaces look from the eye of a picture's rays, for pixels that may be split."""
+    lines, eye = outlines(raster, surfaces, split), raster.eye
     in_box = ((surfaces.min_pt <= eye) & (eye <= surfaces.max_pt)).all(axis=1)
     return View(
         raster,
