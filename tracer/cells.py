@@ -198,8 +198,9 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
     below = extents.low - _SLACK * slack - light[:, None]
     above = extents.high + _SLACK * slack - light[:, None]
+    reaches = below <= 0, above >= 0
     for number in range(8):
-        octant = _octant(number, below, above)
+        octant = _octant(number, below, above, reaches)
         objects = octant.objects
         near[objects] = np.minimum(near[objects], octant.nearest)
         seen = np.flatnonzero(extents.seen[objects])
@@ -249,7 +250,10 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         safe[objects[seen]] &= others == 0
     counts = np.concatenate(hits)
     first = np.concatenate([[0], np.cumsum(counts)])
-    listed = np.concatenate(places)[np.argsort(np.concatenate(cells))]
+    # Sorting the pairs themselves, as one number each, is faster than finding their order.
+    bits = before.bit_length()
+    pairs = np.sort(np.concatenate(cells) << bits | np.concatenate(places))
+    listed = pairs & ((1 << bits) - 1)
     reach = _as_one(np.concatenate(bounds))[listed].view(np.float32).reshape(-1, 4)
     listed = np.concatenate(everyone)[listed]
     single = np.flatnonzero(counts == 1)
@@ -258,15 +262,16 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     return Cells(side, scale, shift, base, first, listed, reach, sole, near * (1 - _SLACK), safe)
 
 
-def _octant(number: int, below: Floats, above: Floats) -> _Octant:
+def _octant(number: int, below: Floats, above: Floats, reaches: tuple[Bools, Bools]) -> _Octant:
     """Bounds of all objects that reach into an octant, given those (3, n) seen from the light.
 
+    `reaches` says which are at most, and at least zero.
     Bit k of the octant's number is set where the way to the light is negative
     along axis k, that is, where points lie beyond it.
     """
     beyond = [bool(number >> k & 1) for k in range(3)]
-    reaches = [above[k] >= 0 if beyond[k] else below[k] <= 0 for k in range(3)]
-    objects = np.flatnonzero(reaches[0] & reaches[1] & reaches[2])
+    x, y, z = (reaches[beyond[k]][k] for k in range(3))
+    objects = np.flatnonzero(x & y & z)
     low = (below[k, objects] if beyond[k] else -above[k, objects] for k in range(3))
     high = (above[k, objects] if beyond[k] else -below[k, objects] for k in range(3))
     x0, y0, z0 = (np.maximum(m, 0) for m in low)

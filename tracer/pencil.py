@@ -208,9 +208,12 @@ def outlines(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
 
 def _meetings(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
     """Pairs (object, row) with the row inside the object's frame."""
-    first = np.searchsorted(rows, frames.top - pad)
-    last = np.searchsorted(rows, frames.bottom + pad, side="right")
-    return expand(np.maximum(last - first, 0), first)
+    top, bottom = frames.top - pad, frames.bottom + pad
+    at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]))
+    first = np.searchsorted(rows, top[at])
+    last = np.searchsorted(rows, bottom[at], side="right")
+    which, row = expand(np.maximum(last - first, 0), first)
+    return at[which], row
 
 
 def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
