@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import pickle
 import sys
 import threading
 from collections.abc import Iterator
@@ -76,9 +75,9 @@ class _Helper(Worker):
         self._here: bool | None = False
         self._message = b""
 
-    def begin(self, job: Job, message: bytes) -> None:
-        """Give it something to do, in so many words."""
-        self._message = message
+    def begin(self, job: Job, round: int) -> None:
+        """Give it something to do."""
+        self._message = job.packed(round, self._memory)
         self.slots = job.slots(self._memory)
         self.joins()
 
@@ -140,9 +139,8 @@ class _Crew:
         while len(self._helpers) < others:
             self._helpers.append(_Helper(numbers.file))
         helpers = self._helpers[:others]
-        message = pickle.dumps((numbers.round, job))
         for helper in helpers:
-            helper.begin(job, message)
+            helper.begin(job, numbers.round)
         return Team(count, numbers.take, [*helpers])
 
     def stop(self) -> None:
