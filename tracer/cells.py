@@ -35,8 +35,9 @@ _LEAST_ANGLE = 1e-5
 # Cells along the side of an octant: finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 128, 320
 
-# Of so few cells hardly one is apart from an object whose bounding box can touch it.
-_FEW_CELLS = 12
+# Of so few cells, or so large a part of all, hardly one is apart from an object whose bounding box
+# can touch it.
+_FEW_CELLS, _MOST_CELLS = 12, 0.5
 
 # Bounds in cells are kept in float32, widened by more than that rounds.
 _ROUNDED = 1e-4
@@ -226,7 +227,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         owner, place = expand(size)
         over, down = np.divmod(place, tall[owner])
         column, row = left[may][owner] + over, top[may][owner] + down
-        large = np.flatnonzero(size[owner] > _FEW_CELLS)
+        large = np.flatnonzero(((size > _FEW_CELLS) & (size < _MOST_CELLS * side**2))[owner])
         grid = _Grid(tuple(1.0 if number >> k & 1 else -1.0 for k in range(3)), times, origin)
         owner = may[owner]
         apart = _apart(grid, column[large], row[large], objects[owner[large]], light, surfaces)

@@ -308,6 +308,19 @@ def box_corners(min_pt: Floats, max_pt: Floats) -> list[Floats]:
     ]
 
 
+def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
+    """`box_corners` in the camera's axes, seen from the eye: three (8, n)."""
+    ends = (min_pt - raster.eye).T, (max_pt - raster.eye).T
+
+    def component(axis: list[float]) -> Floats:
+        # Corners share what each of the two planes across an axis adds.
+        x, y, z = ([end[k] * axis[k] for end in ends] for k in range(3))
+        return np.array([x[i & 1] + y[i >> 1 & 1] + z[i >> 2] for i in range(8)])
+
+    u, v, w = map(component, raster.axes.tolist())
+    return u, v, w
+
+
 def _silhouettes(
     raster: Raster, min_pt: Floats, max_pt: Floats, small: float
 ) -> tuple[Triple, NDArray[np.bool_], Frames]:
@@ -321,8 +334,7 @@ def _silhouettes(
     if not len(min_pt):
         none = np.zeros(0)
         return (planes[0], planes[1], planes[2]), none > 0, Frames(none, none, none, none)
-    corners = [raster.local(corner) for corner in box_corners(min_pt, max_pt)]
-    u, v, w = (np.array([corner[k] for corner in corners]) for k in range(3))
+    u, v, w = _local_corners(raster, min_pt, max_pt)
     behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
     ends = []
     for places in (raster.row(v / w * raster.depth), raster.column(u / w * raster.depth)):
