@@ -234,7 +234,9 @@ def some_cells(rng: np.random.Generator) -> tuple[Floats, Cells]:
     raster = raster_of(camera, 32, 32)
     every = len(surfaces)
     inside_none = np.zeros(every, dtype=np.bool_)
-    view = View(raster, surfaces, outlines(raster, surfaces, split=False), inside_none, np.arange(every))
+    view = View(
+        raster, surfaces, outlines(raster, surfaces, split=False), inside_none, np.arange(every)
+    )
     light = point(rng)
     return light, in_cells(occluders_of(view, light[None, :])).cells[0]
 

@@ -15,6 +15,7 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
 from tracer.camera import raster_of
+from tracer.pencil import outlines
 
 
 def assert_same(scene: Scene) -> None:
@@ -23,11 +24,12 @@ def assert_same(scene: Scene) -> None:
     Made in both ways that there are: as with many samples for each object, and with few.
     """
     expected = brute_force(scene)
-    for samples_each, large in ((0.001, 100), (1e9, 1e9)):
+    for samples_each, large, small in ((0.001, 100, 0.0), (1e9, 1e9, 1e9)):
         with (
             patch("tracer.shadow._PIXELS_EACH", samples_each),
             patch("tracer.shadow._FEW", 0),
             patch("tracer.visibility._LARGE", large),
+            patch("tracer.pencil._SMALL", small),
         ):
             image = render(scene)
         different = np.argwhere((image != expected).any(axis=2)).tolist()
@@ -112,6 +114,34 @@ def test_zoomed_in_on_an_edge(kind: str) -> None:
                 view_height=scene.camera.view_height / 16,
             )
             scene = replace(scene, camera=camera)
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_seen_outside_the_window(kind: str) -> None:
+    for seed in range(2 if kind == "crowd" else 12):
+        scene = random_scene(kind, seed, 40, 30)
+        raster = raster_of(scene.camera, scene.width, scene.height)
+        lines = outlines(raster, scene.surfaces, split=False)
+        image = brute_force(scene)
+        assert not image[lines.in_rows() == 0].any()
+        image[lines.window()] = 0
+        assert not image.any()
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("surface", [BALL, CUBE])
+def test_the_window_is_tight(surface: Sphere | Box) -> None:
+    # All that is seen is lit.
+    alone = scene(surface, light=CAMERA.view_point)
+    raster = raster_of(alone.camera, alone.width, alone.height)
+    lines = outlines(raster, alone.surfaces, split=False)
+    seen = render(alone).any(axis=2)
+    for window, axis in zip(lines.window(), (1, 0), strict=True):
+        first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()
+        assert first - 3 <= window.start <= first
+        assert last < window.stop <= last + 4
+    assert np.array_equal(np.unique(lines.in_rows()), [0, 1])
 
 
 def test_no_objects() -> None:

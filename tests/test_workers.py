@@ -9,14 +9,16 @@ import sys
 import time
 from contextlib import suppress
 from itertools import islice
+from math import prod
 from pathlib import Path
 
 import numpy as np
 import pytest
+from jobs import SHAPE, add
 
 import tracer.helpers
 from tracer.scene import Floats
-from tracer.workers import Numbers, forked, keep_apart
+from tracer.workers import Job, Numbers, forked, keep_apart
 
 COUNT = 11
 
@@ -79,6 +81,33 @@ def test_numbers_of_a_round_that_is_over() -> None:
     ours.begin(1)
     assert [theirs.take(), ours.take(), ours.take()] == [None, 0, None]
     os.close(ours.file)
+
+
+@pytest.mark.parametrize("room", [200, 10])
+def test_arrays_of_a_job(room: int) -> None:
+    # In shared memory; or in the message, where that has too little room.
+    arrays = np.arange(50.0), np.arange(12).reshape(3, 4)[:, ::2], np.eye(3, 5, order="F") > 0
+    job = Job(add, arrays, SHAPE)
+    numbers = Numbers()
+    numbers.begin(1)
+    memory = np.zeros(prod(SHAPE) + room)
+    sent = Job.unpacked(job.packed(numbers.round, memory), memory, Numbers(numbers.file))
+    assert sent is not None
+    assert memory.any() == (room == 200)
+    assert not job.slots(memory).any()
+    memory[:] = 7
+    assert sent._replace(arguments=arrays) == job
+    assert all(map(np.array_equal, sent.arguments, arrays))
+    os.close(numbers.file)
+
+
+def test_a_job_that_is_over() -> None:
+    job, memory, numbers = Job(add, (np.ones(3),), SHAPE), np.zeros(100), Numbers()
+    numbers.begin(1)
+    message = job.packed(numbers.round, memory)
+    numbers.begin(1)
+    assert Job.unpacked(message, memory, Numbers(numbers.file)) is None
+    os.close(numbers.file)
 
 
 def test_results_larger_than_a_pipe_holds() -> None:

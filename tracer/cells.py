@@ -150,8 +150,9 @@ class Cells(NamedTuple):
     def objects(self, cell: Ints, within: Bounds) -> tuple[Ints, Ints]:
         """Pairs of a cell and an object listed there whose bounds meet what is asked `within`."""
         first = self.first[cell]
-        owner, place = expand(self.first[cell + 1] - first, first)
-        mine, asked = _as_one(self.bounds)[place], _as_one(within)[owner]
+        count = self.first[cell + 1] - first
+        owner, place = expand(count, first)
+        mine, asked = _as_one(self.bounds)[place], np.repeat(_as_one(within), count)
         meet = mine.view(np.float32) >= asked.view(np.float32)
         # Four answers as one as well.
         at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
@@ -163,16 +164,16 @@ def _as_one(bounds: Bounds) -> NDArray[np.complex128]:
     return bounds.view(np.complex128)[:, 0]
 
 
-def _outward(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """`Cells.bounds` (n, 4) of objects: what just meets them is within the same the other way."""
-    return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
-
-
 def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
     """What the `Cells.bounds` of objects must reach (n, 4) to meet a rectangle."""
     within = np.empty((left.size, 4), dtype=np.float32)
     within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
     return within
+
+
+def _reaching(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """The `Cells.bounds` (n, 4) of objects in a rectangle: it is `_within` it from all sides."""
+    return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 class _Octant(NamedTuple):
@@ -237,7 +238,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         base[number] = 1 + (len(hits) - 1) * side * side
         scale[:, number], shift[:, number] = times, offset
         everyone.append(objects)
-        bounds.append(_outward(*extent))
+        bounds.append(_reaching(*extent))
         cells.append(base[number] + cell)
         places.append(before + owner)
         before += objects.size
@@ -254,9 +255,9 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     # Sorting the pairs themselves, as one number each, is faster than finding their order.
     bits = before.bit_length()
     pairs = np.sort(np.concatenate(cells) << bits | np.concatenate(places))
-    listed = pairs & ((1 << bits) - 1)
-    reach = _as_one(np.concatenate(bounds))[listed].view(np.float32).reshape(-1, 4)
-    listed = np.concatenate(everyone)[listed]
+    at = pairs & ((1 << bits) - 1)
+    listed = np.concatenate(everyone)[at]
+    reach = _as_one(np.concatenate(bounds))[at].view(np.float32).reshape(-1, 4)
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[:-1][single]]
@@ -266,7 +267,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
 def _octant(number: int, below: Floats, above: Floats, reaches: tuple[Bools, Bools]) -> _Octant:
     """Bounds of all objects that reach into an octant, given those (3, n) seen from the light.
 
-    `reaches` says which are at most, and at least zero.
+    `reaches` says where these are at most, and at least zero.
     Bit k of the octant's number is set where the way to the light is negative
     along axis k, that is, where points lie beyond it.
     """

@@ -144,7 +144,9 @@ class Outlines(NamedTuple):
         top, bottom, left, right = (m[self.in_picture()] for m in self._frames())
 
         def between(low: Floats, high: Floats, size: int) -> slice:
-            first, last = np.clip([low.min(initial=size) - 1, high.max(initial=0) + 1], 0, size)
+            if not low.size:
+                return slice(0, 0)
+            first, last = np.clip([low.min() - 1, high.max() + 1], 0, size)
             return slice(int(first), ceil(last))
 
         return (

@@ -300,14 +300,10 @@ class _Renderer(NamedTuple):
 
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
         """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
-        width, rows, columns = (
-            self.bands.picture.scene.width,
-            self.bands.rows(number),
-            self.columns(number),
-        )
+        width, rows = self.bands.picture.scene.width, self.bands.rows(number)
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
-        if columns.start < columns.stop:
+        if self.columns(number).stop:
             for left in range(0, width, self.bands.columns):
                 right = min(left + self.bands.columns, width)
                 self._part(rows, left, right, out[:, left:right])
