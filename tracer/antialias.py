@@ -308,8 +308,9 @@ def _look(
         cell, part = order[group.sample], group.part
         surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
         here, reached = light.part(part), lit[:, part]
-        for k, values in enumerate(shade(lighting, hits, group, here, reached)):
-            seen.radiance[k, cell] = values
+        shaded = shade(lighting, hits, group, here, reached)
+        for channel, values in zip(seen.radiance, shaded, strict=True):
+            channel[cell] = values
         key = group.spread(group.owner * 4) + group.face
         for bit in reached:
             key = key * 2 + bit
@@ -408,7 +409,7 @@ class _Surface(NamedTuple):
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
         corners = np.moveaxis(np.array(box_corners(low, high)) - apex, 2, 0)
         planes = silhouette_planes((corners[0], corners[1], corners[2]), apex, low, high)
-        planes = each(lambda m: m[:, place], planes)
+        planes = each(lambda m: m.take(place, axis=1), planes)
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
         several[pencil.cell[on[unknown]]] = True
         edges, turn = pencil.take(on).boxes(planes)
@@ -445,7 +446,7 @@ class _Surface(NamedTuple):
             ray, r = self.from_light(number, near), -select(radius, near)
             across, down = self.steps(near)
             kind = np.full(near.size, Kind.SHADOW)
-            a, b, c = dot(across, ray) / r, dot(down, ray) / r, light.falls[number, near]
+            a, b, c = dot(across, ray) / r, dot(down, ray) / r, light.falls[number][near]
             yield Lines(self.cell[near], kind, a, b, c).crossing()
 
     def ridges(self) -> Iterator[Lines]:
@@ -495,7 +496,7 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     if not at.size:
         return
     box = cells.owner[at] - spheres
-    planes = each(lambda m: m[:, box], lines.edges)
+    planes = each(lambda m: m.take(box, axis=1), lines.edges)
     pencil = pencil.take(at)._replace(kind=Kind.OUTLINE)
     edges, _ = pencil.boxes((planes[0], planes[1], planes[2] / raster.depth))
     yield edges

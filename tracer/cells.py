@@ -274,8 +274,8 @@ def _octant(number: int, below: Floats, above: Floats, reaches: tuple[Bools, Boo
     beyond = [bool(number >> k & 1) for k in range(3)]
     x, y, z = (reaches[beyond[k]][k] for k in range(3))
     objects = np.flatnonzero(x & y & z)
-    low = (below[k, objects] if beyond[k] else -above[k, objects] for k in range(3))
-    high = (above[k, objects] if beyond[k] else -below[k, objects] for k in range(3))
+    low = (below[k][objects] if beyond[k] else -above[k][objects] for k in range(3))
+    high = (above[k][objects] if beyond[k] else -below[k][objects] for k in range(3))
     x0, y0, z0 = (np.maximum(m, 0) for m in low)
     x1, y1, z1 = high
     bounds = _octahedral((x0, y0, z0), (x1, y1, z1))

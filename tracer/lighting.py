@@ -152,7 +152,7 @@ def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bo
         fallen.add(number, cosine)
         if gloss.any:
             at = where(reached & gloss.glossy)
-            power = gloss.highlight(number, at, cosine[at], length[at], light.along[number, at])
+            power = gloss.highlight(number, at, cosine[at], length[at], light.along[number][at])
             if not isinstance(at, slice):
                 everywhere = np.zeros(count)
                 everywhere[at] = power
@@ -186,8 +186,8 @@ def narrow(
         change = footprint * (bending + 1 / length) * scale
         at = np.flatnonzero((change > _SMOOTH) & reached)
         if at.size:
-            cosine = light.falls[number, at] / length[at]
-            power = gloss.highlight(number, at, cosine, length[at], light.along[number, at])
+            cosine = light.falls[number][at] / length[at]
+            power = gloss.highlight(number, at, cosine, length[at], light.along[number][at])
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
 
 
@@ -260,8 +260,9 @@ def radiance_at(
     lit &= ~lighting.shadows.blocked(hits, lit)
     for group in hits.groups:
         part = group.part
-        for k, values in enumerate(shade(lighting, hits, group, light.part(part), lit[:, part])):
-            radiance[k, group.sample] = values
+        shaded = shade(lighting, hits, group, light.part(part), lit[:, part])
+        for channel, values in zip(radiance, shaded, strict=True):
+            channel[group.sample] = values
     return radiance
 
 
