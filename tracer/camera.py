@@ -60,6 +60,12 @@ class Raster(NamedTuple):
         x, y, z = (self.component(vector, axis) for axis in range(3))
         return x, y, z
 
+    def placed(self, point: Triple) -> Triple:
+        """A point seen from the eye, in the camera's axes, in the scene's."""
+        x, y, z = self.eye.tolist()
+        p = self.turned(point)
+        return x + p[0], y + p[1], z + p[2]
+
     def component(self, vector: Triple, axis: int) -> Floats:
         """That of a vector in the camera's axes along one of the scene's."""
         u, v, w = self.axes[:, axis].tolist()

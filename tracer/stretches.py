@@ -13,7 +13,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, columns, dot, each, entries, expand, pick, put, runs
+from tracer.groups import (
+    Bools,
+    Triple,
+    columns,
+    dot,
+    each,
+    entries,
+    expand,
+    pick,
+    put,
+    rows,
+    runs,
+)
 from tracer.intersection import (
     INSIDE,
     box_and_capsule,
@@ -171,8 +183,8 @@ class _Search(NamedTuple):
 def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
     """Put balls around stretches of points of some objects."""
     # The points of a row lie on a line, or on an arc of less than half a circle.
-    a, b = hits.points(start), hits.points(start + count - 1)
-    middle = each(lambda a, b: 0.5 * (a + b), a, b)
+    a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
+    middle = hits.raster.placed(each(lambda a, b: 0.5 * (a + b), a, b))
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))
     spheres = len(occluders.surfaces.radius)

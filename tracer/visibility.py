@@ -210,9 +210,7 @@ class Hits(NamedTuple):
 
     def points(self, index: Ints | slice) -> Triple:
         """Some of the points in the scene's axes."""
-        x, y, z = self.raster.eye.tolist()
-        p = self.raster.turned(rows(self.p, index))
-        return x + p[0], y + p[1], z + p[2]
+        return self.raster.placed(rows(self.p, index))
 
 
 def visible(view: View, samples: Samples, close: Bools | None = None, size: float = 1.0) -> Hits:
