@@ -21,10 +21,11 @@ from tracer.pencil import outlines
 def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
-    Made in both ways that there are: as with many samples for each object, and with few.
+    Made in all ways that there are: as with many samples for each object, and with few; objects
+    one by one, and together; boxes bounded by silhouettes, and by rectangles.
     """
     expected = brute_force(scene)
-    for samples_each, large, small in ((0.001, 100, 0.0), (1e9, 1e9, 1e9)):
+    for samples_each, large, small in ((1e-3, 100, 0), (1e-3, 1e9, 1e9), (1e9, 1e9, 1e9)):
         with (
             patch("tracer.shadow._PIXELS_EACH", samples_each),
             patch("tracer.shadow._FEW", 0),
@@ -53,6 +54,7 @@ def test_random_scenes(kind: str, width: int, height: int) -> None:
         ("scattered", 170, 160, 120),  # a shadow that ends just beside a row's last sample
         ("walled", 129, 160, 120),  # the same at the first
         ("walled", 191, 160, 120),  # a box flat along two axes
+        ("far", 24, 60, 44),  # two faces in one row, at less than a right angle to each other
     ],
 )
 def test_scenes_that_once_differed(kind: str, seed: int, width: int, height: int) -> None:

@@ -134,7 +134,7 @@ class Group(NamedTuple):
     owner : int, or (runs,)
         Which object they see (spheres first): one, or one for each run.
     counts : (runs,)
-        Samples in each run: neighbours in one row that see one object.
+        Samples in each run: those in one row that see one object.
     face
         Of boxes, the axis of the face: a number, or (n,); 3 for spheres.
     sign, level
@@ -493,9 +493,12 @@ def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
     for group in groups:
         run = np.flatnonzero(group.counts)
         first, owner = (np.cumsum(group.counts) - group.counts)[run], select(group.owner, run)
-        if piece is not None:
-            # Samples in a row may be far apart.
-            starts = np.diff(piece[group.sample], prepend=-1) != 0
+        # Samples of a row that see one object may be far apart, or on different faces.
+        parts: list[NDArray[Any]] = [] if piece is None else [piece[group.sample]]
+        if np.ndim(group.face):
+            parts.append(4 * group.face + group.sign)
+        if parts:
+            starts = np.any([np.diff(part, prepend=0) != 0 for part in parts], axis=0)
             starts[first] = True
             every = np.flatnonzero(starts)
             owner = select(owner, np.searchsorted(first, every, side="right") - 1)
