@@ -183,7 +183,8 @@ def povray_picture(target: Path) -> Floats:
 
 
 def povray_trace(command: Sequence[str]) -> float:
-    """Run POV-Ray; the seconds that it says it spent on tracing alone.
+    """Run POV-Ray; the seconds that it says it spent on tracing alone, at least half of one
+    millisecond: it rounds to whole ones.
 
     Raises
     ------
@@ -194,4 +195,4 @@ def povray_trace(command: Sequence[str]) -> float:
     found = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", done.stderr)
     if done.returncode or not found:
         raise RuntimeError(f"POV-Ray failed:\n{done.stderr}")
-    return float(found[1])
+    return max(float(found[1]), 0.0005)

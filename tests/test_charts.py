@@ -18,6 +18,7 @@ from reference import alternatives, benchmark, minimal, speed_accuracy, stabilit
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
 from reference.benchmark import growth_exponent
 from reference.povray import to_pov
+from reference.rivals import povray_trace
 from reference.speed_accuracy import Lead, Point, Truth
 from reference.timing import Task, Timing, interleaved
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
@@ -286,6 +287,13 @@ def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
     assert rough is not None
     assert (rough.level, rough.ours, rough.theirs) == pytest.approx((0.1, 1.0, 2.0))
     assert Lead.of([*ours, *numpy]) is None
+
+
+@pytest.mark.parametrize(("said", "seconds"), [("0.000", 0.0005), ("1.250", 1.25)])
+def test_time_of_povray(said: str, seconds: float) -> None:
+    # No time at all has no place on a logarithmic axis.
+    script = f"import sys; sys.stderr.write('Trace Time: 0 hours 0 minutes ({said} seconds)')"
+    assert povray_trace([sys.executable, "-c", script]) == seconds
 
 
 def test_the_chart_says_what_was_measured() -> None:
