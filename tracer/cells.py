@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, dot, each, expand, pick, scaled
+from tracer.groups import Bools, Triple, dot, each, entries, expand, pick, scaled
 from tracer.occluders import Occluders, Pairs, pairs_of_points
 from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
@@ -247,7 +247,8 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
         sums = np.zeros((side + 1, side + 1), dtype=np.intp)
         sums[1:, 1:] = hits[-1].reshape(side, side).cumsum(axis=0).cumsum(axis=1)
         x0, x1, y0, y1 = left[seen], right[seen] + 1, top[seen], bottom[seen] + 1
-        others = sums[x1, y1] - sums[x0, y1] - sums[x1, y0] + sums[x0, y0]
+        others = entries(sums, x1, y1) - entries(sums, x0, y1)
+        others -= entries(sums, x1, y0) - entries(sums, x0, y0)
         others -= np.bincount(owner, minlength=objects.size)[seen]
         safe[objects[seen]] &= others == 0
     counts = np.concatenate(hits)

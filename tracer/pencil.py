@@ -141,7 +141,8 @@ class Outlines(NamedTuple):
 
     def window(self) -> tuple[slice, slice]:
         """Rows and columns of the picture outside of which nothing is seen."""
-        top, bottom, left, right = (m[self.in_picture()] for m in self._frames())
+        seen = self.in_picture()
+        top, bottom, left, right = (m[seen] for m in self._frames())
 
         def between(low: Floats, high: Floats, size: int) -> slice:
             if not low.size:

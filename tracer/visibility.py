@@ -110,7 +110,9 @@ class View(NamedTuple):
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     """How surfaces look from the eye of a picture's rays, for pixels that may be split."""
     lines, eye = outlines(raster, surfaces, split), raster.eye
-    in_box = ((surfaces.min_pt <= eye) & (eye <= surfaces.max_pt)).all(axis=1)
+    in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
+    for k, place in enumerate(eye.tolist()):
+        in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])
     return View(
         raster,
         surfaces,
