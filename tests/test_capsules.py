@@ -371,9 +371,11 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
     # Around edges and corners.
     place = np.clip(rng.uniform(-0.5, 1.5, low.shape), 0, 1)
     pencil = a_pencil(rng, low + place * (high - low), np.full(400, size))
-    corners = np.moveaxis(np.array(box_corners(surfaces.min_pt, surfaces.max_pt)) - apex, 2, 0)
     planes = silhouette_planes(
-        (corners[0], corners[1], corners[2]), apex, surfaces.min_pt, surfaces.max_pt
+        box_corners(surfaces.min_pt, surfaces.max_pt, apex),
+        apex,
+        surfaces.min_pt,
+        surfaces.max_pt,
     )
     lines, turn = pencil.boxes(planes)
     assert not turn.any()

@@ -407,8 +407,7 @@ class _Surface(NamedTuple):
         number, box = np.divmod(pair, len(surfaces))
         box, apex = box - spheres, lights[number]
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        corners = np.moveaxis(np.array(box_corners(low, high)) - apex, 2, 0)
-        planes = silhouette_planes((corners[0], corners[1], corners[2]), apex, low, high)
+        planes = silhouette_planes(box_corners(low, high, apex), apex, low, high)
         planes = each(lambda m: m.take(place, axis=1), planes)
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
         several[pencil.cell[on[unknown]]] = True

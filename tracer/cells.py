@@ -371,8 +371,7 @@ def _apart(
     boxes, box = _distinct(owner[at] - spheres, len(surfaces.min_pt))
     beyond = np.zeros(at.size, dtype=np.bool_)
     low, high = surfaces.min_pt[boxes], surfaces.max_pt[boxes]
-    x, y, z = np.moveaxis(np.array(box_corners(low, high)) - light, 2, 0)
-    silhouettes = silhouette_planes((x, y, z), light, low, high)
+    silhouettes = silhouette_planes(box_corners(low, high, light), light, low, high)
     size = sum(each(np.abs, silhouettes))
     for plane in zip(*grid.planes(each(lambda n: n / size, silhouettes)), strict=True):
         beyond |= _beyond(pick(plane, box), column, row)

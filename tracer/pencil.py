@@ -303,16 +303,15 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     return sign * normal[0], sign * normal[1], sign * normal[2]
 
 
-def box_corners(min_pt: Floats, max_pt: Floats) -> list[Floats]:
-    """Eight arrays (n, 3): corner i is high along axis k where bit k of i is set."""
-    return [
-        np.column_stack([(max_pt if i >> k & 1 else min_pt)[:, k] for k in range(3)])
-        for i in range(8)
-    ]
+def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
+    """Corners seen from an apex: three (8, n); i is high along axis k where bit k of i is set."""
+    ends = (min_pt - apex).T, (max_pt - apex).T
+    x, y, z = (np.array([ends[i >> k & 1][k] for i in range(8)]) for k in range(3))
+    return x, y, z
 
 
 def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
-    """`box_corners` in the camera's axes, seen from the eye: three (8, n)."""
+    """`box_corners` seen from the eye, in the camera's axes."""
     ends = (min_pt - raster.eye).T, (max_pt - raster.eye).T
 
     def component(axis: list[float]) -> Floats:
