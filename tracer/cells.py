@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, dot, each, entries, expand, pick, scaled
+from tracer.groups import Bools, Triple, batches, dot, each, expand, pick, scaled
 from tracer.occluders import Occluders, Pairs, pairs_of_points
 from tracer.pencil import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
@@ -44,11 +44,12 @@ _ROUNDED = 1e-4
 
 _NONE, _MANY = -1, -2
 
-Bounds: TypeAlias = NDArray[np.float32]
+# Four of them in one: NumPy takes single numbers much faster than short rows.
+Bounds: TypeAlias = NDArray[np.complex128]
 
 
 class _Extents(NamedTuple):
-    """Bounding boxes of all objects, spheres first.
+    """Bounding boxes of all objects, spheres first, and a little more.
 
     Attributes
     ----------
@@ -67,7 +68,14 @@ class _Extents(NamedTuple):
         center, radius = surfaces.center.T, surfaces.radius
         low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
         high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
-        return cls(low, high, seen)
+        slack = _SLACK * (np.abs(low) + np.abs(high))
+        return cls(low - slack, high + slack, seen)
+
+    def around(self, light: Floats) -> _Extents:
+        """As seen from a light (3,)."""
+        slack = _SLACK * np.abs(light).sum()
+        low, high = self.low - (light + slack)[:, None], self.high - (light - slack)[:, None]
+        return _Extents(low, high, self.seen)
 
 
 class Cells(NamedTuple):
@@ -85,14 +93,12 @@ class Cells(NamedTuple):
         Where each cell's list begins in `listed`.
     listed : (m,)
         Objects.
-    bounds : (m, 4) float32
+    bounds : (m,), four float32 in each
         How far each reaches in its octant, in cells: -left, right, -top, bottom.
     sole : (cells,)
         The only object in a cell; `_MANY` or `_NONE`.
     near : (n,)
         Each object's least distance to the light, in the 1-norm.
-    safe : (n,)
-        Objects that share none of their cells: nothing can shade them.
     """
 
     side: int
@@ -104,7 +110,6 @@ class Cells(NamedTuple):
     bounds: Bounds
     sole: Ints
     near: Floats
-    safe: Bools
 
     def locate(self, to_light: Triple) -> tuple[Floats, Ints, Bounds]:
         """Distance from the light (1-norm), cell and `_within` of points, given the way to it."""
@@ -147,37 +152,39 @@ class Cells(NamedTuple):
         ball, cell = np.concatenate(balls), np.concatenate(cells)
         return total * (1 + _SLACK), ball, cell, np.concatenate(reaches)
 
+    def lengths(self, cell: Ints) -> Ints:
+        """How many objects are listed in cells."""
+        return self.first[cell + 1] - self.first[cell]
+
     def objects(self, cell: Ints, within: Bounds) -> tuple[Ints, Ints]:
         """Pairs of a cell and an object listed there whose bounds meet what is asked `within`."""
-        first = self.first[cell]
-        count = self.first[cell + 1] - first
-        owner, place = expand(count, first)
-        mine, asked = _as_one(self.bounds)[place], np.repeat(_as_one(within), count)
+        count = self.lengths(cell)
+        owner, place = expand(count, self.first[cell])
+        mine, asked = self.bounds[place], np.repeat(within, count)
         meet = mine.view(np.float32) >= asked.view(np.float32)
         # Four answers as one as well.
         at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
         return owner[at], self.listed[place[at]]
 
 
-def _as_one(bounds: Bounds) -> NDArray[np.complex128]:
-    """Four bounds as one number (n,): NumPy takes single numbers much faster than short rows."""
-    return bounds.view(np.complex128)[:, 0]
-
-
 def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """What the `Cells.bounds` of objects must reach (n, 4) to meet a rectangle."""
+    """What the `Cells.bounds` of objects must reach (n,) to meet a rectangle."""
     within = np.empty((left.size, 4), dtype=np.float32)
     within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
-    return within
+    return within.view(np.complex128)[:, 0]
 
 
 def _reaching(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """The `Cells.bounds` (n, 4) of objects in a rectangle: it is `_within` it from all sides."""
+    """The `Cells.bounds` (n,) of objects in a rectangle: it is `_within` it from all sides."""
     return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 class _Octant(NamedTuple):
-    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances."""
+    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances.
+
+    Bit k of the octant's number is set where the way to the light is negative
+    along axis k, that is, where points lie beyond it.
+    """
 
     number: int
     objects: Ints
@@ -185,113 +192,136 @@ class _Octant(NamedTuple):
     nearest: Floats
     farthest: Floats
 
+    @classmethod
+    def of(cls, number: int, extents: _Extents) -> _Octant:
+        """What reaches into an octant, given bounds seen from the light."""
+        ends = [
+            (low, high) if number >> k & 1 else (-high, -low)
+            for k, (low, high) in enumerate(zip(extents.low, extents.high, strict=True))
+        ]
+        (_, x), (_, y), (_, z) = ends
+        objects = np.flatnonzero((x >= 0) & (y >= 0) & (z >= 0))
+        x0, y0, z0 = (np.maximum(low[objects], 0) for low, _ in ends)
+        x1, y1, z1 = (high[objects] for _, high in ends)
+        bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
+        return cls(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+
+
+class _Listing(NamedTuple):
+    """What is listed in the cells of an octant.
+
+    Attributes
+    ----------
+    number : int
+        The octant's.
+    scale, shift : (2,)
+        From octahedral coordinates to cells.
+    objects, nearest, bounds : (n,)
+        What may shade something there, its least distance to the light, and `Cells.bounds`.
+    cell, place : (m,)
+        Pairs of one of the cells, and of one of the objects.
+    """
+
+    number: int
+    scale: Floats
+    shift: Floats
+    objects: Ints
+    nearest: Floats
+    bounds: Bounds
+    cell: Ints
+    place: Ints
+
 
 def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells:
     """Fill the cells around a light (3,)."""
     count = len(surfaces)
     root = np.sqrt(count)
     side = int(min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST))
-    scale, shift = np.zeros((2, 8)), np.zeros((2, 8))
-    base, hits = np.zeros(8, dtype=np.intp), [np.zeros(1, dtype=np.intp)]
-    near, safe = np.full(count, np.inf), np.ones(count, dtype=np.bool_)
-    # Objects of all octants, one's after the other's; and where those in cells are among them.
-    everyone, bounds = [np.zeros(0, dtype=np.intp)], [_within(*np.zeros((4, 0)))]
-    cells, places, before = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], 0
-    slack = np.abs(extents.low) + np.abs(extents.high) + np.abs(light).sum()
-    below = extents.low - _SLACK * slack - light[:, None]
-    above = extents.high + _SLACK * slack - light[:, None]
-    reaches = below <= 0, above >= 0
-    for number in range(8):
-        octant = _octant(number, below, above, reaches)
-        objects = octant.objects
-        near[objects] = np.minimum(near[objects], octant.nearest)
-        seen = np.flatnonzero(extents.seen[objects])
-        if not seen.size:
+    seen = extents.around(light)
+    every = (_listing(_Octant.of(k, seen), seen.seen, side, light, surfaces) for k in range(8))
+    scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
+    near = np.full(count, np.inf)
+    none = np.zeros(0, dtype=np.intp)
+    cells, places, objects, bounds = [none], [none], [none], [_within(*np.zeros((4, 0)))]
+    total, before = 1, 0
+    for listing in every:
+        if listing is None:
             continue
-        # The cells cover just the directions in which there is something to light.
-        u0, u1, v0, v1 = octant.bounds
-        origin = np.array([u0[seen].min(), v0[seen].min()])
-        times = side / (np.array([u1[seen].max(), v1[seen].max()]) - origin)
-        offset = -origin * times
-        extent = _to_cells(octant.bounds, times, offset)
-        west, east, north, south = np.floor(extent)
-        may = np.flatnonzero(
-            (octant.nearest <= _reach(octant, seen) * (1 + _SLACK))
-            & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
-        )
-        if not may.size:
-            continue
-        left, top = (np.maximum(m, 0).astype(np.intp) for m in (west, north))
-        right, bottom = (np.minimum(m, side - 1).astype(np.intp) for m in (east, south))
-        tall = bottom[may] - top[may] + 1
-        size = (right[may] - left[may] + 1) * tall
-        owner, place = expand(size)
-        over, down = np.divmod(place, tall[owner])
-        column, row = left[may][owner] + over, top[may][owner] + down
-        large = np.flatnonzero(((size > _FEW_CELLS) & (size < _MOST_CELLS * side**2))[owner])
-        grid = _Grid(tuple(1.0 if number >> k & 1 else -1.0 for k in range(3)), times, origin)
-        owner = may[owner]
-        apart = _apart(grid, column[large], row[large], objects[owner[large]], light, surfaces)
-        cell = column * side + row
-        if apart.any():
-            owner, cell = np.delete(owner, large[apart]), np.delete(cell, large[apart])
-        base[number] = 1 + (len(hits) - 1) * side * side
-        scale[:, number], shift[:, number] = times, offset
-        everyone.append(objects)
-        bounds.append(_reaching(*extent))
-        cells.append(base[number] + cell)
-        places.append(before + owner)
-        before += objects.size
-        hits.append(np.bincount(cell, minlength=side * side))
-        # How many are listed in a rectangle, by sums over all rectangles at the corner.
-        sums = np.zeros((side + 1, side + 1), dtype=np.intp)
-        sums[1:, 1:] = hits[-1].reshape(side, side).cumsum(axis=0).cumsum(axis=1)
-        x0, x1, y0, y1 = left[seen], right[seen] + 1, top[seen], bottom[seen] + 1
-        others = entries(sums, x1, y1) - entries(sums, x0, y1)
-        others -= entries(sums, x1, y0) - entries(sums, x0, y0)
-        others -= np.bincount(owner, minlength=objects.size)[seen]
-        safe[objects[seen]] &= others == 0
-    counts = np.concatenate(hits)
+        number, mine = listing.number, listing.objects
+        scale[:, number], shift[:, number], base[number] = listing.scale, listing.shift, total
+        near[mine] = np.minimum(near[mine], listing.nearest)
+        cells.append(listing.cell + total)
+        places.append(listing.place + before)
+        objects.append(mine)
+        bounds.append(listing.bounds)
+        total, before = total + side * side, before + mine.size
+    cell = np.concatenate(cells)
+    counts = np.bincount(cell, minlength=total)
     first = np.concatenate([[0], np.cumsum(counts)])
     # Sorting the pairs themselves, as one number each, is faster than finding their order.
     bits = before.bit_length()
-    pairs = np.sort(np.concatenate(cells) << bits | np.concatenate(places))
-    at = pairs & ((1 << bits) - 1)
-    listed = np.concatenate(everyone)[at]
-    reach = _as_one(np.concatenate(bounds))[at].view(np.float32).reshape(-1, 4)
+    at = np.sort(cell << bits | np.concatenate(places)) & ((1 << bits) - 1)
+    listed = np.concatenate(objects)[at]
+    reach = np.concatenate(bounds)[at]
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
-    sole[single] = listed[first[:-1][single]]
-    return Cells(side, scale, shift, base, first, listed, reach, sole, near * (1 - _SLACK), safe)
+    sole[single] = listed[first[single]]
+    return Cells(side, scale, shift, base, first, listed, reach, sole, near * (1 - _SLACK))
 
 
-def _octant(number: int, below: Floats, above: Floats, reaches: tuple[Bools, Bools]) -> _Octant:
-    """Bounds of all objects that reach into an octant, given those (3, n) seen from the light.
-
-    `reaches` says where these are at most, and at least zero.
-    Bit k of the octant's number is set where the way to the light is negative
-    along axis k, that is, where points lie beyond it.
-    """
-    beyond = [bool(number >> k & 1) for k in range(3)]
-    x, y, z = (reaches[beyond[k]][k] for k in range(3))
-    objects = np.flatnonzero(x & y & z)
-    low = (below[k][objects] if beyond[k] else -above[k][objects] for k in range(3))
-    high = (above[k][objects] if beyond[k] else -below[k][objects] for k in range(3))
-    x0, y0, z0 = (np.maximum(m, 0) for m in low)
-    x1, y1, z1 = high
-    bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
-    return _Octant(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+def _listing(
+    octant: _Octant, seen: Bools, side: int, light: Floats, surfaces: Surfaces
+) -> _Listing | None:
+    """List objects in the cells of an octant, if anything in it may be `seen` (n,)."""
+    lit = np.flatnonzero(seen[octant.objects])
+    if not lit.size:
+        return None
+    # The cells cover just the directions in which there is something to light.
+    u0, u1, v0, v1 = octant.bounds
+    origin = np.array([u0[lit].min(), v0[lit].min()])
+    scale = side / (np.array([u1[lit].max(), v1[lit].max()]) - origin)
+    shift = -origin * scale
+    extent = _to_cells(octant.bounds, scale, shift)
+    west, east, north, south = extent
+    may = np.flatnonzero(
+        (octant.nearest <= _reach(octant, lit) * (1 + _SLACK))
+        & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
+    )
+    if not may.size:
+        return None
+    objects, extent = octant.objects[may], extent[:, may]
+    left, right, top, bottom = np.clip(extent, 0, side - 1).astype(np.intp)
+    wide, tall = right - left + 1, bottom - top + 1
+    # Column by column of each object's rectangle.
+    strip, column = expand(wide, left)
+    part, cell = expand(tall[strip], column * side + top[strip])
+    place = strip[part]
+    size = wide * tall
+    large = np.flatnonzero(((size > _FEW_CELLS) & (size < _MOST_CELLS * side**2))[place])
+    if large.size:
+        sign = tuple(1.0 if octant.number >> k & 1 else -1.0 for k in range(3))
+        column, row = np.divmod(cell[large], side)
+        owner = objects[place[large]]
+        apart = _apart(_Grid(sign, scale, origin), column, row, owner, light, surfaces)
+        cell, place = np.delete(cell, large[apart]), np.delete(place, large[apart])
+    nearest, bounds = octant.nearest[may], _reaching(*extent)
+    return _Listing(octant.number, scale, shift, objects, nearest, bounds, cell, place)
 
 
 def _octahedral(low: Triple, high: Triple) -> Floats:
     """Least and greatest of both octahedral coordinates (4, n) of bounding boxes."""
     (x0, y0, z0), (x1, y1, z1) = low, high
-    bounds = np.array(
-        [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0), y0 / (y0 + x1 + z1), y1 / (y1 + x0 + z0)]
-    )
+    bounds = np.empty((4, x0.size))
+    np.divide(x0, x0 + (y1 + z1), out=bounds[0])
+    np.divide(x1, x1 + (y0 + z0), out=bounds[1])
+    np.divide(y0, y0 + (x1 + z1), out=bounds[2])
+    np.divide(y1, y1 + (x0 + z0), out=bounds[3])
     # Around the light itself there is no bound: all of the octant.
     whole = np.array([[0.0], [1.0], [0.0], [1.0]])
-    bounds = np.where(np.isnan(bounds), whole, bounds) + _SLACK * (2 * whole - 1)
+    around = np.isnan(bounds)
+    if around.any():
+        bounds = np.where(around, whole, bounds)
+    bounds += _SLACK * (2 * whole - 1)
     return bounds
 
 
@@ -415,7 +445,7 @@ class InCells(NamedTuple):
         spheres = len(self.occluders.surfaces.radius)
         points = hits.points(slice(None))
         for number, cells in enumerate(self.cells):
-            asked = np.flatnonzero(facing[number] & ~cells.safe[own])
+            asked = np.flatnonzero(facing[number])
             x, y, z = self.occluders.lights[:, number].tolist()
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
@@ -444,10 +474,16 @@ def _listed(
     # Most cells hold nothing, or the object itself.
     sole = cells.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
-    owner, other = cells.objects(cell[asked], within[asked])
-    point = asked[owner]
-    keep = np.flatnonzero((other != own[point]) & (cells.near[other] <= distance[point]))
-    return point[keep], other[keep]
+    none = np.zeros(0, dtype=np.intp)
+    points, others = [none], [none]
+    for batch in batches(cells.lengths(cell[asked])):
+        some = asked[batch]
+        owner, other = cells.objects(cell[some], within[some])
+        point = some[owner]
+        keep = np.flatnonzero((other != own[point]) & (cells.near[other] <= distance[point]))
+        points.append(point[keep])
+        others.append(other[keep])
+    return np.concatenate(points), np.concatenate(others)
 
 
 def _once(point: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:

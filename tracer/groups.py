@@ -10,7 +10,7 @@ runs over contiguous memory.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "Bools",
     "Index",
     "Triple",
+    "batches",
     "columns",
     "cross",
     "dot",
@@ -43,6 +44,9 @@ Triple: TypeAlias = tuple[Floats, Floats, Floats]
 Index: TypeAlias = int | Ints
 
 T = TypeVar("T")
+
+# Pairs at a time that stay in cache.
+_BATCH = 1 << 15
 
 
 def each(function: Callable[..., Floats], *vectors: Triple) -> Triple:
@@ -107,6 +111,17 @@ def runs(start: Ints | int, counts: Ints) -> Ints:
     places: Ints = np.repeat(skip, counts)
     places += np.arange(places.size)
     return places
+
+
+def batches(sizes: Ints) -> Iterator[slice]:
+    """Ranges that make up so many pairs at a time as stay in cache, given those of each."""
+    total = np.cumsum(sizes)
+    start = 0
+    while start < sizes.size:
+        before = total[start] - sizes[start]
+        stop = max(start + 1, int(np.searchsorted(total, before + _BATCH, side="right")))
+        yield slice(start, stop)
+        start = stop
 
 
 def columns(points: Floats, index: Ints | slice) -> Triple:

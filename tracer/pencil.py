@@ -339,9 +339,10 @@ def _silhouettes(
     u, v, w = _local_corners(raster, min_pt, max_pt)
     behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
     ends = []
-    for places in (raster.row(v / w * raster.depth), raster.column(u / w * raster.depth)):
-        ends.append(np.where(behind, -np.inf, places.min(axis=0)))
-        ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), places.max(axis=0)))
+    for slopes, place in ((v / w, raster.row), (u / w, raster.column)):
+        least, most = (place(m * raster.depth) for m in (slopes.min(axis=0), slopes.max(axis=0)))
+        ends.append(np.where(behind, -np.inf, least))
+        ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), most))
     frames = Frames(*ends)
     shaped = (frames.right - frames.left > small) & (frames.bottom - frames.top > small)
     at = np.flatnonzero(shaped)

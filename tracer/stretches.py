@@ -16,6 +16,7 @@ import numpy as np
 from tracer.groups import (
     Bools,
     Triple,
+    batches,
     columns,
     dot,
     each,
@@ -43,8 +44,8 @@ __all__ = ["InStretches", "in_stretches"]
 # those of a block.
 _LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 
-# Pairs of objects, and pairs of a stretch and an object, that are tried at a time.
-_OBJECTS, _BATCH = 1 << 17, 1 << 15
+# Pairs of objects that are tried at a time.
+_OBJECTS = 1 << 17
 
 
 class _List(NamedTuple):
@@ -105,7 +106,7 @@ class InStretches(NamedTuple):
         blocks, tiles, order = _tiles(hits, balls, run)
         for kind in self.lists:
             light, tile, other = search.of_tiles(kind, blocks, tiles)
-            for batch in _batches(tiles.length[tile]):
+            for batch in batches(tiles.length[tile]):
                 part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
                 stretch = order[place]
                 pairs = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
@@ -275,17 +276,6 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
     run, place = expand(-(-count // longest))
     offset = place * longest
     return start[run] + offset, np.minimum(count[run] - offset, longest), run
-
-
-def _batches(sizes: Ints) -> Iterator[slice]:
-    """Ranges of so many pairs at a time as stay in cache."""
-    total = np.cumsum(sizes)
-    start = 0
-    while start < sizes.size:
-        before = total[start] - sizes[start]
-        stop = max(start + 1, int(np.searchsorted(total, before + _BATCH, side="right")))
-        yield slice(start, stop)
-        start = stop
 
 
 def in_stretches(occluders: Occluders) -> InStretches:
