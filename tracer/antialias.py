@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.camera import Raster
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.groups import (
     Bools,
@@ -30,7 +31,7 @@ from tracer.groups import (
     select,
 )
 from tracer.intersection import OUTSIDE
-from tracer.lighting import Incoming, Lighting, incoming, narrow, radiance_at, shade
+from tracer.lighting import Gloss, Incoming, Lighting, incoming, narrow, radiance_at, shade
 from tracer.pencil import Outlines, Spans, box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, Samples, View, grid, visible
@@ -46,6 +47,10 @@ _STRIP = 3 << 15
 # A correction for curvature may be off by a part of itself; where that could show, split.  Grids
 # err less with the power 3/2 of the samples along each side.
 _CURVATURE = 1e-2
+
+# Where a cell sees more than so much of the way to the eye, or to a light, at once, its middle does
+# not stand for all of it.
+_APART = 0.1
 
 # An outline that turns by less (in radians) across a cell passes for straight.
 _BEND = 0.2
@@ -115,7 +120,7 @@ def antialiased(
         places = np.arange(begin * width, begin * width + strip.size)
         _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
-    np.add(seen.radiance, curvature, out=seen.radiance)
+    mean = np.add(seen.radiance, curvature, out=curvature)
     row, column, owner = _met(spans, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
@@ -129,8 +134,8 @@ def antialiased(
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    image = _refined(view, lighting, pixels, seen, depth, inside.ravel())
-    out[:] = np.moveaxis(image.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
+    _refine(view, lighting, pixels, seen, mean, depth, inside.ravel())
+    out[:] = np.moveaxis(mean.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
 class _Cells(NamedTuple):
@@ -205,15 +210,19 @@ class _Seen(NamedTuple):
         return cls(np.zeros((3, count)), np.full(count, -1), [], none)
 
 
-def _refined(
+def _refine(
     view: View,
     lighting: Lighting,
     cells: _Cells,
     seen: _Seen,
+    mean: Floats,
     depth: int,
     wanted: Bools,
-) -> Floats:
-    """Mean radiance (3, n) of cells, in place of that `seen` at their centres."""
+) -> None:
+    """Put mean radiance (3, n) in the place of that of cells that hold more than a smooth surface.
+
+    `seen` is what their centres see.
+    """
     lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
@@ -222,7 +231,6 @@ def _refined(
     differ = lines.differ(lines.take(np.repeat(first, count)))
     several = seen.several | (cells.rough > cells.tolerance)
     several[lines.cell[differ]] = True
-    mean = seen.radiance
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
     sides = _Sides.of(cells, single)
     colors = np.empty((3, sides.x.size))
@@ -247,15 +255,17 @@ def _refined(
             beside = beside[:0]
         else:
             quarters = cells.split(part)
-            seen = _looked(view, lighting, quarters.x, quarters.y, quarters.size, cells.tolerance)
+            closer = _looked(view, lighting, quarters.x, quarters.y, quarters.size, cells.tolerance)
+            bend, rough = _bend(seen.radiance[:, part], seen.key[part], closer)
+            quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
+            radiance = np.add(closer.radiance, bend, out=bend)
             every = np.ones(quarters.x.size, dtype=np.bool_)
-            radiance = _refined(view, lighting, quarters, seen, depth - 1, every)
+            _refine(view, lighting, quarters, closer, radiance, depth - 1, every)
         mean[:, part] = radiance.reshape(3, -1, per_side**2).mean(axis=2)
     if beside.size:
         colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
     alone = np.flatnonzero(~several[single.cell])
     mean[:, single.cell[alone]] = sides.mean(colors)[:, alone]
-    return mean
 
 
 def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
@@ -299,43 +309,50 @@ def _look(
     seen.several[order[close]] = True
     light = incoming(lighting, hits)
     facing = light.falls > 0
-    footprint = np.concatenate(
-        [np.zeros(0), *(size * _footprint(hits, group) for group in hits.groups)]
-    )
-    blocked, (point, number, other) = lighting.shadows.edges(hits, facing, footprint)
+    sights = [hits.sights(group) for group in hits.groups]
+    footprint = np.empty(facing.shape[1])
+    for group, (_, slope) in zip(hits.groups, sights, strict=True):
+        footprint[group.part] = _footprint(hits, group, slope, size)
+    blocked, (point, shaded_from, other) = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
-    for group in hits.groups:
+    for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
         surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
         here, reached = light.part(part), lit[:, part]
-        shaded = shade(lighting, hits, group, here, reached)
+        gloss = Gloss.of(lighting, hits, group, sight)
+        shaded = shade(gloss, here, reached)
         for channel, values in zip(seen.radiance, shaded, strict=True):
             channel[cell] = values
         key = group.spread(group.owner * 4) + group.face
         for bit in reached:
-            key = key * 2 + bit
+            # Odd numbers lose nothing where there are more lights than bits.
+            key = key * 3 + bit
         seen.key[cell] = key
-        for places in narrow(lighting, hits, group, here, reached, footprint[part]):
+        for places in narrow(gloss, here, reached, footprint[part]):
+            seen.several[cell[places]] = True
+        for places in surface.apart(here, sight[1]):
             seen.several[cell[places]] = True
         at = np.flatnonzero((point >= part.start) & (point < part.stop))
         if at.size:
             places = point[at] - part.start
-            seen.lines.append(surface.shadows(number[at], places, other[at], seen.several))
+            seen.lines.append(surface.shadows(shaded_from[at], places, other[at], seen.several))
         if group.flat:
             seen.lines.extend(surface.ridges())
         else:
-            turning = surface.turning(here)
-            seen.several[cell[surface.kinks(turning, tolerance)]] = True
-            seen.lines.extend(surface.terminators(here, turning))
+            number, at = surface.turning(here)
+            seen.several[cell[surface.kinks(number, at, tolerance)]] = True
+            seen.lines.extend(surface.terminators(here, number, at))
 
 
-def _footprint(hits: Hits, group: Group) -> Floats:
-    """Radius (n,) on the surface, around each point, of what its pixel sees."""
-    raster = hits.raster
-    half = 0.5 * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
+def _half_angle(raster: Raster, size: float) -> float:
+    """Under which half of a cell of a size is seen, from corner to corner, in radians."""
+    return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
+
+
+def _footprint(hits: Hits, group: Group, slope: Floats, size: float) -> Floats:
+    """Radius (n,) on the surface, around each point, of what a cell of a size sees."""
     # Nearly edge-on, outlines mark the pixel anyway.
-    _, slope = hits.sights(group)
-    return hits.p[2, group.part] * half / np.maximum(slope, 0.02)
+    return hits.p[2, group.part] * _half_angle(hits.raster, size) / np.maximum(slope, 0.02)
 
 
 class _Surface(NamedTuple):
@@ -415,38 +432,51 @@ class _Surface(NamedTuple):
         several[edges.cell[turn > _BEND]] = True
         return joined([discs.crossing(), edges])
 
-    def turning(self, light: Incoming) -> Bools:
-        """Where a sphere turns away from lights, (lights, n)."""
-        reach = self.footprint / self.group.of(self.view.surfaces.radius)
-        near: Bools = light.falls**2 < reach**2 * light.length2
-        return near
+    def apart(self, light: Incoming, slope: Floats) -> Iterator[Ints]:
+        """Points around which a cell sees what is no longer near to them, as the eye or a light is.
 
-    def kinks(self, turning: Bools, tolerance: float) -> Ints:
-        """Where light begins so fast, as it is `turning`, that one sample is off by more."""
+        `slope`: cosines between the normal and the way to the eye.
+        """
+        least = _half_angle(self.hits.raster, self.size) / _APART
+        if slope.min() < least:
+            yield np.flatnonzero(slope < least)
+        for length2 in light.length2:
+            if self.footprint.max() ** 2 > _APART**2 * length2.min():
+                yield np.flatnonzero(self.footprint**2 > _APART**2 * length2)
+
+    def turning(self, light: Incoming) -> tuple[Ints, Ints]:
+        """Lights, and points at which a sphere turns away from them."""
+        reach = self.footprint / self.group.of(self.view.surfaces.radius)
+        # Most points are told by the least that any of them needs.
+        most = reach.max() * np.sqrt(light.length2.max(initial=0))
+        number, at = np.divmod(np.flatnonzero(np.abs(light.falls) <= most), reach.size)
+        falls, length2 = light.falls[number, at], light.length2[number, at]
+        turns = np.flatnonzero(falls**2 < reach[at] ** 2 * length2)
+        return number[turns], at[turns]
+
+    def kinks(self, light: Ints, at: Ints, tolerance: float) -> Ints:
+        """Where light begins so fast, as spheres are `turning`, that one sample is off by more."""
         lighting, group = self.lighting, self.group
-        at = np.flatnonzero(turning.any(axis=0))
         # On either side of the middle by a quarter of the cell, half of the time.
         radius = select(group.of(self.view.surfaces.radius), at)
         diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
         change = self.footprint[at] / radius / 8 * select(group.of(diffuse), at)
-        steep = change * lighting.intensities.max(axis=1)[:, None] > tolerance
-        kinks: Ints = at[(steep & turning[:, at]).any(axis=0)]
+        kinks: Ints = at[change * lighting.intensities.max(axis=1)[light] > tolerance]
         return kinks
 
-    def terminators(self, light: Incoming, turning: Bools) -> Iterator[Lines]:
-        """Where a highlight ends because the sphere is `turning` away from its light."""
+    def terminators(self, incoming: Incoming, light: Ints, at: Ints) -> Iterator[Lines]:
+        """Where a highlight ends because spheres are `turning` away from its light."""
         lighting, group = self.lighting, self.group
         glossy = group.of(lighting.materials.glossy[lighting.shader])
-        if not np.any(glossy):
+        shines = np.flatnonzero(np.broadcast_to(select(glossy, at), at.shape))
+        if not shines.size:
             return
-        radius = group.of(self.view.surfaces.radius)
-        for number, row in enumerate(turning & glossy):
-            near = np.flatnonzero(row)
-            ray, r = self.from_light(number, near), -select(radius, near)
-            across, down = self.steps(near)
-            kind = np.full(near.size, Kind.SHADOW)
-            a, b, c = dot(across, ray) / r, dot(down, ray) / r, light.falls[number][near]
-            yield Lines(self.cell[near], kind, a, b, c).crossing()
+        light, at = light[shines], at[shines]
+        ray, r = self.from_light(light, at), -select(group.of(self.view.surfaces.radius), at)
+        across, down = self.steps(at)
+        kind = np.full(at.size, Kind.SHADOW)
+        a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.falls[light, at]
+        yield Lines(self.cell[at], kind, a, b, c).crossing()
 
     def ridges(self) -> Iterator[Lines]:
         """Where a box's face meets another that is seen as well."""
@@ -537,6 +567,25 @@ def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]
     # Surfaces that coincide may change from one ray to the next.
     rough[lone] = np.inf
     return total, rough
+
+
+def _bend(radiance: Floats, key: Ints, quarters: _Seen) -> tuple[Floats, Floats]:
+    """`_curvature` of quarters of cells, given also what the cells' centres see (3, n) and (n,).
+
+    Where all see the same, the mean lies beyond that of the quarters' centres by a third of the
+    way there from the cell's (Richardson's extrapolation).
+    """
+    fine, keys = quarters.radiance.reshape(3, -1, 2, 2), quarters.key.reshape(-1, 2, 2)
+    alike = (keys == key[:, None, None]).all(axis=(1, 2))
+    bend = np.where(alike, (fine.mean(axis=(2, 3)) - radiance) / 3, 0)
+    rough = np.zeros(keys.shape)
+    rough[alike] = np.abs(bend).max(axis=0)[alike, None, None]
+    for axis in (1, 2):
+        # To the other one in a row, or a column, as in `_curvature`.
+        step = np.abs(np.diff(fine, axis=axis + 1)).max(axis=0) / 24
+        step = np.where((np.diff(keys, axis=axis) == 0) & ~alike[:, None, None], step, 0)
+        np.maximum(rough, step, out=rough)
+    return np.repeat(bend, 4, axis=1), rough.ravel()
 
 
 def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:

@@ -15,7 +15,16 @@ from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, shadows_of
 from tracer.visibility import Group, Hits, Samples, View, visible
 
-__all__ = ["Incoming", "Lighting", "incoming", "lighting_of", "narrow", "radiance_at", "shade"]
+__all__ = [
+    "Gloss",
+    "Incoming",
+    "Lighting",
+    "incoming",
+    "lighting_of",
+    "narrow",
+    "radiance_at",
+    "shade",
+]
 
 
 # On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
@@ -133,15 +142,15 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
     return result
 
 
-def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bools) -> Triple:
-    """Radiance, three (n,), of some of the hits towards the eye.
+def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
+    """Radiance, three (n,), of a group towards the eye.
 
-    `light`, `lit` (lights, n): what comes in there, and whether it reaches them.
+    `light`, `lit` (lights, n): what comes in there, and whether it reaches the points.
     """
+    lighting, group = gloss.lighting, gloss.group
     # Light that falls on the points, and its highlights: what shaders make of it comes last.
     count, lanes = group.sample.size, lighting.lanes
     fallen, mirrored = _Sum(count, lanes), _Sum(count, lanes)
-    gloss = _Gloss.of(lighting, hits, group)
     for number, reached in enumerate(lit):
         if not reached.any():
             continue
@@ -165,24 +174,25 @@ def shade(lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bo
     return radiance
 
 
-def narrow(
-    lighting: Lighting, hits: Hits, group: Group, light: Incoming, lit: Bools, footprint: Floats
-) -> Iterator[Ints]:
+def narrow(gloss: Gloss, light: Incoming, lit: Bools, footprint: Floats) -> Iterator[Ints]:
     """Points where there may be a highlight too narrow for one sample of so large a footprint.
 
     Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
     between normal and half vector, which bends with the surface and with the
     directions to light and eye.
     """
-    gloss = _Gloss.of(lighting, hits, group)
     if not gloss.any:
         return
+    group = gloss.group
     bending = 1 / gloss.distance
     if not group.flat:
-        bending += 1 / group.of(lighting.shadows.occluders.radius)
+        bending += 1 / group.of(gloss.lighting.shadows.occluders.radius)
     scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
+    most = footprint.max(), bending.max(), scale.max()
     for number, reached in enumerate(lit):
         length = np.sqrt(light.length2[number])
+        if most[0] * (most[1] + 1 / length.min()) * most[2] <= _SMOOTH:
+            continue
         change = footprint * (bending + 1 / length) * scale
         at = np.flatnonzero((change > _SMOOTH) & reached)
         if at.size:
@@ -191,7 +201,7 @@ def narrow(
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
 
 
-class _Gloss(NamedTuple):
+class Gloss(NamedTuple):
     """Highlights on a group.
 
     Attributes
@@ -217,8 +227,14 @@ class _Gloss(NamedTuple):
     slope: Floats
 
     @classmethod
-    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> _Gloss:
-        """Gather what is needed."""
+    def of(
+        cls,
+        lighting: Lighting,
+        hits: Hits,
+        group: Group,
+        sights: tuple[Floats, Floats] | None = None,
+    ) -> Gloss:
+        """Gather what is needed; `sights` of the hits are used if they are there."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
         shines = bool(glossy.any())
@@ -229,7 +245,7 @@ class _Gloss(NamedTuple):
             shines,
             group.spread(glossy),
             group.spread(materials.exponent[shader]),
-            *(hits.sights(group) if shines else np.zeros((2, 0))),
+            *(sights or (hits.sights(group) if shines else np.zeros((2, 0)))),
         )
 
     def highlight(
@@ -260,7 +276,7 @@ def radiance_at(
     lit &= ~lighting.shadows.blocked(hits, lit)
     for group in hits.groups:
         part = group.part
-        shaded = shade(lighting, hits, group, light.part(part), lit[:, part])
+        shaded = shade(Gloss.of(lighting, hits, group), light.part(part), lit[:, part])
         for channel, values in zip(radiance, shaded, strict=True):
             channel[group.sample] = values
     return radiance

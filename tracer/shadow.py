@@ -74,17 +74,19 @@ class Shadows(NamedTuple):
         found = [(none, none, none)]
         for pairs in self.finder.pairs(hits, facing, dark, footprint):
             point, light, other = pairs.points()
-            may = np.flatnonzero(self._blocks(hits, pairs, point, light, other, footprint[point]))
-            point, light, other = point[may], light[may], other[may]
+            reach = footprint[point]
+            does_larger = self._blocks(hits, pairs, point, light, other, reach)
+            may = np.flatnonzero(does_larger | (self._to_light(pairs) <= reach))
             if not may.size:
                 continue
+            point, light, other, reach = point[may], light[may], other[may], reach[may]
             p = hits.points(point)
             pairs = pairs_of_points(self.occluders, own, p, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
-            must = self._blocks(hits, pairs, point, light, other, -footprint[point])
+            must = self._blocks(hits, pairs, point, light, other, -reach)
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
-            edge = np.flatnonzero(~must & entries(facing, light, point))
+            edge = (does_larger[may] | does) & ~must & entries(facing, light, point)
             found.append((point[edge], light[edge], other[edge]))
         point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
         seen = np.flatnonzero(~entries(solid | dark, light, point))
@@ -157,6 +159,22 @@ class Shadows(NamedTuple):
                 occluders.eye_inside[ball],
             )
         return blocks
+
+    def _to_light(self, pairs: Pairs) -> Floats:
+        """How far the lights of `pairs` are from their objects, along some axis; for each point.
+
+        An object that is larger by as much has the light inside.  It may then hold the whole of a
+        segment, and block nothing, where the object itself blocks it.
+        """
+        surfaces, light = self.occluders.surfaces, rows(self.occluders.lights, pairs.light)
+        spheres = len(surfaces.radius)
+        if pairs.other[0] < spheres:
+            away = each(np.subtract, columns(surfaces.center, pairs.other), light)
+            return pairs.spread(np.sqrt(dot(away, away)) - surfaces.radius[pairs.other])
+        box = pairs.other - spheres
+        low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
+        sides = (*each(np.subtract, low, light), *each(np.subtract, light, high))
+        return pairs.spread(np.max(sides, axis=0))
 
     def _on_planes(self, pairs: Pairs, low: Triple, high: Triple) -> Bools:
         """Whether balls, or their lights, touch the plane of a face of their boxes."""

@@ -71,8 +71,9 @@ class Samples(NamedTuple):
             np.clip(start, 0, columns, out=start)
             np.clip(stop, 0, columns, out=stop)
             return spans.row * columns + start, np.maximum(stop - start, 0)
-        # Rows one after the other on one axis, wide enough apart never to meet.
-        stride = 4 * (np.abs(self.x).max(initial=0) + 2)
+        # Rows one after the other on one axis, so far apart that no span reaches into the next.
+        ends = (self.x, spans.left, spans.right)
+        stride = 4 * (max(float(np.abs(end).max(initial=0)) for end in ends) + 2)
         key = self.row * stride + self.x
         start = np.searchsorted(key, spans.row * stride + spans.left)
         stop = np.searchsorted(key, spans.row * stride + spans.right, side="right")
@@ -285,12 +286,6 @@ class _Fragments(NamedTuple):
         """What belongs to rows, for each sample."""
         return np.repeat(values[self.row], self.counts)
 
-    def lengths(self, raster: Raster, samples: Samples) -> Floats:
-        """Of the directions."""
-        g = raster.down(samples.y)
-        length: Floats = np.sqrt(self.s * self.s + self.along(g * g + raster.depth**2))
-        return length
-
 
 def _nearest(
     view: View, samples: Samples, groups: list[_Fragments], close: Bools | None, size: float
@@ -305,17 +300,29 @@ def _nearest(
             nearest[group.sample] = np.minimum(before, group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
-    if close is not None:
-        for group in groups:
-            first = nearest[group.sample]
-            step = _CLOSE * size * max(view.raster.step_u, view.raster.step_v)
-            gap = (group.t - first) * group.lengths(view.raster, samples)
-            close[group.sample[(gap > 0) & (gap < step * first)]] = True
-    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
+    for i, group in enumerate(groups):
+        first = nearest[group.sample]
+        if close is not None:
+            close[group.sample[_close_behind(view.raster, samples, group, first, size)]] = True
+        groups[i] = group.where(group.t == first)
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     if sum(group.t.size for group in groups) > seen:
         groups = _first_of_equals(view, groups)
     return groups
+
+
+def _close_behind(
+    raster: Raster, samples: Samples, group: _Fragments, first: Floats, size: float
+) -> Ints:
+    """Fragments that lie so near behind the `first` of their samples as `visible` says."""
+    step = _CLOSE * size * max(raster.step_u, raster.step_v)
+    # No direction is shorter than the window is far: few are left for their lengths.
+    most = first * (1 + 2 * step / raster.depth)
+    at = np.flatnonzero((group.t > first) & (group.t < most))
+    _, y = samples.at(group.sample[at])
+    s, g, first = group.s[at], raster.down(y), first[at]
+    gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
+    return at[gap < step * first]
 
 
 def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
