@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import resource
 import signal
 import subprocess
 import sys
@@ -61,6 +62,18 @@ def test_nobody_waits_for_a_helper_to_start() -> None:
 
 def test_a_late_helper_joins() -> None:
     assert len(set(together(0.5, count=400, wait=False))) == 2
+
+
+def test_a_program_with_many_open_files() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
+    try:
+        assert len(set(together(0.5))) == 2
+    finally:
+        for file in files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system with helpers")

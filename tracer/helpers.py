@@ -15,12 +15,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
 from mmap import mmap
-from select import select
 
 import numpy as np
 
 from tracer.memory import keep_heap
-from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, keep_apart, serve
+from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, keep_apart, readable, serve
 
 __all__ = ["helped", "live"]
 
@@ -83,7 +82,7 @@ class _Helper(Worker):
 
     def joins(self) -> bool:
         """Whether it is there; then it knows what to do."""
-        if self._here is False and select([self.results], [], [], 0)[0]:
+        if self._here is False and readable([self.results], 0):
             try:
                 self.receive()
                 self._here = True

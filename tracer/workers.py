@@ -17,7 +17,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from math import prod
@@ -42,6 +42,7 @@ __all__ = [
     "forked",
     "keep_apart",
     "processors",
+    "readable",
     "serve",
 ]
 
@@ -274,10 +275,15 @@ class Team(NamedTuple):
         by_pipe = {worker.results: worker for worker in self.workers if worker.joins()}
         if not by_pipe:
             return []
-        poll = select.poll()
-        for pipe in by_pipe:
-            poll.register(pipe, select.POLLIN)
-        return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
+        return [by_pipe[pipe] for pipe in readable(by_pipe, timeout)]
+
+
+def readable(pipes: Iterable[int], timeout: int | None) -> list[int]:
+    """Those with something to read, be it their end; waits for one, so many ms at most."""
+    poll = select.poll()
+    for pipe in pipes:
+        poll.register(pipe, select.POLLIN)
+    return [pipe for pipe, _ in poll.poll(timeout)]
 
 
 def processors() -> int:
