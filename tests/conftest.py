@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+
 import pytest
 
 from tracer import reader
@@ -11,3 +16,35 @@ from tracer import reader
 def either_reader(request, monkeypatch):
     """All files are read as small ones are, or as large ones."""
     monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+
+
+def open_files() -> int:
+    """How many files this process has open."""
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.fixture
+def files_left() -> Callable[[int], AbstractContextManager[None]]:
+    """A context in which so many more files can be opened, and which must leave none open."""
+    import resource  # not on all systems
+
+    @contextmanager
+    def context(count: int) -> Iterator[None]:
+        before = open_files()
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 1024), hard))
+        taken = []
+        try:
+            with suppress(OSError):
+                while True:
+                    taken.append(os.open(os.devnull, os.O_RDONLY))
+            for _ in range(count):
+                os.close(taken.pop())
+            yield
+        finally:
+            for file in taken:
+                os.close(file)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        assert open_files() == before
+
+    return context

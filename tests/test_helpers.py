@@ -10,8 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +148,17 @@ def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(together(0.5)) == {os.getpid()}
     with helped(8, 1, Job(add, (0,), (AHEAD, 1 << 30, 3)), np.inf) as team:
         assert not team.workers
+
+
+@pytest.mark.parametrize("count", range(12))
+def test_nothing_is_left_of_a_helper_that_cannot_be_had(
+    count: int, files_left: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    tracer.helpers._crew.forget()
+    with files_left(count):
+        assert set(together(0.5, count=2, wait=False)) == {os.getpid()}
+        tracer.helpers._crew.stop()
+        tracer.helpers._crew.forget()
 
 
 @pytest.mark.parametrize("name", ["python3", "a-program-of-its-own"])

@@ -19,7 +19,18 @@ from mmap import mmap
 import numpy as np
 
 from tracer.memory import keep_heap
-from tracer.workers import POSSIBLE, Job, Numbers, Team, Worker, keep_apart, readable, serve
+from tracer.workers import (
+    POSSIBLE,
+    Job,
+    Numbers,
+    Team,
+    Worker,
+    keep_apart,
+    pipes,
+    readable,
+    serve,
+    shared,
+)
 
 __all__ = ["helped", "live"]
 
@@ -48,28 +59,22 @@ class _Helper(Worker):
         """Start it; it takes `Numbers` from that file."""
         import subprocess  # takes longer to import than a small picture to render
 
-        calls_in, calls_out = os.pipe()
-        results_in, results_out = os.pipe()
-        shared = os.memfd_create("tracer")
-        super().__init__(calls_out, results_in)
-        try:
-            os.ftruncate(shared, _SHARED)
-            self._memory = np.frombuffer(mmap(shared, 0))
-            ends = calls_in, results_out, numbers, shared
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _CODE.format(path=[*map(str, sys.path)], ends=ends)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=ends,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            )
-        except BaseException:
-            self.close()
-            raise
-        finally:
-            for end in (calls_in, results_out, shared):
-                os.close(end)
+        with pipes() as (calls_in, results_out, calls_out, results_in):
+            super().__init__(calls_out, results_in)
+            file, memory = shared(_SHARED)
+            self._memory = np.frombuffer(memory)
+            ends = calls_in, results_out, numbers, file
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", _CODE.format(path=[*map(str, sys.path)], ends=ends)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    pass_fds=ends,
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                )
+            finally:
+                os.close(file)
         # None if it could not start.
         self._here: bool | None = False
         self._message = b""

@@ -18,7 +18,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from math import prod
 from mmap import PAGESIZE, mmap
@@ -41,9 +41,11 @@ __all__ = [
     "can_fork",
     "forked",
     "keep_apart",
+    "pipes",
     "processors",
     "readable",
     "serve",
+    "shared",
 ]
 
 T = TypeVar("T")
@@ -80,12 +82,12 @@ class Numbers:
 
     def __init__(self, file: int | None = None) -> None:
         if file is None:
-            file = os.memfd_create("tracer")
-            os.ftruncate(file, PAGESIZE)
-        self.file = file
+            self.file, memory = shared(PAGESIZE)
+        else:
+            self.file, memory = file, mmap(file, PAGESIZE)
         self.round = 0
         # The round, how many there are in it, and the next.
-        self._state = np.frombuffer(mmap(file, PAGESIZE), np.int64, 3)
+        self._state = np.frombuffer(memory, np.int64, 3)
 
     def begin(self, count: int) -> None:
         """Begin another round, of so many."""
@@ -276,6 +278,34 @@ class Team(NamedTuple):
         if not by_pipe:
             return []
         return [by_pipe[pipe] for pipe in readable(by_pipe, timeout)]
+
+
+def shared(size: int) -> tuple[int, mmap]:
+    """So many bytes of memory for several processes: its file, and what this one sees of it."""
+    file = os.memfd_create("tracer")
+    try:
+        os.ftruncate(file, size)
+        return file, mmap(file, size)
+    except BaseException:
+        os.close(file)
+        raise
+
+
+@contextmanager
+def pipes() -> Iterator[tuple[int, int, int, int]]:
+    """Pipes to a worker and from it: the ends that it has, and those of this process.
+
+    Its ends are closed afterwards, and if anything goes wrong the others as well.
+    """
+    with ExitStack() as theirs, ExitStack() as ours:
+        calls_in, calls_out = os.pipe()
+        theirs.callback(os.close, calls_in)
+        ours.callback(os.close, calls_out)
+        results_in, results_out = os.pipe()
+        theirs.callback(os.close, results_out)
+        ours.callback(os.close, results_in)
+        yield calls_in, results_out, calls_out, results_in
+        ours.pop_all()
 
 
 def readable(pipes: Iterable[int], timeout: int | None) -> list[int]:
