@@ -6,6 +6,7 @@ import fcntl
 import os
 import pty
 import re
+import resource
 import signal
 import struct
 import subprocess
@@ -107,6 +108,17 @@ def test_samples_and_threads(scene):
     with Image.open(f"{scene}.png") as picture:
         expected = quantise(tracer.render(tracer.load_scene(scene), samples=4))
         assert (np.asarray(picture) == expected).all()
+
+
+def test_no_files_for_workers(scene):
+    done = subprocess.run(
+        command(scene, "--quiet", "--threads", 2),
+        capture_output=True,
+        env=ENVIRONMENT,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (9, 9)),
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
 def test_version():

@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from itertools import islice
 from math import prod
 from pathlib import Path
@@ -48,6 +49,34 @@ def children() -> int:
 def test_results_in_order(others: int) -> None:
     with forked(patiently, COUNT, others) as team:
         assert list(team.results(patiently)) == list(range(COUNT))
+
+
+@pytest.mark.parametrize("count", range(17))
+def test_workers_for_whom_there_are_files(
+    count: int, files_left: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    with files_left(count), forked(patiently, COUNT, 3) as team:
+        # One of the two of the numbers, both of theirs, and four while they are made.
+        assert len(team.workers) == min(3, max(0, count - 4) // 2)
+        assert list(team.results(patiently)) == list(range(COUNT))
+        del team
+
+
+def test_workers_for_whom_there_are_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    fork = os.fork
+
+    def once() -> int:
+        monkeypatch.setattr(os, "fork", never)
+        return fork()
+
+    def never() -> int:
+        raise BlockingIOError("no more processes")
+
+    monkeypatch.setattr(os, "fork", once)
+    with forked(patiently, COUNT, 3) as team:
+        assert len(team.workers) == children() == 1
+        assert list(team.results(patiently)) == list(range(COUNT))
+    assert children() == 0
 
 
 def test_workers_keep_off_this_processor() -> None:

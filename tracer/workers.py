@@ -338,40 +338,50 @@ def can_fork() -> bool:
     return sys.platform == "linux" and threading.active_count() == 1
 
 
+class _Fork(Worker):
+    """A copy of this process."""
+
+    __slots__ = ("_process",)
+
+    def __init__(self, work: Work[Any], numbers: Numbers, others: list[Worker]) -> None:
+        """Make it; there are others already."""
+        with pipes() as (calls_in, results_out, calls_out, results_in):
+            super().__init__(calls_out, results_in)
+            self._process = os.fork()
+            if not self._process:
+                try:
+                    for worker in (*others, self):
+                        worker.close()
+                    renew_heap()
+                    serve(calls_in, results_out, numbers, work)
+                finally:  # whatever happens, it must not go on as if it were this process
+                    os._exit(1)
+        keep_apart(self._process)
+
+    def stop(self) -> None:
+        """End it, whatever it does."""
+        os.kill(self._process, signal.SIGKILL)
+        os.waitpid(self._process, 0)
+        self.close()
+
+
 @contextmanager
 def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
-    """A team of this process and so many copies of it, for so many numbers."""
+    """A team of this process and so many copies of it, if there can be, for so many numbers."""
     others = min(others, count - 1)
-    if not (others > 0 and POSSIBLE):
-        yield Team.alone(count)
-        return
-    numbers = Numbers()
-    numbers.begin(count)
-    pids: list[int] = []
-    workers: list[Worker] = []
-    try:
-        for _ in range(others):
-            calls_in, calls_out = os.pipe()
-            results_in, results_out = os.pipe()
-            pid = os.fork()
-            if not pid:
-                for worker in (*workers, Worker(calls_out, results_in)):
-                    worker.close()
-                renew_heap()
-                serve(calls_in, results_out, numbers, work)
-            pids.append(pid)
-            keep_apart(pid)
-            workers.append(Worker(calls_out, results_in))
-            os.close(calls_in)
-            os.close(results_out)
-        yield Team(count, numbers.take, workers)
-    finally:
-        for pid in pids:
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-        for worker in workers:
-            worker.close()
-        os.close(numbers.file)
+    team = Team.alone(count)
+    with ExitStack() as stack:
+        if others > 0 and POSSIBLE:
+            with suppress(OSError):  # of processes or files there are no more to have
+                numbers = Numbers()
+                stack.callback(os.close, numbers.file)
+                numbers.begin(count)
+                team = Team(count, numbers.take, [])
+                for _ in range(others):
+                    worker = _Fork(work, numbers, team.workers)
+                    stack.callback(worker.stop)
+                    team.workers.append(worker)
+        yield team
 
 
 def serve(
