@@ -27,6 +27,15 @@ def add(amount: float) -> Work[Floats]:
 
 def fail() -> Work[Floats]:
     """A job that cannot be done."""
+
+    def work(_number: int, _slot: Floats | None) -> Floats:
+        raise MemoryError("too little")
+
+    return work
+
+
+def refuse() -> Work[Floats]:
+    """A job that cannot be begun."""
     raise MemoryError("too little")
 
 

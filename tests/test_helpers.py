@@ -12,14 +12,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs import SHAPE, add, die, fail
+from jobs import SHAPE, add, die, fail, refuse
 
 import tracer.helpers
-from tracer import Box, Camera, PointLight, Scene, Sphere, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.helpers import helped
 from tracer.rendering import render_bands
 from tracer.scene import Surfaces
@@ -109,6 +110,30 @@ def test_a_failing_helper_is_replaced(job: Job, error: type[Exception]) -> None:
     after = set(together(0.5))
     assert len(after) == 2
     assert before & after == {os.getpid()}
+
+
+def test_a_helper_that_cannot_do_the_job() -> None:
+    before = set(together(0.5))
+    with helped(8, 1, Job(refuse, (), SHAPE), np.inf) as team:
+        assert [a[0, 0] for a in team.results(add(0))] == list(range(8))
+    assert set(together(0.5)) == before
+
+
+@pytest.mark.parametrize("place", ["__main__", "nowhere"])
+def test_a_scene_of_which_a_helper_does_not_know_all(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Red(Lambertian):
+        """It can be pickled only if it is found where it says to be."""
+
+    Red.__module__, Red.__qualname__ = place, "Red"
+    monkeypatch.setattr(sys.modules["__main__"], "Red", Red, raising=False)
+    before = set(together(0.5))
+    scene = replace(picture(300, 200), surfaces=(Sphere(shader=Red(diffuse=(1, 0, 0))),))
+    alone = render(scene, threads=1)
+    for _ in range(3):
+        assert np.array_equal(render(scene, threads=2), alone)
+    assert set(together(0.5)) == before
 
 
 def test_a_helper_that_was_killed_meanwhile_is_replaced() -> None:

@@ -80,10 +80,9 @@ class _Helper(Worker):
         self._message = b""
 
     def begin(self, job: Job, round: int) -> None:
-        """Give it something to do."""
+        """Give it something to do, once it joins."""
         self._message = job.packed(round, self._memory)
         self.slots = job.slots(self._memory)
-        self.joins()
 
     def joins(self) -> bool:
         """Whether it is there; then it knows what to do."""
@@ -145,6 +144,9 @@ class _Crew:
         helpers = self._helpers[:others]
         for helper in helpers:
             helper.begin(job, numbers.round)
+        # No one is told before all can be: if the job cannot be pickled, none takes any number.
+        for helper in helpers:
+            helper.joins()
         return Team(count, numbers.take, [*helpers])
 
     def stop(self) -> None:
@@ -192,7 +194,8 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
     try:
         try:
             team = _crew.team(count, others, job, load)
-        except OSError:  # of processes, files or memory there are no more to have
+        except Exception:
+            # Of processes, files or memory there are no more to have, or a job cannot be pickled.
             team = Team.alone(count)
         yield team
     except BaseException:

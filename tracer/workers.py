@@ -426,11 +426,16 @@ def serve(
                 else:
                     tell(True, None)
                 while (message := listen()) is not None:
-                    if message:
-                        assert memory is not None
+                    if not message:
+                        continue
+                    assert memory is not None
+                    try:
                         job = Job.unpacked(message, memory, numbers)
-                        if job is not None:
-                            do(job.make(*job.arguments), job.slots(memory))
+                        todo = job and (job.make(*job.arguments), job.slots(memory))
+                    except Exception:  # what this process does not know, the one that calls does
+                        continue
+                    if todo is not None:
+                        do(*todo)
             except BaseException as error:
                 tell(False, error)
     finally:
