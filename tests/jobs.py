@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 
@@ -39,6 +41,15 @@ def refuse() -> Work[Floats]:
     raise MemoryError("too little")
 
 
-def die() -> Work[Floats]:
-    """A job that ends whoever does it."""
-    os._exit(1)
+def die(first: int, path: Path) -> Work[Floats]:
+    """A job, as `add(0)`, that ends one helper: whose is a number from the first on."""
+    work = add(0)
+
+    def dies(number: int, slot: Floats | None) -> Floats:
+        with suppress(FileExistsError):
+            if number >= first:
+                path.touch(exist_ok=False)
+                os._exit(1)
+        return work(number, slot)
+
+    return dies

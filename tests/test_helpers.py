@@ -99,16 +99,27 @@ def test_one_picture_at_a_time_has_help() -> None:
         assert [a[0, 0] for a in team.results(add(1))] == list(range(1, 9))
 
 
-@pytest.mark.parametrize(
-    ("job", "error"),
-    [(Job(fail, (), SHAPE), MemoryError), (Job(die, (), SHAPE), ChildProcessError)],
-)
-def test_a_failing_helper_is_replaced(job: Job, error: type[Exception]) -> None:
+def test_a_failing_helper_is_replaced() -> None:
     before = set(together(0.5))
-    with pytest.raises(error), helped(200, 1, job, np.inf) as team:
+    job = Job(fail, (), SHAPE)
+    with pytest.raises(MemoryError, match="too little"), helped(200, 1, job, np.inf) as team:
         list(team.results(add(0)))
     after = set(together(0.5))
     assert len(after) == 2
+    assert before & after == {os.getpid()}
+
+
+@pytest.mark.parametrize(("others", "first"), [(1, 0), (2, 8)])
+def test_a_helper_that_is_killed_is_done_without(others: int, first: int, tmp_path: Path) -> None:
+    before = set(together(0.5, others))
+    job = Job(die, (first, tmp_path / "died"), SHAPE)
+    with helped(40, others, job, np.inf) as team:
+        results = [a[0, 0] for a in team.results(add(0))]
+    assert (tmp_path / "died").exists()
+    assert results == list(range(40))
+    # Nor does what the others were at come into the next picture.
+    after = set(together(0.25, others))
+    assert len(after) == others + 1
     assert before & after == {os.getpid()}
 
 

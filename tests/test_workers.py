@@ -161,16 +161,18 @@ def test_an_error_is_raised_here(here: bool) -> None:
     assert children() == 0
 
 
-def test_a_killed_worker_is_reported() -> None:
+@pytest.mark.parametrize("others", [1, 3])
+@pytest.mark.parametrize("first", [0, 4])
+def test_what_a_killed_worker_had_taken_is_done_here(others: int, first: int) -> None:
     process = os.getpid()
 
     def dies(number: int, _: Floats | None) -> int:
-        if os.getpid() != process:
+        if number >= first and os.getpid() != process:
             os.kill(os.getpid(), signal.SIGKILL)
         return patiently(number)
 
-    with pytest.raises(ChildProcessError, match="was killed"), forked(dies, COUNT, 1) as team:
-        list(team.results(dies))
+    with forked(dies, COUNT, others) as team:
+        assert list(team.results(dies)) == list(range(COUNT))
     assert children() == 0
 
 

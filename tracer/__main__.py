@@ -176,7 +176,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
             bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
-    except (MemoryError, ChildProcessError):  # the system kills who takes too much
+    except MemoryError:
         return (
             f"{printable(scene_path)}: not enough memory for {scene.width} x {scene.height} pixels;"
             " make the image smaller"

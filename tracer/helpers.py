@@ -197,7 +197,10 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
         except Exception:
             # Of processes, files or memory there are no more to have, or a job cannot be pickled.
             team = Team.alone(count)
+        helpers = len(team.workers)
         yield team
+        if len(team.workers) < helpers:  # one was killed: nobody asks the others any more
+            _crew.stop()
     except BaseException:
         # Nobody will take what they are working on.
         _crew.stop()

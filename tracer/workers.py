@@ -19,7 +19,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from math import prod
 from mmap import PAGESIZE, mmap
 from struct import Struct
@@ -223,8 +222,9 @@ class Team(NamedTuple):
     total : int
         How many numbers there are: from 0 to `total` - 1.
     take : callable
-        Takes one of them; none, if none is left.
+        Takes one of them, of which workers take others; none, if none is left.
     workers : list of Worker
+        Empty as soon as one of them turns out to have been killed.
     """
 
     total: int
@@ -234,7 +234,7 @@ class Team(NamedTuple):
     @classmethod
     def alone(cls, count: int) -> Team:
         """Only this process."""
-        return cls(count, partial(next, iter(range(count)), None), [])
+        return cls(count, lambda: None, [])
 
     def results(self, work: Work[T]) -> Iterator[T]:
         """Results for all numbers; `work` is what this process does.
@@ -248,22 +248,27 @@ class Team(NamedTuple):
         ------
         BaseException
             Whatever `work` raises.
-        ChildProcessError
-            If a worker was killed.
         """
         done: dict[int, tuple[T, Worker | None]] = {}
         left = True
         for number in range(self.total):
             while number not in done:
                 own = None
-                if left and len(done) < AHEAD and not self._answered(0):
+                if not self.workers:
+                    own = number
+                elif left and len(done) < AHEAD and not self._answered(0):
                     own = self.take()
                     left = own is not None
                 if own is not None:
                     done[own] = work(own, None), None
                     continue
                 for worker in self._answered(None):
-                    place, slot, result = worker.receive()
+                    try:
+                        place, slot, result = worker.receive()
+                    except ChildProcessError:
+                        # Nobody knows what it had taken; all that is not done yet is done here.
+                        self.workers.clear()
+                        break
                     if worker.slots is not None:
                         result = worker.slots[slot, :result]
                     done[place] = result, worker
