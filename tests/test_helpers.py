@@ -208,6 +208,14 @@ def test_a_helper_that_cannot_start(
     assert set(together(0.5, count=100, wait=False)) == {os.getpid()}
     assert set(together(0.5, wait=False)) == {os.getpid()}
     assert (tmp_path / "started").exists() == (name == "python3")
+    # Nor does it stay as a zombie.
+    assert all(helper._process.returncode == 1 for helper in tracer.helpers._crew._helpers)
+
+
+def test_a_helper_has_the_same_tracer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tracer.py").write_text("raise ImportError('another one')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert len(set(together(0.5, count=400, wait=False))) == 2
 
 
 def test_a_fork_has_helpers_of_its_own() -> None:

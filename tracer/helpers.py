@@ -34,14 +34,20 @@ from tracer.workers import (
 
 __all__ = ["helped", "live"]
 
-# What they run.
+# What they run.  Their tracer is this one, even if the path has changed or says '' for a folder
+# that was left; all else is found as it is here.
 _CODE = """
 import sys
 sys.path[:] = {path!r}
+import tracer
+del sys.path[0]
 import tracer.rendering
 from tracer.helpers import live
 live{ends!r}
 """
+
+# Where the package is.
+_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 # Bytes of memory that each shares with this process: what no picture needs is never touched.
 _SHARED = 1 << 25
@@ -63,10 +69,11 @@ class _Helper(Worker):
             super().__init__(calls_out, results_in)
             file, memory = shared(_SHARED)
             self._memory = np.frombuffer(memory)
+            path = [_FOLDER, *map(str, sys.path)]
             ends = calls_in, results_out, numbers, file
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-c", _CODE.format(path=[*map(str, sys.path)], ends=ends)],
+                    [sys.executable, "-c", _CODE.format(path=path, ends=ends)],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
@@ -75,7 +82,7 @@ class _Helper(Worker):
                 )
             finally:
                 os.close(file)
-        # None if it could not start.
+        # None if it could not start: nor would another.
         self._here: bool | None = False
         self._message = b""
 
@@ -92,6 +99,8 @@ class _Helper(Worker):
                 self._here = True
             except ChildProcessError:
                 self._here = None
+                self._process.kill()
+                self._process.wait()
         if self._here and self._message:
             keep_apart(self._process.pid)
             self.send(self._message)
