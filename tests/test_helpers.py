@@ -302,13 +302,19 @@ def test_pictures_in_threads() -> None:
     assert not wrong
 
 
-def test_every_processor_that_is_asked_for() -> None:
+@pytest.mark.parametrize(("threads", "others"), [(2, 1), (3, 2), (6, 2)])
+def test_every_processor_that_is_asked_for(
+    threads: int, others: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no more than there are."""
+    monkeypatch.setattr(tracer.rendering, "processors", lambda: 3)
     teams: list[Team] = []
     scene = picture(200, 300)
     original = Team.results
     try:
         Team.results = lambda self, work: teams.append(self) or original(self, work)  # type: ignore
-        render(scene, threads=3)
+        image = render(scene, threads=threads)
     finally:
         Team.results = original  # type: ignore[method-assign]
-    assert [len(team.workers) for team in teams] == [2]
+    assert [len(team.workers) for team in teams] == [others]
+    assert np.array_equal(image, render(scene, threads=1))

@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_at_least(0),
         default=0,
         metavar="N",
-        help="processors to use (default: 0, as many as pay)",
+        help="processors to use, of those there are (default: 0, as many as pay)",
     )
     parser.add_argument("--quiet", action="store_true", help="say nothing but what goes wrong")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")

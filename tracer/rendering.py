@@ -59,8 +59,9 @@ def render(
         The picture is at least as accurate as with so many samples spread
         evenly over every pixel; 1 samples the pixels' centres.
     threads : int, optional
-        How many processors to use, with a process on each; one or two, whatever pays, if
-        absent.  Processes that help start in the background, and stay for the next picture.
+        How many processors to use, at most as many as there are, with a process on each; one or
+        two, whatever pays, if absent.  Processes that help start in the background, and stay for
+        the next picture.
     offset : (float, float)
         Moves every sample by so many pixels to the right and down.
 
@@ -157,8 +158,8 @@ def _rendered(
 
 
 def _processes(threads: int | None, pays: bool) -> int:
-    """As many as are asked for, or else one or two."""
-    return threads or (min(2, processors()) if pays else 1)
+    """As many as are asked for, or else one or two; not more than there are processors."""
+    return min(threads or (2 if pays else 1), processors())
 
 
 class _Picture(NamedTuple):
