@@ -256,7 +256,9 @@ def started(scene: Path) -> subprocess.Popen[str]:
     return process
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
+)
 def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     scene.write_text(SLOW)
     picture = scene.with_name("ball.xml.png")

@@ -226,8 +226,10 @@ def _say(stream: TextIO | None, text: str) -> None:
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as it is in the background of a script
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
+        number = getattr(signal, name, None)  # not all systems have the last three
+        # One that is ignored stays so: in the background of a script, or under nohup.
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _interrupted)
     # Nothing here multiplies matrices that are worth a thread; starting it would take as long as
     # rendering a small picture.  Read when NumPy is imported.
