@@ -525,7 +525,7 @@ class Contents:
             for fault in error.faults:
                 rows, fields = (spheres, _SPHERE) if fault.field in _SPHERE else (boxes, _BOX)
                 parameter, count = fields[fault.field]
-                row = bisect_left(rows.index, fault.index or 0)
+                row = bisect_left(rows.index, fault.surface or 0)
                 which = rows.parameters.index(parameter)
                 values = (rows.first, rows.second)[which][row * count : (row + 1) * count]
                 if not _unread(values):

@@ -16,7 +16,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable
-from typing import IO, TYPE_CHECKING, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 from xml.parsers import expat
 
 from tracer.contents import (
@@ -64,6 +64,10 @@ class SceneFileError(ValueError):
     def __init__(self, lines: Iterable[str]) -> None:
         self.lines = tuple(lines)
         super().__init__("\n".join(self.lines))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An exception is copied by calling its class with `args`: here that is the message.
+        return type(self), (self.lines,), self.__dict__
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias, overload
+from typing import Any, NamedTuple, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,17 +44,16 @@ MAX_PIXELS = 1 << 28
 _DEGENERATE = 1e-10
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """One thing wrong: the field, in words what is wrong and what would be right."""
 
     field: str
     message: str
-    index: int | None = None
+    surface: int | None = None
     """Which surface (in file order), where the fault lies in one of many."""
 
     def __str__(self) -> str:
-        where = "" if self.index is None else f"surface {self.index}: "
+        where = "" if self.surface is None else f"surface {self.surface}: "
         return f"{where}{self.field}: {self.message}"
 
 
@@ -70,6 +69,10 @@ class SceneError(ValueError):
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An exception is copied by calling its class with `args`: here that is the message.
+        return type(self), (self.faults,), self.__dict__
 
 
 def number(value: float) -> str:
@@ -367,7 +370,7 @@ class Surfaces(Sequence[Sphere | Box]):
             *_box_faults(self.min_pt, self.max_pt, self.box_index),
         ]
         if faults:
-            raise SceneError(sorted(faults, key=lambda fault: fault.index or 0))
+            raise SceneError(sorted(faults, key=lambda fault: fault.surface or 0))
 
     def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
         # Unpickled arrays have equal data types, not NumPy's own: with these, `ufunc.at` takes a
