@@ -8,6 +8,7 @@ in any order, side by side, and written out as they come.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from math import inf
@@ -67,6 +68,8 @@ def render(
 
     Raises
     ------
+    TypeError
+        For a number of samples or threads that is no integer.
     ValueError
         For fewer than one sample.
 
@@ -159,7 +162,19 @@ def _rendered(
 
 def _processes(threads: int | None, pays: bool) -> int:
     """As many as are asked for, or else one or two; not more than there are processors."""
-    return min(threads or (2 if pays else 1), processors())
+    asked = _at_least_one(threads, "threads") if threads else 2 if pays else 1
+    return min(asked, processors())
+
+
+def _at_least_one(value: int, name: str) -> int:
+    """As a Python integer: NumPy's overflow, and have other methods."""
+    try:
+        number = int(operator.index(value))
+    except TypeError:
+        raise TypeError(f"{name} must be an int, is {value!r}") from None
+    if number < 1:
+        raise ValueError(f"{name} must be at least 1, is {number}")
+    return number
 
 
 class _Picture(NamedTuple):
@@ -184,8 +199,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
         """The least power of four that is as many samples: everywhere, or by splitting."""
-        if samples < 1:
-            raise ValueError(f"samples must be at least 1, is {samples}")
+        samples = _at_least_one(samples, "samples")
         depth = ((samples - 1).bit_length() + 1) // 2
         everywhere = cls(scene, offset, 0, 2**depth)
         if depth and not dense(outlines(everywhere.raster(), scene.surfaces, split=False)):

@@ -11,6 +11,7 @@ checks them whole; it still reads like a sequence of :class:`Sphere` and
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias, overload
@@ -113,6 +114,21 @@ def _positive(value: float, name: str, faults: list[Fault]) -> float:
         faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
         return 1.0
     return value
+
+
+def _size(value: int, name: str, faults: list[Fault]) -> int:
+    """As a Python integer: products of NumPy's overflow."""
+    try:
+        size = int(operator.index(value))
+    except TypeError:
+        faults.append(Fault("image", f"{name} must be an int, is {value!r}"))
+        return 1
+    if size < 1:
+        faults.append(Fault("image", f"{name} must be a whole number of at least 1, is {size}"))
+    elif size > MAX_PIXELS:
+        # It may have so many digits that neither float() nor str() takes it.
+        faults.append(Fault("image", f"{name} must be at most {MAX_PIXELS}"))
+    return size
 
 
 def unit(vector: ArrayLike) -> Floats:
@@ -447,7 +463,7 @@ class Scene:
     Raises
     ------
     SceneError
-        For a picture of no pixels, or of more than `MAX_PIXELS`.
+        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are no integers.
     """
 
     camera: Camera = field(default_factory=Camera)
@@ -460,11 +476,9 @@ class Scene:
         object.__setattr__(self, "lights", tuple(self.lights))
         if not isinstance(self.surfaces, Surfaces):
             object.__setattr__(self, "surfaces", Surfaces.of(self.surfaces))
-        faults = [
-            Fault("image", f"{name} must be a whole number of at least 1, is {value}")
-            for name, value in (("width", self.width), ("height", self.height))
-            if value != int(value) or value < 1
-        ]
+        faults: list[Fault] = []
+        for name in ("width", "height"):
+            object.__setattr__(self, name, _size(getattr(self, name), name, faults))
         if not faults and self.width * self.height > MAX_PIXELS:
             gib = self.width * self.height * 24 / 2**30
             faults.append(
