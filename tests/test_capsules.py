@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe import Surface, Vector
 
-from tracer import Box, Camera, Sphere, Surfaces
+from tracer import Box, Camera, Lambertian, Sphere, Surfaces
 from tracer.camera import raster_of
 from tracer.cells import Cells, in_cells
 from tracer.edges import Kind, Lines, Pencil
@@ -365,7 +365,9 @@ def met(pencil: Pencil, x: Floats, y: Floats, center: Floats, radius: Floats) ->
 def test_outlines_of_boxes(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
     corners = np.sort(rng.normal(size=(2, 400, 3)), axis=0)
-    surfaces = Surfaces(min_pt=corners[0], max_pt=corners[1], box_shader=np.zeros(400))
+    surfaces = Surfaces(
+        min_pt=corners[0], max_pt=corners[1], box_shader=np.zeros(400), shaders=(Lambertian(),)
+    )
     apex = np.array([5.0, rng.uniform(-2, 2), rng.uniform(-2, 2)])
     low, high = surfaces.min_pt - apex, surfaces.max_pt - apex
     # Around edges and corners.

@@ -10,7 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tracer import PointLight, Scene, SceneError, SceneFileError, Sphere, load_scene, render
+from tracer import (
+    Box,
+    Lambertian,
+    Phong,
+    PointLight,
+    Scene,
+    SceneError,
+    SceneFileError,
+    Sphere,
+    Surfaces,
+    load_scene,
+    render,
+)
 from tracer.scene import MAX_PIXELS
 
 # Every way to copy an object.
@@ -107,3 +119,146 @@ def test_numbers_of_samples_and_threads_that_are_none(
 ) -> None:
     with pytest.raises(error, match=f"^{name} {message}$"):
         render(a_scene(), **{name: value})
+
+
+# Two spheres around a box, in this order.
+MATTE, SHINY = Lambertian(diffuse=(0.5, 0.5, 0.5)), Phong(specular=(1, 1, 1), exponent=9)
+ARRAYS: dict[str, Any] = {
+    "center": [(0, 0, 0), (1, 2, 3)],
+    "radius": [1, 2],
+    "sphere_shader": [0, 1],
+    "sphere_index": [0, 2],
+    "min_pt": [(-1, -1, -1)],
+    "max_pt": [(0, 0, 0)],
+    "box_shader": [0],
+    "box_index": [1],
+    "shaders": (MATTE, SHINY),
+}
+
+
+def test_surfaces_of_arrays() -> None:
+    assert list(Surfaces(**ARRAYS)) == [
+        Sphere(center=(0, 0, 0), radius=1, shader=MATTE),
+        Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 0), shader=MATTE),
+        Sphere(center=(1, 2, 3), radius=2, shader=SHINY),
+    ]
+
+
+NO_PERMUTATION = "sphere_index, box_index: must together be a permutation of 0 ... 2"
+
+
+@pytest.mark.parametrize(
+    ("arrays", "faults"),
+    [
+        ({"radius": [1]}, ["radius: needs 2, as many as center; has 1"]),
+        ({"radius": [1, -1, 2]}, ["radius: needs 2, as many as center; has 3"]),
+        ({"center": range(4)}, ["center: needs 3 numbers in each row, has shape (4,)"]),
+        ({"max_pt": np.zeros((3, 2))}, ["max_pt: needs 3 numbers in each row, has shape (3, 2)"]),
+        ({"max_pt": ()}, ["max_pt: needs 1, as many as min_pt; has 0"]),
+        ({"sphere_shader": [0]}, ["sphere_shader: needs 2, as many as center; has 1"]),
+        ({"sphere_shader": [7, 0]}, ["sphere_shader: must be places among 2 shaders, has 7"]),
+        ({"box_shader": [-1]}, ["box_shader: must be places among 2 shaders, has -1"]),
+        ({"box_shader": [0.5]}, ["box_shader: must be whole numbers"]),
+        ({"box_shader": [np.nan]}, ["box_shader: must be whole numbers"]),
+        ({"box_index": [1, 3]}, ["box_index: needs 1, as many as min_pt; has 2"]),
+        ({"box_index": [2]}, [NO_PERMUTATION]),
+        ({"box_index": [3]}, [NO_PERMUTATION]),
+        ({"sphere_index": [-1, 0]}, [NO_PERMUTATION]),
+        ({"box_index": None, "sphere_index": [1, 2]}, [NO_PERMUTATION]),
+        (
+            {"shaders": (MATTE, "red")},
+            ["shaders: must be of type Lambertian or Phong, is of type str"],
+        ),
+        (
+            {"radius": [1], "shaders": (), "box_index": [2]},
+            [
+                "radius: needs 2, as many as center; has 1",
+                "sphere_shader: must be places among 0 shaders, has 0",
+                "box_shader: must be places among 0 shaders, has 0",
+            ],
+        ),
+        (
+            {"radius": [1, -1], "max_pt": [(-2, 0, 0)]},
+            [
+                "surface 1: minPt: must not exceed maxPt, but x has -1 > -2",
+                "surface 2: radius: must be positive and finite, is -1",
+            ],
+        ),
+    ],
+)
+def test_arrays_that_do_not_fit(arrays: dict[str, Any], faults: list[str]) -> None:
+    with pytest.raises(SceneError) as bad:
+        Surfaces(**ARRAYS | arrays)
+    assert str(bad.value).splitlines() == faults
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (lambda: Sphere(shader="red"), "shader: must be of type Lambertian or Phong"),
+        (
+            lambda: Box(min_pt=(0, 0, 0), max_pt=(1, 1, 1), shader=None),
+            "shader: must be of type Lambertian or Phong",
+        ),
+        (
+            lambda: Scene(width=1, height=1, surfaces=["ball"]),
+            "surfaces: must be of type Sphere or Box",
+        ),
+        (lambda: Scene(width=1, height=1, lights=[MATTE]), "lights: must be of type PointLight"),
+        (lambda: Scene(width=1, height=1, camera=None), "camera: must be of type Camera"),
+    ],
+)
+def test_parts_of_another_type(make: Callable[[], object], fault: str) -> None:
+    with pytest.raises(SceneError, match=f"^{fault}, is of type [a-zA-Z]+$"):
+        make()
+
+
+def test_a_scene_does_not_change_with_the_arrays_it_was_made_from() -> None:
+    arrays = {name: np.array(value) for name, value in ARRAYS.items() if name != "shaders"}
+    surfaces = Surfaces(**arrays, shaders=ARRAYS["shaders"])
+    for array in arrays.values():
+        array[:] = -1
+    assert surfaces == Surfaces(**ARRAYS)
+    for name in arrays:
+        for same in (surfaces, copy.copy(surfaces), pickle.loads(pickle.dumps(surfaces))):
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(same, name)[:] = -1
+
+
+@copied
+def test_copies_are_equal(copy_of: Callable[[Any], Any]) -> None:
+    scene = Scene(
+        width=4, height=3, lights=[PointLight(position=(1, 2, 3))], surfaces=Surfaces(**ARRAYS)
+    )
+    same = copy_of(scene)
+    assert same == scene
+    assert hash(same) == hash(scene)
+    # NumPy's own data types, not equal ones: see Surfaces.__setstate__.
+    assert same.surfaces.center.dtype is np.dtype(np.float64)
+    assert same.surfaces.box_index.dtype is np.dtype(np.intp)
+
+
+def test_surfaces_are_equal_as_sequences_are() -> None:
+    surfaces = Surfaces(**ARRAYS)
+    white = Lambertian()
+    for same in (
+        Surfaces.of(surfaces),
+        Surfaces(**ARRAYS | {"shaders": (white, SHINY, MATTE), "box_shader": [2],
+                             "sphere_shader": [2, 1]}),
+        Surfaces(**ARRAYS | {"center": ARRAYS["center"][::-1], "radius": [2, 1],
+                             "sphere_shader": [1, 0], "sphere_index": [2, 0]}),
+    ):  # fmt: skip
+        assert same == surfaces
+        assert hash(same) == hash(surfaces)
+    for name, value in {
+        "center": [(0, 0, 0), (1, 2, 4)],
+        "radius": [1, 3],
+        "sphere_shader": [0, 0],
+        "sphere_index": [1, 2],
+        "shaders": (MATTE, white),
+    }.items():
+        other = {name: value} | ({"box_index": [0]} if name == "sphere_index" else {})
+        assert Surfaces(**ARRAYS | other) != surfaces
+    assert Surfaces.of(list(surfaces)[:2]) != surfaces
+    assert surfaces != list(surfaces)
+    assert Surfaces() == Surfaces()

@@ -116,6 +116,34 @@ def _positive(value: float, name: str, faults: list[Fault]) -> float:
     return value
 
 
+def _check_types(
+    values: Iterable[object], types: tuple[type, ...], name: str, faults: list[Fault]
+) -> None:
+    for kind in dict.fromkeys(map(type, values)):
+        if not issubclass(kind, types):
+            right = " or ".join(each.__name__ for each in types)
+            faults.append(Fault(name, f"must be of type {right}, is of type {kind.__name__}"))
+
+
+def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
+    """A copy as (n, 3)."""
+    array = np.array(value, dtype=np.float64, order="C")
+    if array.size % 3 or array.shape[1:] not in ((), (3,)):
+        faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
+        return np.zeros((0, 3))
+    return array.reshape(-1, 3)
+
+
+def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
+    """A copy as (n,)."""
+    given = np.asarray(value).reshape(-1)
+    with np.errstate(invalid="ignore"):
+        array = np.array(given, dtype=np.intp)
+    if not np.array_equal(array, given):
+        faults.append(Fault(name, "must be whole numbers"))
+    return array
+
+
 def _size(value: int, name: str, faults: list[Fault]) -> int:
     """As a Python integer: products of NumPy's overflow."""
     try:
@@ -274,6 +302,7 @@ class Sphere:
         object.__setattr__(self, "center", _vector(self.center, "center", faults))
         object.__setattr__(self, "radius", float(self.radius))
         faults += _sphere_faults(np.array([self.center]), np.array([self.radius]))
+        _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
         if faults:
             raise SceneError(faults)
 
@@ -292,6 +321,7 @@ class Box:
         object.__setattr__(self, "max_pt", _vector(self.max_pt, "maxPt", faults))
         if not faults:
             faults += _box_faults(np.array([self.min_pt]), np.array([self.max_pt]))
+        _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
         if faults:
             raise SceneError(faults)
 
@@ -323,6 +353,8 @@ def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints | None = None) -> It
 class Surfaces(Sequence[Sphere | Box]):
     """All surfaces of a scene, as arrays; also a sequence of Sphere and Box.
 
+    The arrays are copies, and read-only.  Equal are those that are equal as sequences.
+
     Parameters
     ----------
     center, radius : (S, 3) and (S,)
@@ -339,7 +371,8 @@ class Surfaces(Sequence[Sphere | Box]):
     Raises
     ------
     SceneError
-        For a radius that is not positive, minPt > maxPt, or what is not finite.
+        For arrays that do not fit together; for a radius that is not positive, minPt > maxPt,
+        or what is not finite.
     """
 
     __slots__ = (
@@ -367,38 +400,84 @@ class Surfaces(Sequence[Sphere | Box]):
         box_index: ArrayLike | None = None,
         shaders: tuple[Shader, ...] = (),
     ) -> None:
-        self.center = np.ascontiguousarray(center, dtype=np.float64).reshape(-1, 3)
-        self.radius = np.ascontiguousarray(radius, dtype=np.float64).reshape(-1)
-        self.min_pt = np.ascontiguousarray(min_pt, dtype=np.float64).reshape(-1, 3)
-        self.max_pt = np.ascontiguousarray(max_pt, dtype=np.float64).reshape(-1, 3)
-        self.sphere_shader = np.asarray(sphere_shader, dtype=np.intp).reshape(-1)
-        self.box_shader = np.asarray(box_shader, dtype=np.intp).reshape(-1)
-        spheres, boxes = len(self.radius), len(self.min_pt)
-        self.sphere_index = np.asarray(
-            np.arange(spheres) if sphere_index is None else sphere_index, dtype=np.intp
-        )
-        self.box_index = np.asarray(
-            spheres + np.arange(boxes) if box_index is None else box_index, dtype=np.intp
-        )
-        self.shaders = shaders
-        faults = [
-            *_sphere_faults(self.center, self.radius, self.sphere_index),
-            *_box_faults(self.min_pt, self.max_pt, self.box_index),
-        ]
+        faults: list[Fault] = []
+        self.center = _rows(center, "center", faults)
+        self.radius = np.array(radius, dtype=np.float64).reshape(-1)
+        self.min_pt = _rows(min_pt, "min_pt", faults)
+        self.max_pt = _rows(max_pt, "max_pt", faults)
+        self.sphere_shader = _integers(sphere_shader, "sphere_shader", faults)
+        self.box_shader = _integers(box_shader, "box_shader", faults)
+        spheres, boxes = len(self.center), len(self.min_pt)
+        if sphere_index is None:
+            sphere_index = np.arange(spheres)
+        if box_index is None:
+            box_index = np.arange(spheres, spheres + boxes)
+        self.sphere_index = _integers(sphere_index, "sphere_index", faults)
+        self.box_index = _integers(box_index, "box_index", faults)
+        self.shaders = tuple(shaders)
+        # What does not fit together cannot be checked further.
+        faults = faults or self._misfits()
+        if not faults:
+            faults += _sphere_faults(self.center, self.radius, self.sphere_index)
+            faults += _box_faults(self.min_pt, self.max_pt, self.box_index)
         if faults:
             raise SceneError(sorted(faults, key=lambda fault: fault.surface or 0))
+        self._protect()
 
-    def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
+    def _misfits(self) -> list[Fault]:
+        """What is wrong with lengths, shaders and indices."""
+        faults: list[Fault] = []
+        for name, of in (
+            ("radius", "center"),
+            ("sphere_shader", "center"),
+            ("sphere_index", "center"),
+            ("max_pt", "min_pt"),
+            ("box_shader", "min_pt"),
+            ("box_index", "min_pt"),
+        ):
+            count, needed = len(getattr(self, name)), len(getattr(self, of))
+            if count != needed:
+                faults.append(Fault(name, f"needs {needed}, as many as {of}; has {count}"))
+        _check_types(self.shaders, (Lambertian, Phong), "shaders", faults)
+        for name in ("sphere_shader", "box_shader"):
+            places = getattr(self, name)
+            wrong = places[(places < 0) | (places >= len(self.shaders))]
+            if wrong.size:
+                message = f"must be places among {len(self.shaders)} shaders, has {wrong[0]}"
+                faults.append(Fault(name, message))
+        index = np.concatenate([self.sphere_index, self.box_index])
+        missing = np.ones(len(self), dtype=bool)
+        missing[index[(index >= 0) & (index < len(self))]] = False
+        if len(index) == len(self) and missing.any():
+            message = f"must together be a permutation of 0 ... {len(self) - 1}"
+            faults.append(Fault("sphere_index, box_index", message))
+        return faults
+
+    def _protect(self) -> None:
+        for name in self.__slots__:
+            if name != "shaders":
+                getattr(self, name).setflags(write=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Without this method, a class with slots has no pickle of protocols 0 and 1.
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have equal data types, not NumPy's own: with these, `ufunc.at` takes a
         # general way, twenty times as slow, and all that is computed from them inherits it.
-        for name, value in state[1].items():
+        for name, value in state.items():
             own = isinstance(value, np.ndarray)
             setattr(self, name, value.view(value.dtype.type) if own else value)
+        self._protect()
 
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
         items = tuple(surfaces)
+        faults: list[Fault] = []
+        _check_types(items, (Sphere, Box), "surfaces", faults)
+        if faults:
+            raise SceneError(faults)
         # By identity: objects that share a shader keep sharing it.
         place = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(place)}
@@ -444,6 +523,27 @@ class Surfaces(Sequence[Sphere | Box]):
             shader=self.shaders[self.box_shader[at[0]]],
         )
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Surfaces):
+            return NotImplemented
+        # Equal shaders have one number, wherever they are in either's tuple.
+        numbers: dict[Shader, int] = {}
+        return all(map(np.array_equal, self._in_order(numbers), other._in_order(numbers)))
+
+    def _in_order(self, numbers: dict[Shader, int]) -> Iterable[NDArray[Any]]:
+        """All arrays, with spheres and boxes in order, and shaders by number."""
+        shader = np.array([numbers.setdefault(s, len(numbers)) for s in self.shaders], np.intp)
+        for index, places, *values in (
+            (self.sphere_index, self.sphere_shader, self.center, self.radius),
+            (self.box_index, self.box_shader, self.min_pt, self.max_pt),
+        ):
+            for array in (index, shader[places], *values):
+                yield array[np.argsort(index)]
+
+    def __hash__(self) -> int:
+        # Part of what is equal in equal ones: to hash all of it would take long.
+        return hash((len(self), self[:1]))
+
     def __repr__(self) -> str:
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
 
@@ -463,7 +563,8 @@ class Scene:
     Raises
     ------
     SceneError
-        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are no integers.
+        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are no integers,
+        and parts that are of another type.
     """
 
     camera: Camera = field(default_factory=Camera)
@@ -477,6 +578,8 @@ class Scene:
         if not isinstance(self.surfaces, Surfaces):
             object.__setattr__(self, "surfaces", Surfaces.of(self.surfaces))
         faults: list[Fault] = []
+        _check_types((self.camera,), (Camera,), "camera", faults)
+        _check_types(self.lights, (PointLight,), "lights", faults)
         for name in ("width", "height"):
             object.__setattr__(self, name, _size(getattr(self, name), name, faults))
         if not faults and self.width * self.height > MAX_PIXELS:
