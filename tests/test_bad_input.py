@@ -409,6 +409,15 @@ def test_faults_before_the_file_stops_being_xml_are_told_too(faults):
     ]
 
 
+def test_a_long_stray_text_is_one_fault(faults):
+    text = " \n" + "stray text of many words " * 100_000
+    assert faults(f"<scene>{EMPTY}{text}<light>{text}</light></scene>") == [
+        "2: scene: stray text 'stray text of many words stray text o...'; remove it",
+        "2: light: has no position; add <position>x y z</position>",
+        "3: light: stray text 'stray text of many words stray text o...'; remove it",
+    ]
+
+
 def test_what_one_fault_leads_to_is_no_fault(faults):
     """A minPt that cannot be read does not exceed maxPt; a faulty shader is still defined."""
     content = f"""<scene>{EMPTY}

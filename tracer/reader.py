@@ -135,6 +135,8 @@ class _LineReader:
         self.contents = Contents(faults)
         self.parser = expat.ParserCreate()
         self.open: list[LineElement] = []
+        # Whether the text since the last tag is told as a fault: a long one comes in pieces.
+        self.strayed = False
 
     def read(self, file: IO[bytes]) -> Scene | None:
         """Parse the file to its end, or to where it is no longer XML; None after a fault."""
@@ -206,6 +208,7 @@ class _LineReader:
         )
 
     def start(self, tag: str, attrib: dict[str, str]) -> None:
+        self.strayed = False
         element = LineElement(tag, attrib, self.parser.CurrentLineNumber)
         depth = len(self.open)
         if depth > 1:
@@ -229,15 +232,17 @@ class _LineReader:
                     element.line,
                     f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter",
                 )
-        elif not text.isspace():
+        elif not (self.strayed or text.isspace()):
             # The event comes where the text ends; the fault is where it begins.
             text = text.lstrip()
             self.faults.note(
                 self.parser.CurrentLineNumber - text.count("\n"),
                 f"{element.tag}: stray text {quoted(text.rstrip())}; remove it",
             )
+            self.strayed = True
 
     def end(self, _tag: str) -> None:
+        self.strayed = False
         element = self.open.pop()
         if len(self.open) == 1:
             self.contents.take(element)
