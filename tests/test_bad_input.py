@@ -109,8 +109,20 @@ NOT_XML = [
         "2: DOCTYPE: declarations are not allowed; write out what entities stand for",
     ),
     (
-        f'<!DOCTYPE scene SYSTEM "scene.dtd">\n<scene>{EMPTY}\n&lol;</scene>',
-        "3: entity 'lol': is not defined; write out what it stands for",
+        f'\n<!DOCTYPE scene SYSTEM "scene.dtd">\n<scene>{EMPTY}&lol;</scene>',
+        "2: DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE",
+    ),
+    (
+        f'<!DOCTYPE scene PUBLIC "scene" "scene.dtd"><scene lol="&lol;">{EMPTY}</scene>',
+        "1: DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE",
+    ),
+    (
+        f'<!DOCTYPE scene SYSTEM "scene.dtd" [<!ENTITY lol "lol">]>\n<scene>{EMPTY}</scene>',
+        "1: DOCTYPE: declarations are not allowed; write out what entities stand for",
+    ),
+    (
+        f'<!DOCTYPE scene>\n<scene>{EMPTY}<surface type="&Sphere;"/></scene>',
+        "2: not XML: undefined entity at column 35; write out what the entity stands for",
     ),
     ("<scen/>", "1: scen: the root must be <scene>"),
     (f"<Scene>{EMPTY}</Scene>", "1: Scene: the root must be <scene>"),

@@ -146,7 +146,6 @@ class _LineReader:
         parser.EndElementHandler = self.end
         parser.CharacterDataHandler = self.text
         parser.StartDoctypeDeclHandler = self.doctype
-        parser.SkippedEntityHandler = self.skipped
         given = 0
         try:
             while chunk := file.read(_CHUNK):
@@ -193,19 +192,19 @@ class _LineReader:
             return f"close <{short(self.open[-1].tag)}> of line {self.open[-1].line}"
         return "a scene file holds <scene> ... </scene>"
 
-    def doctype(self, _name: str, _system: object, _public: object, declares: bool) -> None:
+    def doctype(self, _name: str, system: str | None, _public: str | None, declares: bool) -> None:
         # Entities may stand for a thousand others each; attributes take quadratic time.
         if declares:
             self.faults.give_up(
                 self.parser.CurrentLineNumber,
                 "DOCTYPE: declarations are not allowed; write out what entities stand for",
             )
-
-    def skipped(self, entity: str, _is_parameter: int) -> None:
-        self.faults.note(
-            self.parser.CurrentLineNumber,
-            f"entity {quoted(entity)}: is not defined; write out what it stands for",
-        )
+        # It would not be read: entities that it may define would be skipped, some in silence.
+        if system is not None:
+            self.faults.give_up(
+                self.parser.CurrentLineNumber,
+                "DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE",
+            )
 
     def start(self, tag: str, attrib: dict[str, str]) -> None:
         self.strayed = False
