@@ -94,7 +94,71 @@ NOT_XML = [
     (
         b"<scene>\n\0</scene>",
         "2: not XML: not well-formed (invalid token) at column 1;"
+        " save the file as UTF-8, and without a NUL",
+    ),
+    *(
+        (
+            "<scene>\na</scene>".encode(encoding),
+            f"1: not XML: not well-formed (invalid token) at column {column};"
+            " save the file as UTF-8, and without a NUL",
+        )
+        for encoding, column in (("utf-32", 2), ("utf-32-be", 1))
+    ),
+    (
+        "<scene>\na & b</scene>".encode("utf-16"),
+        "2: not XML: not well-formed (invalid token) at column 4;"
         " in text, < is written &lt; and & is written &amp;",
+    ),
+    (
+        b"\xfe\xff" + "<scene>\n<!-- a -->&;</scene>".encode("utf-16-be"),
+        "2: not XML: not well-formed (invalid token) at column 12;"
+        " in text, < is written &lt; and & is written &amp;",
+    ),
+    (
+        "<scene>\n<!-- a -- b --></scene>",
+        "2: not XML: not well-formed (invalid token) at column 10;"
+        " in a comment, write - in place of --",
+    ),
+    (
+        b"<scene>\n<!-- \xff --></scene>",
+        "2: not XML: not well-formed (invalid token) at column 6; save the file as UTF-8",
+    ),
+    (
+        "<scene>\n<!-- \x01 --></scene>",
+        "2: not XML: not well-formed (invalid token) at column 6; remove the control character",
+    ),
+    (
+        "<scene><!-- a -->\n-- & b</scene>",
+        "2: not XML: not well-formed (invalid token) at column 5;"
+        " in text, < is written &lt; and & is written &amp;",
+    ),
+    (
+        "<scene>\n<camera><!-- a </scene>".encode("utf-16"),
+        "2: not XML: unclosed token at column 9; end the comment with -->",
+    ),
+    (
+        "<scene><image>\n<![CDATA[ a </scene>",
+        "2: not XML: unclosed CDATA section at column 21; end it with ]]>",
+    ),
+    (
+        "<scene>\n<camera>&#11;</camera></scene>",
+        "2: not XML: reference to invalid character number at column 9;"
+        " no character of XML has this number; remove it",
+    ),
+    (
+        '\n<?xml version="1.0"?><scene/>',
+        "2: not XML: XML or text declaration not at start of entity at column 1;"
+        " nothing may stand before <?xml ... ?>",
+    ),
+    (
+        '<?xml version="1.0" encoding="utf-16"?><scene/>',
+        "1: not XML: encoding specified in XML declaration is incorrect at column 31;"
+        " save the file as UTF-8, and declare no other",
+    ),
+    (
+        '<?xml version="1.0"encoding="utf-8"?><scene/>',
+        "1: not XML: XML declaration not well-formed at column 20;"
+        ' write it as <?xml version="1.0"?>, or leave it out',
     ),
     (
         '<?xml version="1.0" encoding="klingon"?><scene/>',
@@ -567,6 +631,17 @@ except SceneFileError as error:
 def test_a_name_with_a_nul():
     with pytest.raises(SceneFileError, match=r"^a\\x00b: no path has a NUL in it; check the path$"):
         load_scene("a\0b")
+
+
+def test_a_name_that_cannot_be_encoded():
+    fault = r"^\\ud800: no path has half of a surrogate pair in it; check the path$"
+    with pytest.raises(SceneFileError, match=fault):
+        load_scene("\ud800")
+
+
+def test_no_name():
+    with pytest.raises(SceneFileError, match=r"^'': cannot be read: No such file or directory;"):
+        load_scene("")
 
 
 def test_a_name_with_a_new_line_still_makes_one_line(tmp_path):

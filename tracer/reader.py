@@ -48,7 +48,18 @@ _CHUNK = 1 << 14
 # From this size on, what a reading without line numbers saves is more than its imports take.
 _LARGE = 1 << 17
 
-_CODES = expat.errors.codes
+# What would be right, where what is wrong says enough.
+_REMEDIES = {
+    expat.errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
+    expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
+    expat.errors.XML_ERROR_INCORRECT_ENCODING: "save the file as UTF-8, and declare no other",
+    expat.errors.XML_ERROR_INVALID_TOKEN: "in text, < is written &lt; and & is written &amp;",
+    expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "nothing may follow </scene>",
+    expat.errors.XML_ERROR_MISPLACED_XML_PI: "nothing may stand before <?xml ... ?>",
+    expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION: "end it with ]]>",
+    expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write out what the entity stands for",
+    expat.errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
+}
 
 
 class SceneFileError(ValueError):
@@ -98,7 +109,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     except OSError as error:
         reason = error.strerror or str(error)
         faults.told.append((None, f"cannot be read: {reason}; check the path and its permissions"))
-    name = printable(os.fspath(path))
+    name = printable(os.fspath(path)) or "''"
     raise SceneFileError(
         f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
         for line, message in sorted(faults.told, key=lambda fault: fault[0] or 0)
@@ -114,6 +125,8 @@ def _opened(path: str | os.PathLike[str], faults: Faults) -> IO[bytes]:
     """Open a regular file: a pipe or a device may block, or never end."""
     try:
         status = os.stat(path)
+    except UnicodeEncodeError:
+        faults.give_up(None, "no path has half of a surrogate pair in it; check the path")
     except ValueError:
         faults.give_up(None, "no path has a NUL in it; check the path")
     if stat.S_ISDIR(status.st_mode):
@@ -159,10 +172,10 @@ class _LineReader:
                     )
             parser.Parse(b"", True)
         except expat.ExpatError as error:
+            message = expat.ErrorString(error.code)
             self.faults.give_up(
                 error.lineno,
-                f"not XML: {expat.ErrorString(error.code)} at column {error.offset + 1};"
-                f" {self.remedy(error.code, file)}",
+                f"not XML: {message} at column {error.offset + 1}; {self.remedy(message, file)}",
             )
         except (LookupError, ValueError):  # of the codec that the file asks for
             self.faults.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
@@ -170,24 +183,31 @@ class _LineReader:
             del self.parser  # it holds this reader by its handlers: a cycle
         return self.contents.scene()
 
-    def remedy(self, code: int, file: IO[bytes]) -> str:
+    def remedy(self, message: str, file: IO[bytes]) -> str:
         """What would make it XML."""
         index = self.parser.ErrorByteIndex
-        file.seek(max(0, index - 64))
-        before = file.read(min(64, index)).rstrip()
-        at = file.read(1)
-        if before.endswith(b"=") and at.isalnum():
+        file.seek(0)
+        big_endian = file.read(2) in (b"\xfe\xff", b"\0<")
+        start = max(0, index - MAX_TOKEN)
+        file.seek(start)
+        # Without its NULs, UTF-16 reads like ASCII.
+        before = file.read(index - start).replace(b"\0", b"")
+        after = file.read(8)[big_endian:]
+        if after.startswith(b"\0"):  # UTF-32, taken for another encoding, has some as well
+            return "save the file as UTF-8, and without a NUL"
+        after = after.replace(b"\0", b"")
+        if message == expat.errors.XML_ERROR_UNCLOSED_TOKEN and after.startswith(b"<!--"):
+            return "end the comment with -->"
+        if before.endswith(b"--") and before.rfind(b"<!--") > before.rfind(b"-->"):
+            return "in a comment, write - in place of --"
+        if before.rstrip().endswith(b"=") and after[:1].isalnum():
             return 'put the value of an attribute in quotes, as in type="Sphere"'
-        if at >= b"\x80":
+        if after >= b"\x80":
             return "save the file as UTF-8"
-        if code == _CODES[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
-            return "nothing may follow </scene>"
-        if code == _CODES[expat.errors.XML_ERROR_INVALID_TOKEN]:
-            return "in text, < is written &lt; and & is written &amp;"
-        if code == _CODES[expat.errors.XML_ERROR_UNDEFINED_ENTITY]:
-            return "write out what the entity stands for"
-        if code == _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]:
-            return "keep one of the two"
+        if b"\0" < after[:1] < b" " and not after[:1].isspace():
+            return "remove the control character"
+        if message in _REMEDIES:
+            return _REMEDIES[message]
         if self.open:
             return f"close <{short(self.open[-1].tag)}> of line {self.open[-1].line}"
         return "a scene file holds <scene> ... </scene>"
