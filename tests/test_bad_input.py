@@ -558,6 +558,20 @@ def test_bombs(faults, declarations):
     ]
 
 
+def test_few_shaders_get_a_suggestion(faults, monkeypatch):
+    """It takes long to find, among many."""
+    calls = []
+    nearest = contents._nearest
+    monkeypatch.setattr(contents, "_nearest", lambda *a: calls.append(a) or nearest(*a))
+    defined = "".join(f'<shader name="a{i}" type="Phong"/>' for i in range(9))
+    used = "".join(SPHERE.format(f'<shader ref="a{i}b"/>') for i in range(99))
+    told = faults(f"<scene>{EMPTY}{defined}{used}</scene>")
+    assert told[0] == "1: shader: no shader is named 'a0b'; did you mean 'a0'?"
+    assert told[98] == "1: shader: no shader is named 'a98b'; define it"
+    assert len(told) == 99
+    assert len(calls) < 40
+
+
 def test_largest_file(tmp_path):
     path = tmp_path / "large.xml"
     with path.open("wb") as file:

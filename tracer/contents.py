@@ -45,6 +45,9 @@ __all__ = [
 MAX_FAULTS = 1_000
 """How many faults are told before the reader gives up on a file."""
 
+# To look for the nearest of many names takes milliseconds: how many shaders get a suggestion.
+_SUGGESTIONS = 30
+
 # What holds numbers: tag -> parameter of the dataclass, how many numbers.
 _Fields = Mapping[str, tuple[str, int]]
 _CAMERA: _Fields = {
@@ -487,11 +490,12 @@ class Contents:
         for tag in ("camera", "image"):
             if tag not in self.seen:
                 self.fault(self.root_line, f"scene: has no {tag}; add <{tag}> ... </{tag}>")
-        for name, place in self.places.items():
-            if name not in self.definitions:
-                remedy = _nearest(name, self.definitions) if self.definitions else "define it"
-                for line in self.references.get(place, (0,)):
-                    self.fault(line, f"shader: no shader is named {quoted(name)}; {remedy}")
+        undefined = [name for name in self.places if name not in self.definitions]
+        for count, name in enumerate(undefined):
+            suggest = self.definitions and count < _SUGGESTIONS
+            remedy = _nearest(name, self.definitions) if suggest else "define it"
+            for line in self.references.get(self.places[name], (0,)):
+                self.fault(line, f"shader: no shader is named {quoted(name)}; {remedy}")
         surfaces = self.all_surfaces()
         try:
             scene = Scene(
