@@ -647,6 +647,16 @@ def test_a_name_with_a_nul():
         load_scene("a\0b")
 
 
+def test_a_name_in_bytes():
+    with pytest.raises(SceneFileError, match=r"^none\\udcff\.xml: cannot be read: No such file"):
+        load_scene(b"none\xff.xml")
+
+
+def test_what_is_no_name():
+    with pytest.raises(TypeError, match="not int"):
+        load_scene(0)
+
+
 def test_a_name_that_cannot_be_encoded():
     fault = r"^\\ud800: no path has half of a surrogate pair in it; check the path$"
     with pytest.raises(SceneFileError, match=fault):

@@ -81,12 +81,12 @@ class SceneFileError(ValueError):
         return type(self), (self.lines,), self.__dict__
 
 
-def load_scene(path: str | os.PathLike[str]) -> Scene:
+def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Scene:
     """Read a scene file.
 
     Parameters
     ----------
-    path : str or path-like
+    path : str, bytes or path-like
         An XML file of at most `MAX_BYTES`.
 
     Returns
@@ -98,6 +98,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     SceneFileError
         If the file cannot be read, or is anything but a faultless scene.
     """
+    path = os.fsdecode(path)
     faults = Faults()
     try:
         with _opened(path, faults) as file:
@@ -109,7 +110,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     except OSError as error:
         reason = error.strerror or str(error)
         faults.told.append((None, f"cannot be read: {reason}; check the path and its permissions"))
-    name = printable(os.fspath(path)) or "''"
+    name = printable(path) or "''"
     raise SceneFileError(
         f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
         for line, message in sorted(faults.told, key=lambda fault: fault[0] or 0)
@@ -121,7 +122,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def _opened(path: str | os.PathLike[str], faults: Faults) -> IO[bytes]:
+def _opened(path: str, faults: Faults) -> IO[bytes]:
     """Open a regular file: a pipe or a device may block, or never end."""
     try:
         status = os.stat(path)
