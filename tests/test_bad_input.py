@@ -168,6 +168,11 @@ NOT_XML = [
         '<?xml version="1.0" encoding="shift-jis"?><scene/>',
         "1: not XML: unknown encoding; save the file as UTF-8",
     ),
+    # Where warnings are errors, as they are here, its codec raises one.
+    (
+        '<?xml version="1.0" encoding="unicode_escape"?><scene/>',
+        "1: not XML: unknown encoding; save the file as UTF-8",
+    ),
     (
         '<?xml version="1.0"?>\n<!DOCTYPE scene [<!ENTITY lol "lol">]><scene>&lol;</scene>',
         "2: DOCTYPE: declarations are not allowed; write out what entities stand for",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from tracer import (
     Box,
+    Camera,
     Lambertian,
     Phong,
     PointLight,
@@ -262,3 +264,15 @@ def test_surfaces_are_equal_as_sequences_are() -> None:
     assert Surfaces.of(list(surfaces)[:2]) != surfaces
     assert surfaces != list(surfaces)
     assert Surfaces() == Surfaces()
+
+
+@pytest.mark.parametrize(
+    "view_dir", [(0, 1e-200, -1), (1e-200, 0, -1), (0, 1e-300, -1e300), (0, 3e-320, -1e-320)]
+)
+def test_underflow_is_no_error_to_anyone(view_dir: tuple[float, float, float]) -> None:
+    scene = replace(a_scene(), camera=Camera(view_dir=view_dir))
+    image = render(scene)
+    with np.errstate(all="raise"):
+        same = replace(a_scene(), camera=Camera(view_dir=view_dir))
+        assert same == scene
+        assert np.array_equal(render(same), image)

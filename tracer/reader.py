@@ -178,7 +178,7 @@ class _LineReader:
                 error.lineno,
                 f"not XML: {message} at column {error.offset + 1}; {self.remedy(message, file)}",
             )
-        except (LookupError, ValueError):  # of the codec that the file asks for
+        except (LookupError, ValueError, Warning):  # of the codec that the file asks for
             self.faults.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
         finally:
             del self.parser  # it holds this reader by its handlers: a cycle

@@ -159,8 +159,9 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
     return size
 
 
+@np.errstate(under="ignore")
 def unit(vector: ArrayLike) -> Floats:
-    """Unit vector (3,), scaled first so that no square over- or underflows."""
+    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
     array = np.asarray(vector, dtype=np.float64)
     # By a power of two: exact, so that scaled scenes stay bit-identical.
     array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
@@ -202,6 +203,7 @@ class Camera:
     view_width: float = 1.0
     view_height: float = 1.0
 
+    @np.errstate(under="ignore")
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         put = object.__setattr__
