@@ -276,3 +276,17 @@ def test_underflow_is_no_error_to_anyone(view_dir: tuple[float, float, float]) -
         same = replace(a_scene(), camera=Camera(view_dir=view_dir))
         assert same == scene
         assert np.array_equal(render(same), image)
+
+
+@pytest.mark.parametrize(
+    "offset", [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
+)
+def test_offsets_that_are_none(offset: Any) -> None:
+    with pytest.raises(ValueError, match=r"^offset must be two finite numbers, is "):
+        render(a_scene(), offset=offset)
+
+
+def test_an_offset_may_be_any_two_numbers() -> None:
+    image = render(a_scene(), offset=(0.5, 1))
+    for offset in ([0.5, 1], np.array([0.5, 1]), (np.float32(0.5), np.int8(1))):
+        assert np.array_equal(render(a_scene(), offset=offset), image)  # type: ignore[arg-type]

@@ -71,7 +71,7 @@ def render(
     TypeError
         For a number of samples or threads that is no integer.
     ValueError
-        For fewer than one sample.
+        For fewer than one sample, and an offset that is not two finite numbers.
 
     Returns
     -------
@@ -200,6 +200,10 @@ class _Picture(NamedTuple):
     def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
         """The least power of four that is as many samples: everywhere, or by splitting."""
         samples = _at_least_one(samples, "samples")
+        shift = np.asarray(offset, dtype=np.float64)
+        if shift.shape != (2,) or not np.isfinite(shift).all():
+            raise ValueError(f"offset must be two finite numbers, is {offset!r}")
+        offset = float(shift[0]), float(shift[1])
         depth = ((samples - 1).bit_length() + 1) // 2
         everywhere = cls(scene, offset, 0, 2**depth)
         if depth and not dense(outlines(everywhere.raster(), scene.surfaces, split=False)):
