@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import pkgutil
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -25,3 +29,23 @@ for name in tracer.__all__:
 def test_what_is_not_there():
     with pytest.raises(AttributeError, match="module 'tracer' has no attribute 'ray'"):
         _ = tracer.ray
+
+
+NAMES = [f"tracer.{module.name}" for module in pkgutil.iter_modules(tracer.__path__)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_modules_take_from_each_other_what_is_public(name):
+    for node in ast.walk(ast.parse(inspect.getsource(import_module(name)))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tracer."):
+            public = import_module(node.module).__all__
+            assert {alias.name for alias in node.names} <= set(public), node.module
+
+
+@pytest.mark.parametrize("name", ["tracer.contents", "tracer.reader", "tracer.scene"])
+def test_constants_and_types_are_public_or_not_by_their_name(name):
+    module = import_module(name)
+    for node in ast.parse(inspect.getsource(module)).body:
+        for target in getattr(node, "targets", [getattr(node, "target", None)]):
+            if isinstance(target, ast.Name) and not target.id.startswith("_"):
+                assert target.id in module.__all__

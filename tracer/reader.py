@@ -33,7 +33,7 @@ from tracer.scene import Scene
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = ["MAX_BYTES", "SceneFileError", "load_scene", "printable"]
+__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "SceneFileError", "load_scene", "printable"]
 
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""

@@ -24,6 +24,8 @@ __all__ = [
     "Box",
     "Camera",
     "Fault",
+    "Floats",
+    "Ints",
     "Lambertian",
     "Phong",
     "PointLight",
@@ -32,6 +34,9 @@ __all__ = [
     "Shader",
     "Sphere",
     "Surfaces",
+    "Vector",
+    "number",
+    "unit",
 ]
 
 Floats: TypeAlias = NDArray[np.float64]
