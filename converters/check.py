@@ -26,6 +26,7 @@ from converters.flavours import exact, normalisation, stock
 from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
+from tracer.image import whole_file
 from tracer.reader import load_scene
 from tracer.rendering import render
 from tracer.scene import Floats, Scene
@@ -348,4 +349,7 @@ def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
     mi = importlib.import_module("mitsuba")
     if mi.variant() is None:
         use()
-    mi.Bitmap(image.astype(np.float32)).write(os.fspath(path))
+    stream = mi.MemoryStream()
+    mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    with whole_file(path) as file:
+        file.write(stream.raw_buffer())

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from converters.flavours import exact, stock
-from tracer.image import write_png
+from tracer.image import whole_file, write_png
 from tracer.reader import SceneFileError, load_scene, printable
 
 __all__ = ["main"]
@@ -163,13 +163,8 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     flavour = exact if options.exact else stock
     scene = load_scene(path)
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
-    # Beside the target first: a failure leaves an earlier file as it was.
-    beside = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(target)
-    finally:
-        beside.unlink(missing_ok=True)
+    with whole_file(target) as file:
+        file.write(text.encode())
     print(f"{target}: {'exact' if options.exact else 'stock'} flavour")
     return True
 

@@ -87,6 +87,46 @@ def test_what_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
 
 
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A scene that is soon rendered."""
+    scene = tmp_path / "small.xml"
+    text = ONE_SPHERE.read_text(encoding="utf-8")
+    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
+    return scene
+
+
+@pytest.mark.parametrize("what", [[], ["--render"], ["--check"]])
+def test_what_is_no_regular_file_stays(
+    small: Path, capsys: pytest.CaptureFixture[str], what: list[str]
+) -> None:
+    pipe = small.with_name("pipe")
+    os.mkfifo(pipe)
+    assert main([*what, str(small), "-o", str(pipe)]) == 1
+    assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
+    assert pipe.is_fifo()
+    assert sorted(small.parent.iterdir()) == [pipe, small]
+
+
+@pytest.mark.parametrize(
+    ("what", "written", "magic"),
+    [
+        ([], "x.xml", b"<!--"),
+        (["--render"], "x.png", b"\x89PNG"),
+        (["--render"], "x.exr", b"\x76\x2f\x31\x01"),
+        (["--check"], "x.png", b"\x89PNG"),
+    ],
+)
+def test_links_are_followed(small: Path, what: list[str], written: str, magic: bytes) -> None:
+    (small.parent / "real").write_bytes(b"old")
+    (small.parent / written).symlink_to("real")
+    target = small.with_name("x.png" if what else "x.xml")
+    assert main([*what, "--variant", SCALAR, str(small), "-o", str(target)]) == 0
+    assert (small.parent / written).is_symlink()
+    assert (small.parent / "real").read_bytes().startswith(magic)
+    use()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -115,11 +155,8 @@ def test_converting_needs_no_mitsuba(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "Mitsuba cannot run: not installed\n")
 
 
-def test_render_writes_a_png_and_an_exr(tmp_path: Path) -> None:
-    scene = tmp_path / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
-    assert main(["--render", "--samples", "4", "--variant", SCALAR, str(scene)]) == 0
+def test_render_writes_a_png_and_an_exr(small: Path, tmp_path: Path) -> None:
+    assert main(["--render", "--samples", "4", "--variant", SCALAR, str(small)]) == 0
     mi = importlib.import_module("mitsuba")
     exr = np.array(mi.Bitmap(str(tmp_path / "small.mitsuba.exr")))
     shown = np.asarray(Image.open(tmp_path / "small.mitsuba.png"))
@@ -138,17 +175,14 @@ def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
 
 
 def test_check_ends_with_status_1_where_a_tolerance_is_broken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    small: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("converters.check.MAX_DIFFERENCE", 1e-12)
-    scene = tmp_path / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
-    assert main(["--check", str(scene)]) == 1
+    assert main(["--check", str(small)]) == 1
     told = capsys.readouterr().out
     assert "small: DIFFERS" in told
     assert "exceeds 1e-12" in told
-    assert (tmp_path / "small.check.png").exists()
+    assert small.with_name("small.check.png").exists()
 
 
 # What Mitsuba makes of it.

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import Floats
 
-__all__ = ["Packed", "packed", "quantise", "write_bands", "write_png"]
+__all__ = ["Packed", "packed", "quantise", "whole_file", "write_bands", "write_png"]
 
 # Values worked on at a time: what stays in a core's cache.
 _BLOCK = 1 << 15
@@ -190,7 +190,7 @@ def write_bands(
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
-    with _whole_or_not_at_all(path) as file:
+    with whole_file(path) as file:
         file.write(b"\x89PNG\r\n\x1a\n")
         # 8 bits a channel, RGB, the only methods there are, not interlaced.
         _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
@@ -234,9 +234,24 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
 
 
 @contextmanager
-def _whole_or_not_at_all(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """A new file that takes the place of `path` if all goes well, and else vanishes."""
-    target = os.path.realpath(path)  # a link stays one
+def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """A new file that takes the place of `path` if all goes well, and else vanishes.
+
+    Parameters
+    ----------
+    path : str or path-like
+        A link stays one: what it points to is replaced.
+
+    Yields
+    ------
+    binary file
+
+    Raises
+    ------
+    OSError
+        If it cannot be written, or what is there is no regular file.
+    """
+    target = os.path.realpath(path)
     mode = None
     if os.path.exists(target):
         mode = os.stat(target).st_mode
