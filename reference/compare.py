@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ _WINDOW = 7
 _OVER = 1e-3
 # Smaller panels are enlarged, pixel by pixel, so that their labels fit.
 _PANEL = 300
+# Those of which is known, before they are decoded, how many bits a channel they have.
+_FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 _MARGIN, _LABEL = 8, 24
 _PAPER, _INK = (250, 250, 250), (30, 30, 30)
 # Colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008).
@@ -198,12 +201,23 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
     OSError, ValueError
         If it cannot be read, or has more than 8 bits a channel.
     """
-    with Image.open(path) as image:
+    with Image.open(path, formats=_FORMATS) as image:
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
+        if any(_deep(codec, coding) for codec, _, _, coding in image.tile):
+            raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
     return np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
+
+
+def _deep(codec: str, coding: Any) -> bool:
+    """Whether Pillow would drop the low bits of a picture, told by how it would decode it."""
+    if codec.startswith("ppm"):
+        _, largest = coding
+        return bool(largest > 255)
+    # The raw mode, alone or first of several: 16 bits a channel in whichever byte order.
+    return re.search(r";16[BLN]", str(coding)) is not None
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 import subprocess
 import sys
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -368,6 +370,61 @@ def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(path)
     with pytest.raises(ValueError, match="8-bit RGB is needed"):
         read_picture(path)
+
+
+def deep_png(colour_type: int, channels: int) -> bytes:
+    """A pixel of 16 bits a channel."""
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, colour_type, 0, 0, 0)),
+        (b"IDAT", zlib.compress(b"\0" + channels * b"\x12\x34")),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+def deep_tiff(order: str) -> bytes:
+    """A pixel of 16 bits a channel, in either byte order."""
+    bits = 8 + 2 + 8 * 12 + 4  # where they are told: after the header and eight tags
+    tags = ((256, 1, 1), (257, 1, 1), (258, 3, bits), (259, 1, 1),
+            (262, 1, 2), (273, 1, bits + 12), (277, 1, 3), (279, 1, 6))  # fmt: skip
+    return b"".join(
+        (
+            struct.pack(order + "2sHIH", b"II" if order == "<" else b"MM", 42, 8, len(tags)),
+            *(struct.pack(order + "HHII", tag, 4, count, value) for tag, count, value in tags),
+            struct.pack(order + "I3I3H", 0, 16, 16, 16, 1, 2, 3),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(deep_png(2, 3), id="RGB"),
+        pytest.param(deep_png(4, 2), id="LA"),
+        pytest.param(deep_png(6, 4), id="RGBA"),
+        pytest.param(deep_tiff("<"), id="TIFF, low byte first"),
+        pytest.param(deep_tiff(">"), id="TIFF, high byte first"),
+        pytest.param(b"P6 1 1 65535\n" + 6 * b"\x12", id="PPM"),
+        pytest.param(b"P3 1 1 1023\n1 2 3\n", id="plain PPM"),
+    ],
+)
+def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "deep"
+    path.write_bytes(content)
+    with Image.open(path) as image:
+        image.load()  # Pillow reads it
+        assert image.mode in ("RGB", "RGBA", "LA")
+    with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("suffix", ["bmp", "gif", "png", "ppm", "tga", "tif"])
+def test_eight_bits_are_read(tmp_path: Path, suffix: str) -> None:
+    picture = np.array([[(1, 2, 3), (200, 100, 50)]], dtype=np.uint8)
+    assert (read_picture(save(tmp_path / f"a.{suffix}", picture)) == picture).all()
 
 
 def test_transparency_is_black(tmp_path: Path) -> None:
