@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from tqdm import tqdm
 
+from tracer.reader import printable
+
 # Its own thread would keep the tracer from using both processors.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "parser"]
+__all__ = ["BUILD", "HERE", "SCENES", "built", "parser", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
@@ -38,3 +42,9 @@ def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.A
     if quick:
         made.add_argument("--quick", action="store_true", help=quick)
     return made
+
+
+def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[Path]) -> None:
+    """End with wrong usage where the result would replace what it is made from."""
+    if os.path.realpath(output) in map(os.path.realpath, inputs):
+        used.error(printable(f"{output}: this would replace an input; choose another with -o"))

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from reference.command import spare_inputs
 from reference.diagnosis import GAMMA, Floats, diagnose, linear
-from tracer.image import quantise
+from tracer.image import quantise, whole_file
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -158,7 +159,8 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     if gain:
         legend = f"orange: {labels[0]} is brighter, blue: darker"
         draw.text((left, _MARGIN + _LABEL + panel_height + 4), legend, fill=_INK, font=font)
-    sheet.save(path, format="PNG")
+    with whole_file(path) as file:
+        sheet.save(file, format="PNG")
 
 
 def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
@@ -244,6 +246,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    output = options.output or options.a.parent / f"{options.a.stem}.compare.png"
+    spare_inputs(parser, output, (options.a, options.b))
     codes = []
     for path in (options.a, options.b):
         try:
@@ -258,7 +262,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     a, b = (linear(picture) for picture in codes)
     result = figures(a, b)
-    output = options.output or options.a.with_suffix(".compare.png")
     try:
         write_comparison(output, a, b, (options.a.name, options.b.name))
     except OSError as error:

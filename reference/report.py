@@ -21,13 +21,15 @@ from PIL import Image
 from tqdm import tqdm
 
 from converters.check import MAX_DIFFERENCE, CheckResult, check
-from reference.command import BUILD, HERE, SCENES
+from reference.command import BUILD, HERE, SCENES, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
-from tracer.image import quantise
+from tracer.image import quantise, whole_file
 from tracer.reader import SceneFileError
 
 __all__ = ["main", "page"]
+
+TEMPLATE = HERE / "report-template.html"
 
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
@@ -53,7 +55,7 @@ def page(
     charts : iterable of (str, bytes)
         Title and SVG of each.
     """
-    template = (HERE / "report-template.html").read_text(encoding="utf-8")
+    template = TEMPLATE.read_text(encoding="utf-8")
     parts = {
         "<!-- summary -->": _summary(results),
         "<!-- table -->": _table(results),
@@ -229,6 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = parser.parse_args(arguments)
     paths = sorted(options.scenes or SCENES.glob("*.xml"))
+    spare_inputs(parser, options.output, (*paths, TEMPLATE, *CHARTS.values()))
     results = []
     for path in tqdm(paths, unit="scene", disable=None):
         try:
@@ -239,9 +242,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = page(results, {path.stem: _comment(path) for path in paths}, charts)
     try:
         options.output.parent.mkdir(parents=True, exist_ok=True)
-        options.output.write_text(text, encoding="utf-8")
+        with whole_file(options.output) as file:
+            file.write(text.encode())
     except OSError as error:
-        print(f"{options.output}: cannot be written: {error.strerror}", file=sys.stderr)
+        print(f"{options.output}: cannot be written: {error.strerror or error}", file=sys.stderr)
         return 1
     print(options.output)
     return int(len(results) < len(paths) or any(result.faults for result in results))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import struct
 import subprocess
 import sys
 import zlib
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -438,6 +440,54 @@ def test_unwritable(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture
     output = tmp_path / "nowhere" / "out.png"
     assert main([picture, picture, "-o", str(output)]) == 2
     assert capsys.readouterr().err == f"{output}: cannot be written: No such file or directory\n"
+
+
+@pytest.mark.parametrize(
+    ("b", "output"),
+    [("a.compare.png", []), ("b.png", ["a.png"]), ("b.png", ["link.png"]), ("b.png", ["./b.png"])],
+)
+def test_inputs_are_not_replaced(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    b: str,
+    output: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link.png").symlink_to("b.png")
+    for name, level in (("a.png", 0), (b, 200)):
+        save(tmp_path / name, np.full((4, 4, 3), level, dtype=np.uint8))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.name != "link.png"}
+    with pytest.raises(SystemExit, match="2"):
+        main(["a.png", b, *(["-o", *output] if output else [])])
+    assert "this would replace an input; choose another with -o" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_what_cannot_be_written_whole_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_image: Image.Image, file: IO[bytes], **_options: object) -> None:
+        file.write(b"half")
+        raise OSError("the disk is full")
+
+    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
+    output = tmp_path / "out.png"
+    output.write_bytes(b"precious")
+    monkeypatch.setattr(Image.Image, "save", fail)
+    assert main([picture, picture, "-o", str(output)]) == 2
+    assert capsys.readouterr().err == f"{output}: cannot be written: the disk is full\n"
+    assert output.read_bytes() == b"precious"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_pipe_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    assert main([picture, picture, "-o", str(pipe)]) == 2
+    assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
+    assert pipe.is_fifo()
 
 
 def test_wrong_usage() -> None:

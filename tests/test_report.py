@@ -115,6 +115,35 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"{bad}:" in capsys.readouterr().err
 
 
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A scene that is soon rendered."""
+    scene = tmp_path / "small.xml"
+    text = (ROOT / "scenes" / "one-sphere.xml").read_text(encoding="utf-8")
+    scene.write_text(text.replace("300 300", "16 12"), encoding="utf-8")
+    return scene
+
+
+@pytest.mark.parametrize("output", ["small.xml", "link.xml"])
+def test_scenes_are_not_replaced(
+    small: Path, capsys: pytest.CaptureFixture[str], output: str
+) -> None:
+    small.with_name("link.xml").symlink_to(small.name)
+    before = small.read_bytes()
+    with pytest.raises(SystemExit, match="2"):
+        main([str(small), "-o", str(small.with_name(output))])
+    assert "this would replace an input; choose another with -o" in capsys.readouterr().err
+    assert small.read_bytes() == before
+
+
+def test_a_pipe_is_not_replaced(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe = small.with_name("pipe")
+    os.mkfifo(pipe)
+    assert main([str(small), "--variant", "scalar_rgb", "-o", str(pipe)]) == 1
+    assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
+    assert pipe.is_fifo()
+
+
 class Browser:
     """Chromium on the DevTools protocol, by a pair of pipes."""
 
