@@ -296,7 +296,17 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
-    """Hold the tracer's picture of a scene against one that Mitsuba has made."""
+    """Hold the tracer's picture of a scene against one that Mitsuba has made.
+
+    Raises
+    ------
+    ValueError
+        If a radiance of Mitsuba's is not finite, or every pixel is masked.
+    """
+    if not np.isfinite(rendering.image).all():
+        raise ValueError(
+            "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
+        )
     render(scene)
     start = perf_counter()
     image = render(scene)

@@ -22,8 +22,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from converters.flavours import exact, stock
+from converters.trouble import TROUBLE, told
 from tracer.image import whole_file, write_png
-from tracer.reader import SceneFileError, load_scene, printable
+from tracer.reader import load_scene, printable
 
 __all__ = ["main"]
 
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             _say_variant(options.variant)
         except ImportError as error:
-            print(f"Mitsuba cannot run: {error}", file=sys.stderr)
+            print(printable(f"Mitsuba cannot run: {error}"), file=sys.stderr)
             return 1
     pairs = zip(options.scenes, targets, strict=True)
     try:
@@ -149,12 +150,10 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
         if options.output is not None and options.output.endswith(("/", os.sep)):
             target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
-    except SceneFileError as error:
-        fault = str(error)
+    except TROUBLE as error:
+        fault = told(scene, error)
     except OSError as error:
         fault = printable(f"{target}: cannot be written: {error.strerror or error}")
-    except ImportError as error:
-        fault = printable(f"{scene}: {error}")
     print(fault, file=sys.stderr)
     return False
 

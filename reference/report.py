@@ -21,11 +21,13 @@ from PIL import Image
 from tqdm import tqdm
 
 from converters.check import MAX_DIFFERENCE, CheckResult, check
+from converters.trouble import TROUBLE, told
+from converters.variant import use
 from reference.command import BUILD, HERE, SCENES, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
 from tracer.image import quantise, whole_file
-from tracer.reader import SceneFileError
+from tracer.reader import printable
 
 __all__ = ["main", "page"]
 
@@ -232,14 +234,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     paths = sorted(options.scenes or SCENES.glob("*.xml"))
     spare_inputs(parser, options.output, (*paths, TEMPLATE, *CHARTS.values()))
-    results = []
+    try:
+        use(options.variant)
+    except ImportError as error:
+        print(printable(f"Mitsuba cannot run: {error}"), file=sys.stderr)
+        return 1
+    results, comments = [], {}
     for path in tqdm(paths, unit="scene", disable=None):
         try:
-            results.append(check(path, options.variant))
-        except SceneFileError as error:
-            print(error, file=sys.stderr)
+            result = check(path, options.variant)
+            comments[path.stem] = _comment(path)
+            results.append(result)
+        except (*TROUBLE, OSError) as error:
+            print(told(path, error), file=sys.stderr)
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
-    text = page(results, {path.stem: _comment(path) for path in paths}, charts)
+    text = page(results, comments, charts)
     try:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(options.output) as file:

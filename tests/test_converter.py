@@ -185,6 +185,64 @@ def test_check_ends_with_status_1_where_a_tolerance_is_broken(
     assert small.with_name("small.check.png").exists()
 
 
+def overflowing(scene: Path) -> Path:
+    """A scene like another, whose radiance is more than float32 holds."""
+    light = "<light><position>3 5 4</position></light>"
+    text = scene.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
+    bright = scene.with_name("bright.xml")
+    bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
+    return bright
+
+
+def test_a_radiance_that_overflows_is_told_and_spares_the_others(
+    small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bright = overflowing(small)
+    assert main(["--check", str(bright), str(small)]) == 1
+    captured = capsys.readouterr()
+    assert captured.err == (
+        f"{bright}: Mitsuba's radiance is not finite;"
+        " keep the colours and lights of the scene closer to 1\n"
+    )
+    assert "small: agrees" in captured.out
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (RuntimeError("Mitsuba\n  is lost"), "Mitsuba is lost"),
+        (RuntimeError(), "RuntimeError"),
+        (MemoryError(), "not enough memory; make the image smaller"),
+        (ChildProcessError(9), "not enough memory; make the image smaller"),
+    ],
+)
+def test_what_mitsuba_stumbles_over_is_told_in_a_line(
+    small: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: Exception,
+    line: str,
+) -> None:
+    def fail(*_arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr("converters.check.check", fail)
+    assert main(["--check", str(small)]) == 1
+    assert capsys.readouterr().err == f"{small}: {line}\n"
+
+
+@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono"])
+@pytest.mark.parametrize("what", ["--check", "--render"])
+def test_variants_without_rgb_are_refused(
+    small: Path, capsys: pytest.CaptureFixture[str], what: str, variant: str
+) -> None:
+    assert main([what, "--variant", variant, str(small)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"Mitsuba cannot run: {variant} is no RGB variant; choose one of ")
+    assert SCALAR in error
+    assert "spectral" not in error.partition("choose")[2]
+
+
 # What Mitsuba makes of it.
 
 

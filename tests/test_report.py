@@ -144,6 +144,48 @@ def test_a_pipe_is_not_replaced(small: Path, capsys: pytest.CaptureFixture[str])
     assert pipe.is_fifo()
 
 
+def overflowing(scene: Path) -> Path:
+    """A scene like another, whose radiance is more than float32 holds."""
+    light = "<light><position>3 5 4</position></light>"
+    text = scene.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
+    bright = scene.with_name("bright.xml")
+    bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
+    return bright
+
+
+def test_bad_scenes_are_told_and_spare_the_others(
+    small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, pipe, missing = (small.with_name(name) for name in ("folder", "pipe", "missing.xml"))
+    folder.mkdir()
+    os.mkfifo(pipe)
+    bright, output = overflowing(small), small.with_name("report.html")
+    scenes = (bright, folder, missing, pipe, small)
+    assert main([*map(str, scenes), "--variant", "scalar_rgb", "-o", str(output)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"{bright}: Mitsuba's radiance is not finite;"
+        " keep the colours and lights of the scene closer to 1",
+        f"{folder}: is a folder; name a scene file in it",
+        f"{missing}: cannot be read: No such file or directory; check the path and its permissions",
+        f"{pipe}: is not a regular file; save the scene to one",
+    ]
+    text = output.read_text(encoding="utf-8")
+    assert text.count('<section class="scene"') == 1
+    assert "The unit sphere, lit from the upper right" in text
+
+
+@pytest.mark.parametrize("variant", ["nope", "scalar_spectral"])
+def test_a_variant_that_cannot_run_is_told_once(
+    small: Path, capsys: pytest.CaptureFixture[str], variant: str
+) -> None:
+    output = small.with_name("report.html")
+    assert main([str(small), str(small), "--variant", variant, "-o", str(output)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"Mitsuba cannot run: {variant} is no RGB variant; choose one of ")
+    assert error.count("\n") == 1
+    assert not output.exists()
+
+
 class Browser:
     """Chromium on the DevTools protocol, by a pair of pipes."""
 

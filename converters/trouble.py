@@ -1,0 +1,23 @@
+"""What keeps a scene from being converted or rendered, told in a line that spares the others."""
+
+from __future__ import annotations
+
+import os
+
+from tracer.reader import SceneFileError, printable
+
+__all__ = ["TROUBLE", "told"]
+
+TROUBLE = (ChildProcessError, ImportError, MemoryError, RuntimeError, ValueError)
+"""What the reader, the tracer, the converter and Mitsuba raise over a scene."""
+
+
+def told(path: str | os.PathLike[str], error: BaseException) -> str:
+    """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
+    if isinstance(error, SceneFileError):
+        return str(error)
+    if isinstance(error, (ChildProcessError, MemoryError)):  # the system kills who takes too much
+        reason = "not enough memory; make the image smaller"
+    else:
+        reason = " ".join(str(error).split()) or type(error).__name__
+    return printable(f"{os.fspath(path)}: {reason}")
