@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import stat
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ _Mask: TypeAlias = NDArray[np.bool_]
 _WINDOW = 7
 # Pixels further apart than this, in linear light, are counted.
 _OVER = 1e-3
-# Smaller panels are enlarged, pixel by pixel, so that their labels fit.
+# Smaller panels are enlarged, pixel by pixel.
 _PANEL = 300
 # Those of which is known, before they are decoded, how many bits a channel they have.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
@@ -140,17 +141,18 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     shown, gain = amplified(a, b)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     height, width = a.shape[:2]
-    zoom = -(-_PANEL // width)
+    zoom = -(-_PANEL // max(width, height))
     panel_width, panel_height = width * zoom, height * zoom
+    column = max(panel_width, _PANEL)  # wide enough for a label
     sheet = Image.new(
         "RGB",
-        (3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL),
+        (3 * column + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL),
         _PAPER,
     )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
     panels = (quantise(a), quantise(b), np.round(255 * shown).astype(np.uint8))
     for k, (codes, title) in enumerate(zip(panels, titles, strict=True)):
-        left = _MARGIN + k * (panel_width + _MARGIN)
+        left = _MARGIN + k * (column + _MARGIN)
         panel = Image.fromarray(np.ascontiguousarray(codes)).resize(
             (panel_width, panel_height), Image.Resampling.NEAREST
         )
@@ -203,6 +205,8 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
     OSError, ValueError
         If it cannot be read, or has more than 8 bits a channel.
     """
+    if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe or a device may block
+        raise ValueError("not a regular file")
     with Image.open(path, formats=_FORMATS) as image:
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
@@ -248,6 +252,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     output = options.output or options.a.parent / f"{options.a.stem}.compare.png"
     spare_inputs(parser, output, (options.a, options.b))
+    try:
+        return _compare(options, output)
+    except MemoryError:
+        print(f"{options.a}: not enough memory to compare it; compare a part", file=sys.stderr)
+        return 2
+
+
+def _compare(options: argparse.Namespace, output: Path) -> int:
     codes = []
     for path in (options.a, options.b):
         try:

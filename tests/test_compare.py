@@ -306,6 +306,22 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("width", "height", "zoom"), [(1, 2000, 1), (2000, 1, 1), (100, 150, 2), (8, 6, 38)]
+)
+def test_comparisons_are_enlarged_by_their_longer_side(
+    tmp_path: Path, width: int, height: int, zoom: int
+) -> None:
+    a = np.linspace(0, 1, width * height * 3).reshape(height, width, 3)
+    path = tmp_path / "out.png"
+    write_comparison(path, a, a[::-1, ::-1], ("A", "B"))
+    shown = read_picture(path)
+    column = max(300, zoom * width)  # the labels fit
+    assert shown.shape == (zoom * height + 2 * 8 + 2 * 24, 3 * column + 4 * 8, 3)
+    panel = shown[8 + 24 : 8 + 24 + zoom * height, 8 : 8 + zoom * width]
+    np.testing.assert_array_equal(panel[::zoom, ::zoom], codes(a))
+
+
 def save(path: Path, image: Image8) -> str:
     Image.fromarray(np.ascontiguousarray(image)).save(path)
     return str(path)
@@ -365,6 +381,30 @@ def test_unreadable(
     assert captured.out == ""
     assert captured.err.startswith(f"{bad}: cannot be read: ")
     assert captured.err.count("\n") == 1
+
+
+def test_what_is_no_regular_file_is_not_read(tmp_path: Path) -> None:
+    """In a process of its own: opening a pipe that none writes to waits without end."""
+    pipe, picture = tmp_path / "pipe", save(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
+    os.mkfifo(pipe)
+    command = [sys.executable, "-m", "reference.compare", picture, str(pipe)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == f"{pipe}: cannot be read: not a regular file\n"
+
+
+def test_too_little_memory_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_arguments: object) -> None:
+        raise MemoryError
+
+    picture = save(tmp_path / "a.png", np.zeros((3, 4, 3), dtype=np.uint8))
+    monkeypatch.setattr("reference.compare.figures", fail)
+    assert main([picture, picture]) == 2
+    assert capsys.readouterr().err == (
+        f"{picture}: not enough memory to compare it; compare a part\n"
+    )
 
 
 def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
