@@ -134,10 +134,12 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
         ("inverted", "A is the negative of B.", 255 - b),
     ):
         yield _Hypothesis(kind, text, image - 1.0, image + 1.0)
-    steps = (-2, -1, 0, 1, 2)
+    steps, (height, width) = (-2, -1, 0, 1, 2), b.shape[:2]
     for right in steps:
         for down in steps:
-            if right or down:
+            # What comes in from beyond the border may be anything.
+            known = 2 * abs(right) < width and 2 * abs(down) < height
+            if known and (right or down):
                 text = f"A is shifted by {_way(right, down)}."
                 yield _Hypothesis("shifted", text, *_around(b, [(right, down)]))
     yield from _tones(a, b)

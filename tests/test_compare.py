@@ -235,6 +235,13 @@ def test_antialiased(right: Image8) -> None:
     assert diagnose(codes(smooth), right).kind == "edges"
 
 
+@pytest.mark.parametrize("shape", [(2000, 1, 3), (1, 2000, 3), (2, 2, 3)])
+def test_a_shift_leaves_most_of_the_picture(shape: tuple[int, ...]) -> None:
+    """One by the whole width would explain any picture."""
+    a, b = np.random.default_rng(1).integers(0, 256, (2, *shape), dtype=np.uint8)
+    assert diagnose(a, b).kind != "shifted"
+
+
 def test_another_scene(right: Image8) -> None:
     assert diagnose(codes(tracer.render(scene("two-boxes"))), right).kind == "other"
 
