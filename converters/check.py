@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.flavours import exact, normalisation, stock
+from converters.flavours import exact, normalisation, square_height, stock
 from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
@@ -216,9 +216,7 @@ def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
 
 def stock_ssim(scene: Scene, samples: int = 64, variant: str | None = None) -> float:
     """SSIM of the stock flavour's picture against the exact one's, in square pixels."""
-    camera = scene.camera
-    height = max(1, round(scene.width * camera.view_height / camera.view_width))
-    square = replace(scene, height=height)
+    square = replace(scene, height=square_height(scene))
     approximate = _loaded(stock(square, samples), variant)().image
     # Without the noise of lights picked at random, few samples do.
     return figures(approximate, render_mitsuba(square, min(samples, 4), variant)).ssim
@@ -239,6 +237,8 @@ def edge_mask(scene: Scene, image: Floats) -> Bools:
     return mask
 
 
+# A place whose square overflows counts as not seen.
+@np.errstate(all="ignore")
 def doubts(scene: Scene) -> tuple[str, ...]:
     """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
     surfaces = scene.surfaces

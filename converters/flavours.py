@@ -11,15 +11,18 @@ import numpy as np
 
 from converters.visible import bounds, visible_points
 from tracer.camera import raster_of
-from tracer.scene import Floats, Phong, PointLight, Scene, Shader
+from tracer.scene import MAX_PIXELS, Floats, Phong, PointLight, Scene, Shader
 
-__all__ = ["Normalisation", "exact", "normalisation", "stock"]
+__all__ = ["Normalisation", "exact", "normalisation", "square_height", "stock"]
 
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
 
 # What a hit may err by, in units in the last place of the largest length in the scene.
 _TOLERANCE_ULP = 100
+
+# float32 ends here.
+_LARGEST = float(np.finfo(np.float32).max)
 
 # Least half thickness of a box, relative to the largest coordinate.
 _THINNEST = 1e-6
@@ -55,18 +58,40 @@ def _tag(kind: str, plugin: str, *children: str, name: str | None = None) -> str
     return f"{head}>\n    {body}\n</{kind}>"
 
 
-def _value(kind: str, name: str, value: object) -> str:
-    text = str(value).lower() if isinstance(value, bool) else value
-    return f'<{kind} name="{name}" value="{text}"/>'
+def _number(name: str, value: float) -> str:
+    """A number as it is written; a ValueError if Mitsuba could not hold it."""
+    if not abs(value) <= _LARGEST:
+        raise ValueError(
+            f"cannot be converted: {name} would be {value:g}, and Mitsuba's numbers end at"
+            f" {_LARGEST:.2g}; keep the numbers of the scene closer to 1"
+        )
+    return repr(float(value))
 
 
-def _xyz(kind: str, name: str, value: Sequence[float] | Floats) -> str:
-    x, y, z = (float(number) for number in value)
-    return f'<{kind} name="{name}" x="{x!r}" y="{y!r}" z="{z!r}"/>'
+def _value(kind: str, name: str, value: bool | int | float | str) -> str:
+    if isinstance(value, bool):
+        value = str(value).lower()
+    elif isinstance(value, float):
+        value = _number(name, value)
+    return f'<{kind} name="{name}" value="{value}"/>'
 
 
-def _rgb(name: str, value: Sequence[float] | Floats) -> str:
-    return _value("rgb", name, " ".join(repr(float(number)) for number in value))
+def _xyz(kind: str, name: str | None, value: Iterable[float]) -> str:
+    """A point, a vector or, without a name, a part of a transform."""
+    label = "" if name is None else f' name="{name}"'
+    axes = " ".join(
+        f'{axis}="{_number(name or kind, number)}"'
+        for axis, number in zip("xyz", value, strict=True)
+    )
+    return f"<{kind}{label} {axes}/>"
+
+
+def _numbers(name: str, values: Iterable[float]) -> str:
+    return " ".join(_number(name, value) for value in values)
+
+
+def _rgb(name: str, value: Iterable[float]) -> str:
+    return _value("rgb", name, _numbers(name, value))
 
 
 def _film(width: int, height: int) -> str:
@@ -96,7 +121,7 @@ def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> Iterato
             "shape",
             "sphere",
             _xyz("point", "center", center),
-            _value("float", "radius", repr(radius)),
+            _value("float", "radius", radius),
             f"<ref id={quoteattr(names[shader])}/>",
         )
     low, high = place(surfaces.min_pt), place(surfaces.max_pt)
@@ -109,13 +134,11 @@ def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> Iterato
         surfaces.box_shader.tolist(),
         strict=True,
     ):
-        scale = " ".join(f'{axis}="{size!r}"' for axis, size in zip("xyz", half, strict=True))
-        shift = " ".join(f'{axis}="{size!r}"' for axis, size in zip("xyz", middle, strict=True))
         shapes[index] = _tag(
             "shape",
             "cube",
-            f'<transform name="to_world">\n    <scale {scale}/>\n    <translate {shift}/>\n'
-            "</transform>",
+            f'<transform name="to_world">\n    {_xyz("scale", None, half)}\n'
+            f"    {_xyz('translate', None, middle)}\n</transform>",
             f"<ref id={quoteattr(names[shader])}/>",
         )
     yield from shapes
@@ -146,6 +169,8 @@ scene file has p, this one has {scale:.6g} (p - c), c = ({center}).
 """
 
 
+# What overflows is told where it is written.
+@np.errstate(all="ignore")
 def exact(scene: Scene, samples: int = 1) -> str:
     """A scene as Mitsuba XML, exact, by this project's plugins.
 
@@ -154,6 +179,11 @@ def exact(scene: Scene, samples: int = 1) -> str:
     scene : Scene
     samples : int
         Samples a pixel: 1 takes the pixel's centre, more are stratified.
+
+    Raises
+    ------
+    ValueError
+        If a number is beyond those of float32.
     """
     place = normalisation(scene)
     names, bsdfs = _bsdf_names(scene.surfaces.shaders)
@@ -219,6 +249,24 @@ def exact(scene: Scene, samples: int = 1) -> str:
     return _document(_EXACT.format(center=center, scale=place.scale), parts)
 
 
+def square_height(scene: Scene) -> int:
+    """How many rows show a scene's window if its columns stay and its pixels are square.
+
+    Raises
+    ------
+    ValueError
+        If they are too many for a picture.
+    """
+    camera = scene.camera
+    rows = scene.width * camera.view_height / camera.view_width
+    if not scene.width * rows <= MAX_PIXELS:
+        raise ValueError(
+            f"cannot be converted: Mitsuba's pixels are square, and {rows:.3g} rows of"
+            f" {scene.width} are too many; make viewWidth larger or viewHeight smaller"
+        )
+    return max(1, round(rows))
+
+
 _STOCK = """
 Written by converters.to_mitsuba, with stock plugins only: it opens in the plain mitsuba command.
 
@@ -236,6 +284,7 @@ _SQUARE = """- the film: pixels must be square, so {width} x {height} of them sh
 """
 
 
+@np.errstate(all="ignore")
 def stock(scene: Scene, samples: int = 64) -> str:
     """A scene as Mitsuba XML, approximate, by stock plugins.
 
@@ -244,18 +293,24 @@ def stock(scene: Scene, samples: int = 64) -> str:
     scene : Scene
     samples : int
         Samples a pixel.
+
+    Raises
+    ------
+    ValueError
+        If a number is beyond those of float32, or the picture is too large.
     """
     here = Normalisation(np.zeros(3), 1.0)
     names, bsdfs = _bsdf_names(scene.surfaces.shaders)
     raster = raster_of(scene.camera, scene.width, scene.height)
     u, down, ahead = raster.axes
     camera = scene.camera
-    height = max(1, round(scene.width * camera.view_height / camera.view_width))
+    height = square_height(scene)
     corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
     far = float(np.linalg.norm(corners - raster.eye, axis=1).max())
     # Mitsuba's camera looks along +z with +x to the left.
     matrix = np.eye(4)
     matrix[:3] = np.column_stack([-u, -down, ahead, raster.eye])
+    place = _numbers("to_world", matrix.ravel())
     gain = max([1.0, *(max(*(2 * np.array(lobe)).tolist()) for lobe in _lobes(bsdfs.values()))])
     seen = visible_points(scene)
     parts = [
@@ -268,7 +323,7 @@ def stock(scene: Scene, samples: int = 64) -> str:
         _tag(
             "sensor",
             "perspective",
-            f'<transform name="to_world">\n    <matrix value="{_numbers(matrix)}"/>\n</transform>',
+            f'<transform name="to_world">\n    <matrix value="{place}"/>\n</transform>',
             _value("string", "fov_axis", "x"),
             _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
             _value("float", "principal_point_offset_x", raster.shift_u / camera.view_width),
@@ -295,10 +350,6 @@ def stock(scene: Scene, samples: int = 64) -> str:
     film = _SQUARE.format(width=scene.width, height=height, given=scene.height)
     comment = _STOCK.format(film=film if height != scene.height else "", gain=gain)
     return _document(comment, parts)
-
-
-def _numbers(values: Floats) -> str:
-    return " ".join(repr(value) for value in values.ravel().tolist())
 
 
 def _lobes(shaders: Iterable[Shader]) -> Iterator[Floats]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from converters.check import check_scene, render_mitsuba
+from converters.check import check_scene, doubts, render_mitsuba
 from converters.flavours import exact, normalisation, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
@@ -349,6 +350,68 @@ def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
     assert result.judged > 0
     assert result.judged_by == "Mitsuba and the oracle"
     assert "zero-thickness boxes, coincident faces of boxes" in result.report()
+
+
+# Numbers that Mitsuba cannot hold.
+
+
+@pytest.mark.parametrize("flavour", [[], ["--exact"]])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<position>3 5 4", "<position>1e308 5 4"),
+        ("<viewPoint>5 4 3", "<viewPoint>5e307 4e307 1e308"),
+        (".25 .5 .85", "1e308 .5 .85"),
+        ("<center>0 0 0", "<center>-1e308 1e308 1e308"),
+    ],
+)
+def test_huge_numbers_are_told(
+    small: Path, capsys: pytest.CaptureFixture[str], flavour: list[str], old: str, new: str
+) -> None:
+    text = small.read_text(encoding="utf-8")
+    assert old in text
+    small.write_text(text.replace(old, new), encoding="utf-8")
+    assert main([*flavour, str(small)]) == 1
+    assert re.fullmatch(
+        rf"{small}: cannot be converted: \w+ would be (inf|nan|\de\+30[78]), and Mitsuba's numbers"
+        r" end at 3\.4e\+38; keep the numbers of the scene closer to 1\n",
+        capsys.readouterr().err,
+    )
+    assert list(small.parent.iterdir()) == [small]
+
+
+@pytest.mark.parametrize("width", ["5e-324", "1e-20"])
+def test_a_picture_of_too_many_square_pixels_is_told(
+    small: Path, capsys: pytest.CaptureFixture[str], width: str
+) -> None:
+    text = small.read_text(encoding="utf-8")
+    small.write_text(text.replace("<viewWidth>2.5", f"<viewWidth>{width}"), encoding="utf-8")
+    assert main([str(small)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"{small}: cannot be converted: Mitsuba's pixels are square, and ")
+    assert error.endswith(" too many; make viewWidth larger or viewHeight smaller\n")
+    assert list(small.parent.iterdir()) == [small]
+
+
+def scaled(size: float) -> Scene:
+    camera = Camera(view_point=(0, 0, 5 * size), proj_distance=size, view_width=0.3 * size,
+                    view_height=0.3 * size)  # fmt: skip
+    light = PointLight(position=(3 * size, 4 * size, 5 * size))
+    return replace(scene_of(Sphere(radius=0.5 * size)), camera=camera, lights=(light,))
+
+
+@pytest.mark.parametrize("size", [1e-45, 1e45])
+def test_scenes_of_any_size_agree(size: float) -> None:
+    """What is written is ten units large, even where float32 could not hold the scene."""
+    result = check_scene(scaled(size), "size")
+    assert result.faults == ()
+    assert result.tracer.max() > 0.5
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_sizes_whose_squares_overflow_raise_no_doubts(size: float) -> None:
+    """Nor a warning, which would be an error here."""
+    assert doubts(scaled(size)) == ()
 
 
 # Normalisation.
