@@ -28,6 +28,8 @@ from tracer.reader import load_scene, printable
 
 __all__ = ["main"]
 
+_RENDERED = ".mitsuba.png"
+
 _Work = Callable[[Path, Path, argparse.Namespace], bool]
 
 
@@ -76,7 +78,8 @@ def _say_variant(variant: str | None) -> None:
 
 def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Path]:
     """Where each result goes; a ValueError says why that is wrong usage."""
-    beside = [scene.with_name(f"{scene.stem}{suffix}") for scene in scenes]
+    # A folder such as / has no name to replace; reading it will tell that it is none.
+    beside = [scene.parent / f"{scene.stem}{suffix}" for scene in scenes]
     if output is None:
         targets = beside
     elif output.endswith(("/", os.sep)) or Path(output).is_dir():
@@ -87,13 +90,23 @@ def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Pa
         raise ValueError(
             f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
         )
-    inputs = {scene.resolve() for scene in scenes}
-    for target in targets:
-        if target.resolve() in inputs:
-            raise ValueError(f"{target}: this would replace a scene; choose another with -o")
-    if len({target.resolve() for target in targets}) < len(targets):
+    written = [path for target in targets for path in _files(target, suffix)]
+    inputs = {os.path.realpath(scene) for scene in scenes}
+    for path in written:
+        if os.path.realpath(path) in inputs:
+            raise ValueError(f"{path}: this would replace a scene; choose another with -o")
+    if len(set(map(os.path.realpath, written))) < len(written):
         raise ValueError("two scenes of one name would be written to one file; do them one by one")
     return targets
+
+
+def _files(target: Path, suffix: str) -> tuple[Path, ...]:
+    """What is written: of the two files of a rendering, a PNG first, -o may name either."""
+    if suffix != _RENDERED:
+        return (target,)
+    if target.suffix == ".exr":
+        return target.with_suffix(".png"), target
+    return target, target.with_suffix(".exr")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -138,7 +151,7 @@ def _at_least_one(text: str) -> int:
 
 def _work(options: argparse.Namespace) -> tuple[_Work, str]:
     if options.render:
-        return _render, ".mitsuba.png"
+        return _render, _RENDERED
     if options.check:
         return _check, ".check.png"
     return _convert, ".mitsuba.xml"
@@ -164,7 +177,7 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
     with whole_file(target) as file:
         file.write(text.encode())
-    print(f"{target}: {'exact' if options.exact else 'stock'} flavour")
+    print(printable(f"{target}: {'exact' if options.exact else 'stock'} flavour"))
     return True
 
 
@@ -173,9 +186,10 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
-    write_png(target, image)
-    write_exr(target.with_suffix(".exr"), image)
-    print(f"{target} and .exr: {scene.width} x {scene.height}")
+    png, exr = _files(target, _RENDERED)
+    write_png(png, image)
+    write_exr(exr, image)
+    print(printable(f"{png} and .exr: {scene.width} x {scene.height}"))
     return True
 
 
@@ -188,7 +202,7 @@ def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
         target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")
     )
     print(result.report())
-    print(f"  {target}")
+    print(printable(f"  {target}"))
     return not result.faults
 
 

@@ -82,6 +82,27 @@ def test_a_bad_scene_is_told_and_spares_the_others(
     assert not (tmp_path / "bad.mitsuba.xml").exists()
 
 
+@pytest.mark.parametrize("name", [".", "/", "loop"])
+def test_a_path_that_is_no_file_spares_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    name = str(tmp_path / name) if name == "loop" else name
+    assert main([name, str(ONE_SPHERE), "-o", f"{tmp_path}/"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"{name}: ")
+    assert error.count("\n") == 1
+    assert (tmp_path / "one-sphere.mitsuba.xml").exists()
+
+
+def test_names_that_are_not_text_are_escaped(tmp_path: Path) -> None:
+    scene = os.fsencode(tmp_path) + b"/\xff\n.xml"
+    Path(os.fsdecode(scene)).write_bytes(ONE_SPHERE.read_bytes())
+    done = run(os.fsdecode(scene), PYTHONIOENCODING="utf-8")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{tmp_path}/\\udcff\\n.mitsuba.xml: stock flavour\n"
+
+
 def test_what_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "missing" / "x.xml"
     assert main([str(ONE_SPHERE), "-o", str(target)]) == 1
@@ -134,6 +155,7 @@ def test_links_are_followed(small: Path, what: list[str], written: str, magic: b
         (["a.xml", "b.xml", "-o", "c.xml"], "several scenes need a folder"),
         (["a/x.xml", "b/x.xml", "-o", "/tmp"], "two scenes of one name"),
         (["a.xml", "-o", "a.xml"], "would replace a scene"),
+        (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
         (["a.xml", "--samples", "0"], "must be a whole number from 1, is '0'"),
         (["a.xml", "--check", "--samples", "4"], "it takes no --samples"),
         (["a.xml", "--check", "--render"], "not allowed with"),
@@ -163,6 +185,17 @@ def test_render_writes_a_png_and_an_exr(small: Path, tmp_path: Path) -> None:
     shown = np.asarray(Image.open(tmp_path / "small.mitsuba.png"))
     assert exr.shape == shown.shape == (30, 40, 3)
     np.testing.assert_array_equal(shown, np.round(255 * np.clip(exr, 0, 1) ** (1 / 2.2)))
+    use()
+
+
+@pytest.mark.parametrize("name", ["x.png", "x.exr"])
+def test_either_file_of_a_rendering_may_be_named(small: Path, name: str) -> None:
+    assert (
+        main(["--render", "--variant", SCALAR, str(small), "-o", str(small.with_name(name))]) == 0
+    )
+    assert {path.name for path in small.parent.iterdir()} == {"small.xml", "x.png", "x.exr"}
+    assert small.with_name("x.png").read_bytes().startswith(b"\x89PNG")
+    assert small.with_name("x.exr").read_bytes().startswith(b"\x76\x2f\x31\x01")
     use()
 
 
