@@ -13,6 +13,7 @@ import io
 import re
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,9 @@ def page(
     parts = {
         "<!-- summary -->": _summary(results),
         "<!-- table -->": _table(results),
-        "<!-- scenes -->": "\n".join(_scene(r, comments.get(r.name, "")) for r in results),
+        "<!-- scenes -->": "\n".join(
+            _scene(r, number, comments.get(r.name, "")) for number, r in enumerate(results)
+        ),
         "<!-- charts -->": "\n".join(_chart(title, svg) for title, svg in charts),
     }
     for marker, part in parts.items():
@@ -98,11 +101,11 @@ def _table(results: Sequence[CheckResult]) -> str:
         )
     )
     rows = "\n".join(
-        f'<tr><td><a href="#{_name(r)}">{_name(r)}</a></td><td>{_verdict(r)}</td>'
+        f'<tr><td><a href="#scene-{number}">{_name(r)}</a></td><td>{_verdict(r)}</td>'
         f"<td>{r.figures.ssim:.6f}</td><td>{r.figures.max:.1e}</td>"
         f"<td>{r.mask.mean():.2%}</td><td>{_time(r.tracer_seconds)}</td>"
         f"<td>{_time(r.mitsuba_seconds)}</td></tr>"
-        for r in results
+        for number, r in enumerate(results)
     )
     return (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n'
@@ -110,7 +113,7 @@ def _table(results: Sequence[CheckResult]) -> str:
     )
 
 
-def _scene(result: CheckResult, comment: str) -> str:
+def _scene(result: CheckResult, number: int, comment: str) -> str:
     """One row: the two pictures, their difference, the controls and the figures."""
     height, width = result.mask.shape
     name, f = _name(result), result.figures
@@ -134,7 +137,7 @@ def _scene(result: CheckResult, comment: str) -> str:
         )
     shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return f"""
-<section class="scene" id="{name}" data-width="{width}" data-height="{height}">
+<section class="scene" id="scene-{number}" data-width="{width}" data-height="{height}">
 <div class="head"><h2>{name}</h2><span>{_verdict(result)}</span>
 <span class="soft">{width} × {height}</span></div>
 <p class="soft">{html.escape(comment)}</p>
@@ -232,18 +235,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = parser.parse_args(arguments)
-    paths = sorted(options.scenes or SCENES.glob("*.xml"))
+    paths = sorted({*(options.scenes or SCENES.glob("*.xml"))})
     spare_inputs(parser, options.output, (*paths, TEMPLATE, *CHARTS.values()))
     try:
         use(options.variant)
     except ImportError as error:
         print(printable(f"Mitsuba cannot run: {error}"), file=sys.stderr)
         return 1
+    # Scenes of one name are told apart by their paths.
+    alike = len({path.stem for path in paths}) < len(paths)
     results, comments = [], {}
     for path in tqdm(paths, unit="scene", disable=None):
         try:
-            result = check(path, options.variant)
-            comments[path.stem] = _comment(path)
+            name = printable(str(path) if alike else path.stem)
+            result = replace(check(path, options.variant), name=name)
+            comments[name] = _comment(path)
             results.append(result)
         except (*TROUBLE, OSError) as error:
             print(told(path, error), file=sys.stderr)
@@ -256,7 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         print(f"{options.output}: cannot be written: {error.strerror or error}", file=sys.stderr)
         return 1
-    print(options.output)
+    print(printable(str(options.output)))
     return int(len(results) < len(paths) or any(result.faults for result in results))
 
 

@@ -174,6 +174,39 @@ def test_bad_scenes_are_told_and_spare_the_others(
     assert "The unit sphere, lit from the upper right" in text
 
 
+def test_scenes_of_one_name_are_told_apart(small: Path) -> None:
+    other = small.parent / "other" / small.name
+    other.parent.mkdir()
+    text = small.read_text(encoding="utf-8")
+    other.write_text(text.replace("The unit sphere", "The same again"), encoding="utf-8")
+    output = small.with_name("report.html")
+    scenes = [small, other, small]
+    assert main([*map(str, scenes), "--variant", "scalar_rgb", "-o", str(output)]) == 0
+    text = output.read_text(encoding="utf-8")
+    ids = re.findall(r' id="([^"]*)"', text)
+    assert len(ids) == len(set(ids)) == 2
+    assert re.findall(r' href="#([^"]*)"', text) == ids
+    assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small, other)))
+    assert text.count("The unit sphere") == text.count("The same again") == 1
+
+
+def test_ids_are_unique_and_have_no_spaces() -> None:
+    text = page([result("a room"), result("a room")], {})
+    ids = re.findall(r' id="([^"]*)"', text)
+    assert len(ids) == len(set(ids)) == 2
+    assert not any(" " in name for name in ids)
+
+
+@pytest.mark.parametrize("name", [b"\xff.xml", b"a\nb.xml"])
+def test_names_that_are_not_text_are_escaped(small: Path, name: bytes) -> None:
+    odd = Path(os.fsdecode(os.fsencode(small.parent) + b"/" + name))
+    small.rename(odd)
+    output = odd.with_name("report.html")
+    assert main([str(odd), "--variant", "scalar_rgb", "-o", str(output)]) == 0
+    escaped = repr(odd.stem)[1:-1]
+    assert f"<h2>{escaped}</h2>" in output.read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral"])
 def test_a_variant_that_cannot_run_is_told_once(
     small: Path, capsys: pytest.CaptureFixture[str], variant: str
