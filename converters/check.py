@@ -27,7 +27,7 @@ from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
 from tracer.image import whole_file
-from tracer.reader import load_scene
+from tracer.reader import load_scene, printable
 from tracer.rendering import render
 from tracer.scene import Floats, Scene
 
@@ -282,7 +282,7 @@ def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResu
     ImportError
         If the given variant does not work here.
     """
-    return check_scene(load_scene(path), Path(path).stem, variant)
+    return check_scene(load_scene(path), printable(Path(path).stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:

@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from reference.command import spare_inputs
 from reference.diagnosis import GAMMA, Floats, diagnose, linear
 from tracer.image import quantise, whole_file
+from tracer.reader import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -275,13 +276,13 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
     a, b = (linear(picture) for picture in codes)
     result = figures(a, b)
     try:
-        write_comparison(output, a, b, (options.a.name, options.b.name))
+        write_comparison(output, a, b, (printable(options.a.name), printable(options.b.name)))
     except OSError as error:
         print(f"{output}: cannot be written: {error.strerror or error}", file=sys.stderr)
         return 2
     print(result)
     print(diagnosis.text)
-    print(output)
+    print(printable(str(output)))
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")
     within = (options.ssim is None or result.ssim >= options.ssim) and (

@@ -368,6 +368,21 @@ def test_command(tmp_path: Path, right: Image8) -> None:
         assert comparison.size[0] == 3 * 300 + 4 * 8
 
 
+def test_names_that_are_not_text_are_escaped(tmp_path: Path) -> None:
+    black = np.zeros((4, 4, 3), dtype=np.uint8)
+    a = save(Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png")), black)
+    done = subprocess.run(
+        [sys.executable, "-m", "reference.compare", a, save(tmp_path / "b.png", black)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith(f"{tmp_path}/\\udcff.compare.png\n")
+
+
 def test_sizes_exit_1(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]) -> None:
     a, b = save(tmp_path / "a.png", right[:10]), save(tmp_path / "b.png", right)
     assert main([a, b, "--max", "2"]) == 1

@@ -51,6 +51,15 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
     )
 
 
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A scene that is soon rendered."""
+    scene = tmp_path / "small.xml"
+    text = ONE_SPHERE.read_text(encoding="utf-8")
+    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
+    return scene
+
+
 # The command line.
 
 
@@ -95,27 +104,20 @@ def test_a_path_that_is_no_file_spares_the_others(
     assert (tmp_path / "one-sphere.mitsuba.xml").exists()
 
 
-def test_names_that_are_not_text_are_escaped(tmp_path: Path) -> None:
-    scene = os.fsencode(tmp_path) + b"/\xff\n.xml"
-    Path(os.fsdecode(scene)).write_bytes(ONE_SPHERE.read_bytes())
-    done = run(os.fsdecode(scene), PYTHONIOENCODING="utf-8")
+@pytest.mark.parametrize(
+    ("what", "line"), [([], ".mitsuba.xml: stock flavour"), (["--check"], ": agrees")]
+)
+def test_names_that_are_not_text_are_escaped(small: Path, what: list[str], line: str) -> None:
+    odd = small.rename(os.fsdecode(os.fsencode(small.parent) + b"/\xff\n.xml"))
+    done = run(*what, "--variant", SCALAR, str(odd), PYTHONIOENCODING="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"{tmp_path}/\\udcff\\n.mitsuba.xml: stock flavour\n"
+    assert f"\\udcff\\n{line}\n" in done.stdout
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "missing" / "x.xml"
     assert main([str(ONE_SPHERE), "-o", str(target)]) == 1
     assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    scene = tmp_path / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
-    return scene
 
 
 @pytest.mark.parametrize("what", [[], ["--render"], ["--check"]])
