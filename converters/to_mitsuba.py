@@ -166,9 +166,13 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     except TROUBLE as error:
         fault = told(scene, error)
     except OSError as error:
-        fault = printable(f"{target}: cannot be written: {error.strerror or error}")
+        fault = _unwritten(target, error)
     print(fault, file=sys.stderr)
     return False
+
+
+def _unwritten(path: Path, error: OSError) -> str:
+    return printable(f"{path}: cannot be written: {error.strerror or error}")
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
@@ -187,8 +191,12 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
     png, exr = _files(target, _RENDERED)
-    write_png(png, image)
-    write_exr(exr, image)
+    for path, write in ((png, write_png), (exr, write_exr)):
+        try:
+            write(path, image)
+        except OSError as error:
+            print(_unwritten(path, error), file=sys.stderr)
+            return False
     print(printable(f"{png} and .exr: {scene.width} x {scene.height}"))
     return True
 

@@ -132,6 +132,16 @@ def test_what_is_no_regular_file_stays(
     assert sorted(small.parent.iterdir()) == [pipe, small]
 
 
+@pytest.mark.parametrize(("named", "bad"), [("x.png", "x.exr"), ("x.exr", "x.png")])
+def test_the_file_that_cannot_be_written_is_the_one_told(
+    small: Path, capsys: pytest.CaptureFixture[str], named: str, bad: str
+) -> None:
+    folder = small.with_name(bad)
+    folder.mkdir()
+    assert main(["--render", str(small), "-o", str(small.with_name(named))]) == 1
+    assert capsys.readouterr().err == f"{folder}: cannot be written: not a regular file\n"
+
+
 @pytest.mark.parametrize(
     ("what", "written", "magic"),
     [
