@@ -102,6 +102,47 @@ def test_a_lamp_behind_a_plate() -> None:
     )
 
 
+def low_over(*surfaces: Sphere | Box, height: float, light: tuple[float, float, float]) -> Scene:
+    """The eye so high over the origin's level, and looking a little down."""
+    camera = Camera(
+        view_point=(0, height, 3),
+        view_dir=(0, -0.03, -1),
+        view_width=0.7,
+        view_height=0.7 * 2 / 3,
+    )
+    lights = [PointLight(position=light)]
+    return Scene(camera=camera, width=36, height=24, lights=lights, surfaces=surfaces)
+
+
+def test_a_floor_to_the_horizon() -> None:
+    # Within a pixel beside the horizon the floor comes nearer to the light, and leaves it again.
+    floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
+    no_worse_than_the_uniform_grid(low_over(floor, height=0.5, light=(1, 1, -6)), 2)
+
+
+def test_a_shadow_seen_nearly_edge_on() -> None:
+    # Both sides of a long shadow in one pixel, and most of what lies before and behind it.
+    floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
+    ball = Sphere(center=(0, 0.6, -16), radius=0.6, shader=RED)
+    no_worse_than_the_uniform_grid(low_over(floor, ball, height=0.5, light=(-20, 5, -14)), 2)
+
+
+@pytest.mark.parametrize(("radius", "height"), [(20, 0.2), (400, 0.2), (2000, 0.5)])
+def test_the_limb_of_the_ball_that_the_eye_is_next_to(radius: float, height: float) -> None:
+    ground = Sphere(center=(0, -radius, 0), radius=radius)
+    no_worse_than_the_uniform_grid(low_over(ground, height=height, light=(5, 9, 5)), 2)
+
+
+def test_a_smooth_surface_in_large_pixels() -> None:
+    # No edge at all: the light alone changes, in a highlight, within a pixel.
+    camera = Camera(view_point=(0, 0, 3), view_width=0.6, view_height=0.4)
+    ball = Sphere(shader=Phong(diffuse=(0.4, 0.4, 0.4), specular=(1, 1, 1), exponent=50))
+    lights = [PointLight(position=(1, 2, 5))]
+    no_worse_than_the_uniform_grid(
+        Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[ball])
+    )
+
+
 def test_more_lights_than_bits() -> None:
     lights = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)

@@ -15,26 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.camera import Raster
-from tracer.edges import Kind, Lines, Pencil, joined
+from tracer.boundaries import Surface, footprint_of
+from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.groups import (
     Bools,
-    Triple,
-    columns,
-    dot,
     each,
-    entries,
     expand,
     pick,
-    rows,
-    scaled,
-    select,
 )
-from tracer.intersection import OUTSIDE
-from tracer.lighting import Gloss, Incoming, Lighting, incoming, narrow, radiance_at, shade
-from tracer.pencil import Outlines, Spans, box_corners, silhouette_planes
+from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
+from tracer.pencil import Outlines, Spans
 from tracer.scene import Floats, Ints
-from tracer.visibility import Group, Hits, Samples, View, grid, visible
+from tracer.visibility import Samples, View, grid, visible
 
 __all__ = ["antialiased", "dense", "supersampled"]
 
@@ -47,13 +39,6 @@ _STRIP = 3 << 15
 # A correction for curvature may be off by a part of itself; where that could show, split.  Grids
 # err less with the power 3/2 of the samples along each side.
 _CURVATURE = 1e-2
-
-# Where a cell sees more than so much of the way to the eye, or to a light, at once, its middle does
-# not stand for all of it.
-_APART = 0.1
-
-# An outline that turns by less (in radians) across a cell passes for straight.
-_BEND = 0.2
 
 # The last splittings are done at once, as looks would cost more than the samples they save;
 # and into some more parts on each side, as there are few such cells.
@@ -121,7 +106,7 @@ def antialiased(
         _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, curvature, out=curvature)
-    row, column, owner = _met(spans, left, height, width, depth)
+    row, column, owner = _crossed(spans, left, height, width, depth)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
         1.0,
@@ -196,18 +181,21 @@ class _Seen(NamedTuple):
         Ridges and shadows near each sample, c being zero at the sample.
     several : (n,)
         Whether there may be more than straight lines.
+    wide : (n,)
+        Whether a cell sees so much of a surface that no sample stands for all of it.
     """
 
     radiance: Floats
     key: Ints
     lines: list[Lines]
     several: Bools
+    wide: Bools
 
     @classmethod
     def of(cls, count: int) -> _Seen:
         """Nothing so far, of so many samples."""
-        none = np.zeros(count, dtype=np.bool_)
-        return cls(np.zeros((3, count)), np.full(count, -1), [], none)
+        none = np.zeros((2, count), dtype=np.bool_)
+        return cls(np.zeros((3, count)), np.full(count, -1), [], *none)
 
 
 def _refine(
@@ -231,6 +219,10 @@ def _refine(
     differ = lines.differ(lines.take(np.repeat(first, count)))
     several = seen.several | (cells.rough > cells.tolerance)
     several[lines.cell[differ]] = True
+    # Where an outline crosses, its place is worth more.
+    wide = seen.wide
+    wide[lines.cell[lines.kind <= Kind.OUTLINE]] = False
+    several |= wide
     single = lines.take(first[(wanted & ~several)[lines.cell[first]]])
     sides = _Sides.of(cells, single)
     colors = np.empty((3, sides.x.size))
@@ -312,12 +304,12 @@ def _look(
     sights = [hits.sights(group) for group in hits.groups]
     footprint = np.empty(facing.shape[1])
     for group, (_, slope) in zip(hits.groups, sights, strict=True):
-        footprint[group.part] = _footprint(hits, group, slope, size)
+        footprint[group.part] = footprint_of(hits, group, slope, size)
     blocked, (point, shaded_from, other) = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
     for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
-        surface = _Surface(view, lighting, hits, group, cell, footprint[part], size)
+        surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
         here, reached = light.part(part), lit[:, part]
         gloss = Gloss.of(lighting, hits, group, sight)
         shaded = shade(gloss, here, reached)
@@ -330,8 +322,8 @@ def _look(
         seen.key[cell] = key
         for places in narrow(gloss, here, reached, footprint[part]):
             seen.several[cell[places]] = True
-        for places in surface.apart(here, sight[1]):
-            seen.several[cell[places]] = True
+        for places in surface.wide(here, sight[1]):
+            seen.wide[cell[places]] = True
         at = np.flatnonzero((point >= part.start) & (point < part.stop))
         if at.size:
             places = point[at] - part.start
@@ -341,162 +333,7 @@ def _look(
         else:
             number, at = surface.turning(here)
             seen.several[cell[surface.kinks(number, at, tolerance)]] = True
-            seen.lines.extend(surface.terminators(here, number, at))
-
-
-def _half_angle(raster: Raster, size: float) -> float:
-    """Under which half of a cell of a size is seen, from corner to corner, in radians."""
-    return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
-
-
-def _footprint(hits: Hits, group: Group, slope: Floats, size: float) -> Floats:
-    """Radius (n,) on the surface, around each point, of what a cell of a size sees."""
-    # Nearly edge-on, outlines mark the pixel anyway.
-    return hits.p[2, group.part] * _half_angle(hits.raster, size) / np.maximum(slope, 0.02)
-
-
-class _Surface(NamedTuple):
-    """What samples see of one group."""
-
-    view: View
-    lighting: Lighting
-    hits: Hits
-    group: Group
-    cell: Ints
-    footprint: Floats
-    size: float
-
-    def height(self, at: Ints) -> Floats:
-        """Of the eye over the surface's tangent planes at some points: a number, or (n,)."""
-        lift = select(self.group.lift, at)
-        if self.group.flat:
-            return lift
-        p = rows(self.hits.p, self.group.part.start + at)
-        return lift * p[2] / self.hits.raster.depth
-
-    def steps(self, at: Ints) -> tuple[Triple, Triple]:
-        """How some points move on their surface, across their cells and down."""
-        raster, group = self.hits.raster, self.group
-        p, n, height = rows(self.hits.p, group.part.start + at), pick(group.n, at), self.height(at)
-        u = p[2] / raster.depth * (raster.step_u * self.size)
-        v = p[2] / raster.depth * (raster.step_v * self.size)
-        # Along the window, and then along the ray as far as the surface needs.
-        across, down = scaled(p, u * n[0] / height), scaled(p, v * n[1] / height)
-        return (
-            raster.turned((across[0] + u, across[1], across[2])),
-            raster.turned((down[0], down[1] + v, down[2])),
-        )
-
-    def bow(self, at: Ints) -> Triple | None:
-        """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
-        if self.group.flat:
-            return None
-        p = rows(self.hits.p, self.group.part.start + at)
-        radius = select(self.group.of(self.view.surfaces.radius), at)
-        # As far as the surface has turned from its tangent plane, along the ray.
-        along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
-        return self.hits.raster.turned(scaled(p, along))
-
-    def from_light(self, light: Ints | int, at: Ints) -> Triple:
-        """Rays from lights to some points."""
-        x, y, z = self.lighting.positions[light].T
-        p = self.hits.points(self.group.part.start + at)
-        return p[0] - x, p[1] - y, p[2] - z
-
-    def shadows(self, light: Ints, at: Ints, other: Ints, several: Bools) -> Lines:
-        """Edges of shadows; marks `several` where they are not straight."""
-        surfaces, lights = self.view.surfaces, self.lighting.positions
-        spheres = len(surfaces.radius)
-        rays = self.from_light(light, at)
-        pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at), self.bow(at))
-        on = np.flatnonzero(other < spheres)
-        ball = other[on]
-        center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
-        discs, turn = pencil.take(on).discs(center, surfaces.radius[ball])
-        side = entries(self.lighting.shadows.occluders.side, light[on], ball)
-        odd = (turn > _BEND) | (side != OUTSIDE)
-        several[discs.cell[odd & discs.crosses()]] = True
-        on = np.flatnonzero(other >= spheres)
-        if not on.size:
-            return discs.crossing()
-        # Every box and light once.
-        pair, place = np.unique(light[on] * len(surfaces) + other[on], return_inverse=True)
-        number, box = np.divmod(pair, len(surfaces))
-        box, apex = box - spheres, lights[number]
-        low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        planes = silhouette_planes(box_corners(low, high, apex), apex, low, high)
-        planes = each(lambda m: m.take(place, axis=1), planes)
-        unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
-        several[pencil.cell[on[unknown]]] = True
-        edges, turn = pencil.take(on).boxes(planes)
-        several[edges.cell[turn > _BEND]] = True
-        return joined([discs.crossing(), edges])
-
-    def apart(self, light: Incoming, slope: Floats) -> Iterator[Ints]:
-        """Points around which a cell sees what is no longer near to them, as the eye or a light is.
-
-        `slope`: cosines between the normal and the way to the eye.
-        """
-        least = _half_angle(self.hits.raster, self.size) / _APART
-        if slope.min() < least:
-            yield np.flatnonzero(slope < least)
-        for length2 in light.length2:
-            if self.footprint.max() ** 2 > _APART**2 * length2.min():
-                yield np.flatnonzero(self.footprint**2 > _APART**2 * length2)
-
-    def turning(self, light: Incoming) -> tuple[Ints, Ints]:
-        """Lights, and points at which a sphere turns away from them."""
-        reach = self.footprint / self.group.of(self.view.surfaces.radius)
-        # Most points are told by the least that any of them needs.
-        most = reach.max() * np.sqrt(light.length2.max(initial=0))
-        number, at = np.divmod(np.flatnonzero(np.abs(light.falls) <= most), reach.size)
-        falls, length2 = light.falls[number, at], light.length2[number, at]
-        turns = np.flatnonzero(falls**2 < reach[at] ** 2 * length2)
-        return number[turns], at[turns]
-
-    def kinks(self, light: Ints, at: Ints, tolerance: float) -> Ints:
-        """Where light begins so fast, as spheres are `turning`, that one sample is off by more."""
-        lighting, group = self.lighting, self.group
-        # On either side of the middle by a quarter of the cell, half of the time.
-        radius = select(group.of(self.view.surfaces.radius), at)
-        diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
-        change = self.footprint[at] / radius / 8 * select(group.of(diffuse), at)
-        kinks: Ints = at[change * lighting.intensities.max(axis=1)[light] > tolerance]
-        return kinks
-
-    def terminators(self, incoming: Incoming, light: Ints, at: Ints) -> Iterator[Lines]:
-        """Where a highlight ends because spheres are `turning` away from its light."""
-        lighting, group = self.lighting, self.group
-        glossy = group.of(lighting.materials.glossy[lighting.shader])
-        shines = np.flatnonzero(np.broadcast_to(select(glossy, at), at.shape))
-        if not shines.size:
-            return
-        light, at = light[shines], at[shines]
-        ray, r = self.from_light(light, at), -select(group.of(self.view.surfaces.radius), at)
-        across, down = self.steps(at)
-        kind = np.full(at.size, Kind.SHADOW)
-        a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.falls[light, at]
-        yield Lines(self.cell[at], kind, a, b, c).crossing()
-
-    def ridges(self) -> Iterator[Lines]:
-        """Where a box's face meets another that is seen as well."""
-        surfaces, eye, group = self.view.surfaces, self.view.raster.eye, self.group
-        p = rows(self.hits.p, group.part)
-        box = group.owner - len(surfaces.radius)
-        for k in range(3):
-            across_face = group.face != k
-            if not np.any(across_face):
-                continue
-            for corner, sign in ((surfaces.min_pt, -1), (surfaces.max_pt, 1)):
-                shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
-                if not shown.any():
-                    continue
-                offset = eye[k] + self.hits.raster.component(p, k) - group.spread(corner[box, k])
-                near = (np.abs(offset) < self.footprint) & across_face
-                at = np.flatnonzero(near & group.spread(shown))
-                across, down = self.steps(at)
-                kind = np.full(at.size, Kind.RIDGE)
-                yield Lines(self.cell[at], kind, across[k], down[k], offset[at]).crossing()
+            seen.lines.extend(surface.terminators(here, number, at, seen.several))
 
 
 def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
@@ -518,7 +355,7 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     ball = cells.owner[at]
     discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
     # Within a limb light is not even: that is for the smallest cells.
-    odd = turn > (_BEND if depth <= _AT_ONCE else 0)
+    odd = turn > (BEND if depth <= _AT_ONCE else 0)
     several[discs.cell[odd & discs.crosses()]] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
@@ -532,10 +369,10 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
 
 
 def _curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
-    """What to add to centres (3, height * width) for the mean: a 24th of the Laplacian.
+    """What to add to centres (3, height * width) for the mean of pixels, and how far it may be off.
 
-    Where a neighbour sees something else, along that row or column it is nothing;
-    and how far (height * width,) that may be off.  On the rim it says nothing.
+    It is a 24th of the second differences along the row and the column, where both neighbours
+    see the same.  What it says of pixels on the rim has no meaning.
     """
     count = key.size
     total, rough = np.empty(radiance.shape), np.zeros(count)
@@ -597,7 +434,9 @@ def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:
     return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
 
 
-def _met(spans: Spans, left: int, height: int, width: int, depth: int) -> tuple[Ints, Ints, Ints]:
+def _crossed(
+    spans: Spans, left: int, height: int, width: int, depth: int
+) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: pixels that an outline may cross.
 
     Seen in rows of samples: between the leftmost and the rightmost place at which

@@ -16,7 +16,10 @@ import numpy as np
 from tracer.groups import Bools, Triple, cross, dot, each, pick, scaled
 from tracer.scene import Floats, Ints
 
-__all__ = ["Kind", "Lines", "Pencil", "joined"]
+__all__ = ["BEND", "Kind", "Lines", "Pencil", "bowed", "joined"]
+
+BEND = 0.2
+"""A line that turns by less (in radians) across a cell passes for straight."""
 
 # Slopes of a line are at least so much of each other: then nothing divides by nearly zero.
 _LEAST_SLOPE = 1e-4
@@ -83,8 +86,8 @@ class Lines(NamedTuple):
     def halves(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
 
-        Integrated twice, the step at the line is a ramp max(z, 0)^2 / 2, of which
-        the square leaves the values at its corners.
+        A step at the line, integrated in x and in y, is max(z, 0)^2 / (2 a b): what is in the
+        cell is the sum over its corners, with signs in turn.
         """
         size = np.maximum(np.abs(self.a), np.abs(self.b))
         a, b = (
@@ -108,6 +111,18 @@ def joined(lines: Iterable[Lines]) -> Lines:
     cell, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("cell", "kind"))
     a, b, c = (np.concatenate([getattr(p, name) for p in parts]) for name in "abc")
     return Lines(cell, kind, a, b, c)
+
+
+def bowed(lines: Lines, slope: Triple, bow: Triple | None) -> Floats:
+    """How far lines turn in their cells because the surface is curved (radians).
+
+    `slope` is that of c on the way that the surface is off in the corners, `bow`.
+    """
+    if bow is None:
+        return np.zeros(lines.cell.size)
+    # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
+    turn: Floats = 4 * np.abs(dot(slope, bow)) / lines.reach()
+    return turn
 
 
 class Pencil(NamedTuple):
@@ -148,7 +163,11 @@ class Pencil(NamedTuple):
         around = scaled(cross(out, self.ray), 1 / np.sqrt(length2))
         a, b = dot(out, self.across), dot(out, self.down)
         turn_a, turn_b = dot(around, self.across), dot(around, self.down)
-        c, size = distance - radius, np.sqrt(a * a + b * b)
+        c = _beyond_limb(distance, nearest * np.sqrt(length2), radius)
+        # What leads along the ray makes all of it larger.
+        a += c * dot(self.ray, self.across) / length2
+        b += c * dot(self.ray, self.down) / length2
+        size = np.sqrt(a * a + b * b)
         # From the cell's middle to the line, at most to its rim, it turns as well.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
         turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
@@ -158,7 +177,9 @@ class Pencil(NamedTuple):
         # A chord as long as the cell lies so far inside a flat arc on average.
         c += np.where(bend < size, bend / 24, 0)
         lines = self._lines(a, b, c)
-        return lines, bend / size + self._turn(lines, out)
+        # With both sides of the disc in the cell there is another line.
+        both = distance + radius < lines.reach()
+        return lines, np.where(both, np.inf, bend / size + bowed(lines, out, self.bow))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats]:
         """The same of boxes: planes three (6, n) contain the edges of their outlines."""
@@ -171,18 +192,29 @@ class Pencil(NamedTuple):
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
-        turn = [self._turn(edge, normal) for edge, normal in zip(edges, normals, strict=True)]
+        turn = [bowed(edge, normal, self.bow) for edge, normal in zip(edges, normals, strict=True)]
         at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         return lines, np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
 
-    def _turn(self, lines: Lines, slope: Triple) -> Floats:
-        """How far lines turn in the cell because the surface is curved; `slope` is that of c."""
-        if self.bow is None:
-            return np.zeros(lines.cell.size)
-        # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
-        turn: Floats = 4 * np.abs(dot(slope, self.bow)) / lines.reach()
-        return turn
-
     def _lines(self, a: Floats, b: Floats, c: Floats) -> Lines:
         return Lines(self.cell, np.full(self.cell.size, self.kind), a, b, c)
+
+
+def _beyond_limb(distance: Floats, along: Floats, radius: Floats) -> Floats:
+    """How far rays pass by the limbs of spheres, at right angles, where they are nearest.
+
+    Parameters
+    ----------
+    distance
+        From the sphere's centre to the ray.
+    along
+        From the apex to where that is.
+    radius
+    """
+    # With the angles of ray and limb to the centre, along * tan(ray - limb).
+    tangent2 = along * along + (distance - radius) * (distance + radius)
+    ratio = radius / np.sqrt(tangent2)
+    angular = (distance - along * ratio) / (1 + distance / along * ratio)
+    # Seen from inside, or from behind, there is no limb.
+    return np.where((tangent2 > 0) & (along > 0), angular, distance - radius)
