@@ -218,15 +218,16 @@ def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
 
 def test_the_compact_table_has_every_scene_at_every_size() -> None:
     rows = [
-        (f"{name} {size}", Timing.of([ours]), Timing.of([theirs]), "stock")
+        (f"{name} {size}", Timing.of([ours]), Timing.of([theirs]), "", "", "0.50×")
         for size, ours, theirs in (("3×2", 0.01, 0.02), ("6×4", 0.04, 0.01))
         for name in ("a", "b")
     ]
     table = benchmark.compact(benchmark.Table("Warm", "", (), list(rows)))
     assert table.header == ("scene", "3×2", "speedup", "6×4", "speedup")
-    cells = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[-3:]]
-    assert cells[0] == ["a", "10.0", "2×", "40.0", "0.25×"]
-    assert cells[2] == ["geometric mean", "", "2×", "", "0.25×"]
+    cells = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[-4:]]
+    assert cells[0] == ["a", "10.0", "2.0×", "40.0", "0.25×"]
+    assert cells[2] == ["geometric mean", "", "2.0×", "", "0.25×"]
+    assert cells[3] == ["the same over stock plugins", "", "0.50×", "", "0.50×"]
 
 
 def test_memory_is_that_of_the_child() -> None:
@@ -274,7 +275,7 @@ def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]
 
 
 def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
-    ours = _curve("this tracer", (1e-2, 1.0), (1e-4, 4.0))
+    ours = _curve("this tracer", (1e-2, 1.0), (5e-4, 2.0), (1e-4, 4.0))
     slow = _curve("Mitsuba scalar", (1e-2, 9.0), (1e-4, 9.0))
     fast = _curve("Mitsuba stratified", (1e-2, 3.0), (1e-5, 3.0))
     numpy = _curve("uniform grid", (1e-2, 0.1), (1e-5, 0.1))
@@ -282,6 +283,10 @@ def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
     assert lead is not None
     assert (lead.level, lead.ours, lead.theirs) == pytest.approx((1e-3, 2.0, 3.0))
     assert lead.speedup == pytest.approx(1.5)
+    # Rivals take any number of samples; this tracer those of its points.
+    between = Lead.of([*ours, *_curve("Mitsuba scalar", (1e-2, 1.0), (1e-4, 4.0))])
+    assert between is not None
+    assert (between.level, between.ours, between.theirs) == pytest.approx((1e-3, 2.0, 2.0))
     # Where a rival does not come so far, it is met where it comes; to be better is as good.
     rough = Lead.of([*ours, *_curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))])
     assert rough is not None
@@ -303,7 +308,7 @@ def test_the_chart_says_what_was_measured() -> None:
     found = {False: [lead(0.5), lead(0.2)], True: [lead(2.0), lead(0.9)]}
     title = speed_accuracy._title(found, "Mitsuba")
     assert "faster than Mitsuba" in title
-    assert "in 1 of 2 scenes from file to picture, in 0 of 2 scenes at rendering alone" in title
+    assert "in 1 of 2 pictures from file to picture, in 0 of 2 pictures at rendering alone" in title
     assert speed_accuracy._title({False: [], True: []}, "Mitsuba") == "Time against error"
     assert speed_accuracy._in_words(0.5, 0.2) == "2.0–5.0× slower"
     assert speed_accuracy._in_words(0.9, 3.0, 2.0) == "1.1× slower, 2.0–3.0× faster"

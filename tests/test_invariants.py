@@ -10,7 +10,7 @@ from oracle import Oracle
 from probe import EPS, moved
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Lambertian, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Box, Lambertian, PointLight, Scene, Sphere, Surfaces, render, rendering
 from tracer.rendering import render_bands
 from tracer.scene import Floats
 
@@ -111,7 +111,8 @@ def test_bands(kind: str, band_pixels: int) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("threads", [2, 3])
-def test_threads(kind: str, threads: int) -> None:
+def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendering, "processors", lambda: threads)
     scene, image = picture(kind, 6)
     bands = [b.copy() for b in render_bands(scene, threads=threads, band_pixels=31)]
     assert len(bands) == scene.height
@@ -119,7 +120,8 @@ def test_threads(kind: str, threads: int) -> None:
 
 
 @pytest.mark.parametrize("samples", [4, 9])
-def test_samples_in_bands_and_threads(samples: int) -> None:
+def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendering, "processors", lambda: 2)
     scene, _ = picture("scattered", 5)
     image = render(scene, samples, threads=1)
     bands = [b.copy() for b in render_bands(scene, samples, threads=2, band_pixels=100)]

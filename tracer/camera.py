@@ -47,7 +47,7 @@ class Raster(NamedTuple):
     height: int
 
     def local(self, points: Floats) -> Triple:
-        """Points (n, 3) in the camera's axes, seen from the eye."""
+        """Points (n, 3) of the scene in the camera's axes, as seen from the eye."""
         relative = points - self.eye
         u, v, w = (
             relative[:, 0] * a + relative[:, 1] * b + relative[:, 2] * c
@@ -56,18 +56,18 @@ class Raster(NamedTuple):
         return u, v, w
 
     def turned(self, vector: Triple) -> Triple:
-        """A vector in the camera's axes, in the scene's."""
+        """Turn a vector from the camera's axes into the scene's."""
         x, y, z = (self.component(vector, axis) for axis in range(3))
         return x, y, z
 
     def placed(self, point: Triple) -> Triple:
-        """A point seen from the eye, in the camera's axes, in the scene's."""
+        """The place in the scene of a point that is given as `local` gives it."""
         x, y, z = self.eye.tolist()
         p = self.turned(point)
         return x + p[0], y + p[1], z + p[2]
 
     def component(self, vector: Triple, axis: int) -> Floats:
-        """That of a vector in the camera's axes along one of the scene's."""
+        """One component, along an axis of the scene, of a vector in the camera's axes."""
         u, v, w = self.axes[:, axis].tolist()
         component: Floats = vector[0] * u + vector[1] * v + vector[2] * w
         return component

@@ -32,7 +32,8 @@ _SLACK = 1e-9
 # A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
 _LEAST_ANGLE = 1e-5
 
-# Cells along the side of an octant: finer cells list less, and take longer to fill.
+# Cells along the side of an octant: from 2 to 4 for each object along the side of all in a square,
+# around the first, at most the second.  Finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 128, 320
 
 # Of so few cells, or so large a part of all, hardly one is apart from an object whose bounding box
@@ -88,7 +89,8 @@ class Cells(NamedTuple):
     scale, shift : (2, 8)
         From octahedral coordinates to cells, per octant.
     base : (8,)
-        Each octant's first cell; of those where nothing needs light it is 0, which is empty.
+        Each octant's first cell.  Where nothing needs light it is 0, and so are scale and shift:
+        every point falls into cell 0, which is empty.
     first : (cells + 1,)
         Where each cell's list begins in `listed`.
     listed : (m,)
@@ -175,7 +177,7 @@ def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
 
 
 def _reaching(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """The `Cells.bounds` (n,) of objects in a rectangle: it is `_within` it from all sides."""
+    """The `Cells.bounds` (n,) of objects that lie in a rectangle, as `_within` asks for them."""
     return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
@@ -446,7 +448,7 @@ class InCells(NamedTuple):
         points = hits.points(slice(None))
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number])
-            x, y, z = self.occluders.lights[:, number].tolist()
+            x, y, z = self.occluders.lights[number].tolist()
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
@@ -496,5 +498,5 @@ def in_cells(occluders: Occluders) -> InCells:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
     extents = _Extents.of(surfaces, occluders.seen)
-    cells = (_cells_around(light, surfaces, extents) for light in occluders.lights.T)
+    cells = (_cells_around(light, surfaces, extents) for light in occluders.lights)
     return InCells(occluders, tuple(cells))

@@ -55,13 +55,12 @@ class Disc(NamedTuple):
 
     Attributes
     ----------
-    hypot2 : float
-        Square of the rays' second component in that plane, which is ahead.
+    hypot2
+        Square of the rays' second component in that plane; the first, s, is along the row.
     tilt, bend
-        |centre x ray| is bend - tilt * s, with s the rays' first component, along the row.
-    ahead
+        |centre x ray| is bend - tilt * s.
+    along, ahead
         centre . ray is along * s + ahead.
-    along
     chord2
         The disc's squared radius; negative where the plane misses the sphere.
     power
@@ -87,6 +86,7 @@ def disc_in_row(g: Floats, depth: float, center: Triple, radius: Floats, power: 
     hypot = np.sqrt(hypot2)
     aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
     chord2 = (radius - aside) * (radius + aside)
+    # In that plane the centre is (u, ahead), and a ray (s, hypot).
     return Disc(hypot2, ahead, u * hypot, u, ahead * hypot, chord2, power)
 
 

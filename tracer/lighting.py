@@ -39,7 +39,7 @@ class Lighting(NamedTuple):
     ----------
     positions, intensities : (lights, 3)
     lanes : Lanes
-    seen : (lights, 3)
+    local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
     shadows : Shadows
     shader : (n,)
@@ -50,7 +50,7 @@ class Lighting(NamedTuple):
     positions: Floats
     intensities: Floats
     lanes: Lanes
-    seen: Floats
+    local: Floats
     shadows: Shadows
     shader: Ints
     materials: Materials
@@ -121,8 +121,8 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
 def incoming(lighting: Lighting, hits: Hits) -> Incoming:
     """What comes in at all hits."""
     occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
-    result = Incoming(*np.empty((3, len(lighting.seen), hits.p.shape[1])))
-    for number, light in enumerate(lighting.seen.tolist()):
+    result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
+    for number, light in enumerate(lighting.local.tolist()):
         kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
             falls, length2, along = (m[number, group.part] for m in result)
@@ -257,7 +257,7 @@ class Gloss(NamedTuple):
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
             place = some if isinstance(at, slice) else at[some]
             p = rows(self.p, place)
-            x, y, z = self.lighting.seen[number].tolist()
+            x, y, z = self.lighting.local[number].tolist()
             to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
             return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
 
@@ -302,7 +302,7 @@ class _Sum:
                 total += lane
 
     def times(self, colors: Floats, group: Group) -> Triple:
-        """The light that surfaces return, of colours (3,) or (3, runs)."""
+        """The light that surfaces return, of colours (3,) or (3, spans)."""
         if not self.totals:
             nothing = np.zeros(self.count)
             return nothing, nothing, nothing

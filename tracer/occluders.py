@@ -27,10 +27,10 @@ class Occluders(NamedTuple):
     ----------
     surfaces : Surfaces
     eye : (3,)
-    lights : (3, lights)
+    lights : (lights, 3)
     side : (lights, n)
-        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to
-        each box `INSIDE`, or else `ON`.
+        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to each box
+        `INSIDE`, or else `ON`, as it may be: its own rounding then counts as well.
     on_plane : (lights, n)
         Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
@@ -38,7 +38,7 @@ class Occluders(NamedTuple):
     middle, radius : three (n,) and (n,)
         A ball around each.
     size : (n,)
-        What a point's tolerance at each object scales with.
+        The size of each object's coordinates (1-norm), which rounding goes with.
     slack : (n,)
         More than rounding displaces a point on each object.
     """
@@ -86,7 +86,10 @@ class Balls(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Balls, each with a light and an object that may come between: all spheres, or all boxes."""
+    """Balls, each with a light and an object that may come between: all spheres, or all boxes.
+
+    They are never empty.
+    """
 
     balls: Balls
     light: Ints
@@ -146,8 +149,8 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         place, low, high = lights[:, k, None], surfaces.min_pt[:, k], surfaces.max_pt[:, k]
         inside &= (low < place) & (place < high)
         reach = slack[radius.size :] + SLACK * np.abs(place)
-        for corner in (low, high):
-            on_plane[:, radius.size :] |= np.abs(place - corner) <= reach
+        for plane in (low, high):
+            on_plane[:, radius.size :] |= np.abs(place - plane) <= reach
     side = [
         sphere_side(distance, radius, SURFACE_TOLERANCE * around),
         np.where(inside, INSIDE, ON).astype(np.int8),
@@ -155,7 +158,7 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
     return Occluders(
         surfaces,
         eye,
-        lights.T,
+        lights,
         np.concatenate(side, axis=1),
         on_plane,
         view.eye_inside,

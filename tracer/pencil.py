@@ -1,7 +1,7 @@
 """Outlines of objects seen from the eye: where a row of pixels can meet them.
 
 All rays of a picture start at the eye, and those of a pixel row lie in one
-plane, so a convex object covers one interval of each row.  `spans` finds these
+plane, so a convex object covers one interval of each row.  `Outlines` has these
 intervals in closed form: the two tangents to a disc for a sphere, the
 silhouette edges for a box.  What lies outside them is never looked at again.
 """
@@ -21,7 +21,6 @@ from tracer.intersection import disc_in_row
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = [
-    "ROUNDING",
     "Outlines",
     "Spans",
     "box_corners",
@@ -29,8 +28,8 @@ __all__ = [
     "silhouette_planes",
 ]
 
-ROUNDING = 1e-12
-"""More than all roundings of a plane's coefficients, relative to their size."""
+# More than all roundings of a plane's coefficients, relative to their size.
+_ROUNDING = 1e-12
 
 # Of boxes of so few pixels across, or down, the frame is as good as the silhouette.
 _SMALL = 8.0
@@ -81,7 +80,7 @@ class Outlines(NamedTuple):
         Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
         frame says enough.
     shaped : (b,)
-        Whether it does not.
+        Whether a box has such planes; without, its frame is its outline.
     box_frames : Frames
     """
 
@@ -122,7 +121,7 @@ class Outlines(NamedTuple):
             tilted, level = self.edges[1][k][box] * g, self.edges[2][k][box]
             # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
             # the plane contains the whole row.
-            slack = ROUNDING * (np.abs(tilted) + np.abs(level))
+            slack = _ROUNDING * (np.abs(tilted) + np.abs(level))
             # A level plane, of slope 0, lets all of the row in or none; without one it is 0 / 0.
             bound = -(tilted + level + slack) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)

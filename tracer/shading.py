@@ -17,13 +17,13 @@ from tracer.scene import Floats, Ints, Phong, Shader
 
 __all__ = ["Materials", "highlight"]
 
-# Half the squared length of the sum of two unit vectors that is too small for its rounding.
+# If 1 + l.v is less, too many of its digits have cancelled.
 _CANCELLED = 1e-3
 
-# The squared length of two that cancel up to rounding.
+# If |l + v|^2 is less, it is rounding alone.
 _OPPOSITE = 1e-24
 
-# How often the rounding of n.h may show in a highlight.
+# How many times as large the rounding of n.h may be in a highlight.
 _SHOWS = 256.0
 
 

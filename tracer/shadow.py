@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.cells import InCells, in_cells
-from tracer.groups import Bools, Triple, columns, dot, each, entries, pick, put, rows
+from tracer.groups import Bools, Triple, columns, dot, each, entries, pick, put
 from tracer.intersection import (
     ON,
     OUTSIDE,
@@ -30,8 +30,8 @@ from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
 
-# Stretches pay where each object has so many pixels (not so many, if pixels are split), and the
-# objects are not too many; and where they are few.
+# Stretches are used for up to `_FEW` objects; beyond that, for up to `_MOST` that have
+# `_PIXELS_EACH` pixels each (`_SPLIT_EACH`, where pixels are split).
 _PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 2000, 400, 1024, 64
 
 
@@ -105,32 +105,59 @@ class Shadows(NamedTuple):
 
         `larger` (n,) is added to the objects' sizes on all sides.
         """
-        occluders, surfaces = self.occluders, self.occluders.surfaces
-        spheres = len(surfaces.radius)
         # A ball around one point has it for its middle.
         p = pairs.balls.middle if pairs.single else hits.points(point)
-        end = each(pairs.spread, rows(occluders.lights, pairs.light))
-        if pairs.other[0] >= spheres:
-            box = pairs.other - spheres
-            corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-            low, high = (each(pairs.spread, corner) for corner in corners)
-            if larger is not None:
-                low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
-            blocks = box_blocks(p, end, low, high)
-            # Ends that may be on a face's plane are looked at more closely.
-            at = np.flatnonzero(pairs.spread(self._on_planes(pairs, *corners)))
-            if at.size:
-                blocks[at] = box_blocks(
-                    pick(p, at),
-                    pick(end, at),
-                    pick(low, at),
-                    pick(high, at),
-                    self._tolerance(pick(p, at), light[at], other[at]),
-                )
-            if larger is not None:
-                # A box smaller than nothing is none.
-                blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
-            return blocks
+        end = each(pairs.spread, columns(self.occluders.lights, pairs.light))
+        block = self._boxes_block if self._of_boxes(pairs) else self._spheres_block
+        return block(pairs, p, end, light, other, larger)
+
+    def _of_boxes(self, pairs: Pairs) -> bool:
+        """Whether the objects are boxes."""
+        return bool(pairs.other[0] >= len(self.occluders.surfaces.radius))
+
+    def _boxes_block(
+        self,
+        pairs: Pairs,
+        p: Triple,
+        end: Triple,
+        light: Ints,
+        other: Ints,
+        larger: Floats | None,
+    ) -> Bools:
+        """`_blocks`, from points `p` to the lights at `end`, of boxes."""
+        surfaces = self.occluders.surfaces
+        box = pairs.other - len(surfaces.radius)
+        corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
+        low, high = (each(pairs.spread, corner) for corner in corners)
+        if larger is not None:
+            low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
+        blocks = box_blocks(p, end, low, high)
+        # Ends that may be on a face's plane are looked at more closely.
+        at = np.flatnonzero(pairs.spread(self._on_planes(pairs, *corners)))
+        if at.size:
+            blocks[at] = box_blocks(
+                pick(p, at),
+                pick(end, at),
+                pick(low, at),
+                pick(high, at),
+                self._tolerance(pick(p, at), light[at], other[at]),
+            )
+        if larger is not None:
+            # A box smaller than nothing is none.
+            blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
+        return blocks
+
+    def _spheres_block(
+        self,
+        pairs: Pairs,
+        p: Triple,
+        end: Triple,
+        light: Ints,
+        other: Ints,
+        larger: Floats | None,
+    ) -> Bools:
+        """`_blocks`, from points `p` to the lights at `end`, of spheres."""
+        occluders, surfaces = self.occluders, self.occluders.surfaces
         to_light = each(np.subtract, end, p)
         center = columns(surfaces.center, pairs.other)
         to_center = each(lambda c, p: pairs.spread(c) - p, center, p)
@@ -166,12 +193,11 @@ class Shadows(NamedTuple):
         An object that is larger by as much has the light inside.  It may then hold the whole of a
         segment, and block nothing, where the object itself blocks it.
         """
-        surfaces, light = self.occluders.surfaces, rows(self.occluders.lights, pairs.light)
-        spheres = len(surfaces.radius)
-        if pairs.other[0] < spheres:
+        surfaces, light = self.occluders.surfaces, columns(self.occluders.lights, pairs.light)
+        if not self._of_boxes(pairs):
             away = each(np.subtract, columns(surfaces.center, pairs.other), light)
             return pairs.spread(np.sqrt(dot(away, away)) - surfaces.radius[pairs.other])
-        box = pairs.other - spheres
+        box = pairs.other - len(surfaces.radius)
         low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
         sides = (*each(np.subtract, low, light), *each(np.subtract, light, high))
         return pairs.spread(np.max(sides, axis=0))
@@ -194,7 +220,7 @@ class Shadows(NamedTuple):
         x, y, z = occluders.eye.tolist()
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
-        at_light = np.abs(occluders.lights).sum(axis=0)[light]
+        at_light = np.abs(occluders.lights).sum(axis=1)[light]
         on = entries(occluders.side, light, other) == ON
         reach = np.where(on, np.maximum(reach, at_light), reach)
         return SURFACE_TOLERANCE * (reach + occluders.size[other])
@@ -202,6 +228,6 @@ class Shadows(NamedTuple):
 
 def shadows_of(occluders: Occluders, pixels: int, split: bool) -> Shadows:
     """Prepare for the shadows in so many pixels, which may be split."""
-    each = _SPLIT_EACH if split else _PIXELS_EACH
-    few = len(occluders.surfaces) <= max(_FEW, min(pixels / each, _MOST))
+    pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
+    few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
     return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))

@@ -45,23 +45,23 @@ __all__ = ["InStretches", "in_stretches"]
 _LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 
 # Pairs of objects that are tried at a time.
-_OBJECTS = 1 << 17
+_OBJECT_PAIRS = 1 << 17
 
 
-class _List(NamedTuple):
+class _Candidates(NamedTuple):
     """Which spheres, or which boxes, may keep each light from each object.
 
     Attributes
     ----------
     spheres : bool
-    lit : bool
-        Whether there is a light inside any of them.
+    light_inside : bool
+        Whether a light is inside any of them.
     first, listed : (lights * n + 1,) and (m,)
         For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
     """
 
     spheres: bool
-    lit: bool
+    light_inside: bool
     first: Ints
     listed: Ints
 
@@ -72,12 +72,12 @@ class InStretches(NamedTuple):
     Attributes
     ----------
     occluders : Occluders
-    lists : tuple of _List
+    lists : tuple of _Candidates
         For the spheres and for the boxes, if there are any.
     """
 
     occluders: Occluders
-    lists: tuple[_List, ...]
+    lists: tuple[_Candidates, ...]
 
     def pairs(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
@@ -104,12 +104,14 @@ class InStretches(NamedTuple):
         asked = np.logical_or.reduceat(facing, start, axis=1)
         search = _Search(self.occluders, hits, balls, margin, asked, dark)
         blocks, tiles, order = _tiles(hits, balls, run)
-        for kind in self.lists:
-            light, tile, other = search.of_tiles(kind, blocks, tiles)
+        for candidates in self.lists:
+            light, tile, other = search.of_tiles(candidates, blocks, tiles)
             for batch in batches(tiles.length[tile]):
                 part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
                 stretch = order[place]
-                pairs = search.of_stretches(kind, light[batch][part], stretch, other[batch][part])
+                pairs = search.of_stretches(
+                    candidates, light[batch][part], stretch, other[batch][part]
+                )
                 if pairs.other.size:
                     yield pairs
 
@@ -136,43 +138,54 @@ class _Search(NamedTuple):
     asked: Bools
     dark: Bools
 
-    def of_tiles(self, kind: _List, blocks: _Tiles, tiles: _Tiles) -> tuple[Ints, Ints, Ints]:
+    def of_tiles(
+        self, candidates: _Candidates, blocks: _Tiles, tiles: _Tiles
+    ) -> tuple[Ints, Ints, Ints]:
         """Light, tile and object that may come between: for blocks first, then for their tiles."""
         lights, objects = self.occluders.side.shape
         # Every block for every light.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
-        place, listed = expand(kind.first[key + 1] - kind.first[key], kind.first[key])
+        place, listed = expand(
+            candidates.first[key + 1] - candidates.first[key], candidates.first[key]
+        )
         light, block = np.divmod(place, blocks.owner.size)
-        light, block, other = self._in_tiles(kind, blocks, light, block, kind.listed[listed])
+        light, block, other = self._in_tiles(
+            candidates, blocks, light, block, candidates.listed[listed]
+        )
         part, tile = expand(blocks.length[block], blocks.first[block])
-        return self._in_tiles(kind, tiles, light[part], tile, other[part])
+        return self._in_tiles(candidates, tiles, light[part], tile, other[part])
 
     def _in_tiles(
-        self, kind: _List, tiles: _Tiles, light: Ints, tile: Ints, other: Ints
+        self, candidates: _Candidates, tiles: _Tiles, light: Ints, tile: Ints, other: Ints
     ) -> tuple[Ints, Ints, Ints]:
-        """Those of these."""
+        """Of these, the ones whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
-        may, _ = _near(self.occluders, kind, middle, radius, light, other)
-        near = np.flatnonzero(may)
+        meets, _ = _near(self.occluders, candidates, middle, radius, light, other)
+        near = np.flatnonzero(meets)
         return light[near], tile[near], other[near]
 
-    def of_stretches(self, kind: _List, light: Ints, stretch: Ints, other: Ints) -> Pairs:
-        """Short stretches, of these, that may be shaded; marks what certainly is."""
+    def of_stretches(
+        self, candidates: _Candidates, light: Ints, stretch: Ints, other: Ints
+    ) -> Pairs:
+        """Cut the stretches that may be shaded into short ones, and keep those that still may.
+
+        Sets `dark` where shadow is certain.
+        """
         some = np.flatnonzero(entries(self.asked, light, stretch))
         light, stretch, other = light[some], stretch[some], other[some]
         balls = self.balls.take(stretch)
-        may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
-        put(self.asked, light[cut], stretch[cut], False)
-        self._darken(light, balls, cut)
-        near = np.flatnonzero(may & entries(self.asked, light, stretch))
+        meets, cuts = _near(self.occluders, candidates, balls.middle, balls.radius, light, other)
+        put(self.asked, light[cuts], stretch[cuts], False)
+        self._darken(light, balls, cuts)
+        near = np.flatnonzero(meets & entries(self.asked, light, stretch))
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
         at = near[parent]
         light, stretch, other = light[at], stretch[at], other[at]
         balls = _balls(self.occluders, self.hits, self.balls.owner[stretch], start, length)
         balls.radius[:] += self.margin[stretch]
-        may, cut = _near(self.occluders, kind, balls.middle, balls.radius, light, other)
-        self._darken(light, balls, cut)
-        near = np.flatnonzero(may & ~entries(self.dark, light, start))
+        meets, cuts = _near(self.occluders, candidates, balls.middle, balls.radius, light, other)
+        self._darken(light, balls, cuts)
+        near = np.flatnonzero(meets & ~entries(self.dark, light, start))
         return Pairs(balls.take(near), light[near], other[near])
 
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
@@ -199,27 +212,36 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
 
 
 def _near(
-    occluders: Occluders, kind: _List, middle: Triple, radius: Floats, light: Ints, other: Ints
+    occluders: Occluders,
+    candidates: _Candidates,
+    middle: Triple,
+    radius: Floats,
+    light: Ints,
+    other: Ints,
 ) -> tuple[Bools, Bools]:
     """Whether objects may come between balls and lights, and whether they surely do."""
-    met_or_cut = sphere_and_capsule if kind.spheres else box_and_capsule
-    meets, cuts = met_or_cut(*_capsules(occluders, kind, middle, radius, light, other))
-    if kind.lit:
+    met_or_cut = sphere_and_capsule if candidates.spheres else box_and_capsule
+    meets, cuts = met_or_cut(*_capsules(occluders, candidates, middle, radius, light, other))
+    if candidates.light_inside:
         at = np.flatnonzero(entries(occluders.side, light, other) == INSIDE)
-        around = sphere_around_capsule if kind.spheres else box_around_capsule
+        around = sphere_around_capsule if candidates.spheres else box_around_capsule
         some = pick(middle, at), radius[at], light[at], other[at]
-        meets[at] &= ~around(*_capsules(occluders, kind, *some))
+        meets[at] &= ~around(*_capsules(occluders, candidates, *some))
     return meets, cuts
 
 
 def _capsules(
-    occluders: Occluders, kind: _List, middle: Triple, radius: Floats, light: Ints, other: Ints
+    occluders: Occluders,
+    candidates: _Candidates,
+    middle: Triple,
+    radius: Floats,
+    light: Ints,
+    other: Ints,
 ) -> tuple[Triple, Triple, Floats, Triple, Any]:
     """Capsules from balls to lights, and bounds of objects."""
     surfaces = occluders.surfaces
-    x, y, z = occluders.lights
-    end = x[light], y[light], z[light]
-    if kind.spheres:
+    end = columns(occluders.lights, light)
+    if candidates.spheres:
         return middle, end, radius, columns(surfaces.center, other), surfaces.radius[other]
     box = other - len(surfaces.radius)
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
@@ -258,8 +280,8 @@ class _Tiles(NamedTuple):
 
 def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[_Tiles, _Tiles, Ints]:
     """Sort stretches by where they begin: into blocks, and tiles in these; and their order."""
-    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE + _BLOCK
-    row = hits.row[run] // _TILE + _BLOCK
+    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE
+    row = hits.row[run] // _TILE
     block = hits.owner[run]
     for m in (row // _BLOCK, column // _BLOCK):
         block = block * (m.max() + 1) + m
@@ -280,13 +302,13 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
 
 def in_stretches(occluders: Occluders) -> InStretches:
     """Prepare the coarsest step: all objects tried against each other."""
-    lights = occluders.lights.T
+    lights = occluders.lights
     surfaces, count = occluders.surfaces, len(occluders.surfaces)
     if count < 2:
         return InStretches(occluders, ())
     # A row for each light and each object it may light, a column for each that may shade it.
     light, own = (m.ravel() for m in np.indices((len(lights), count)))
-    step = max(1, _OBJECTS // count)
+    step = max(1, _OBJECT_PAIRS // count)
     center, low, high = (
         columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
     )
@@ -309,7 +331,7 @@ def in_stretches(occluders: Occluders) -> InStretches:
             many[kind].append(np.count_nonzero(may[:, place], axis=1))
             listed[kind].append(np.nonzero(may[:, place])[1] + place.start)
     lists = (
-        _List(
+        _Candidates(
             kind == 0,
             bool((occluders.side[:, place] == INSIDE).any()),
             np.cumsum([0, *np.concatenate(many[kind])]),

@@ -51,7 +51,7 @@ class Samples(NamedTuple):
         """How many there are."""
         return self.x.size if self.row is not None else self.x.size * self.y.size
 
-    def of_rows(self, values: Floats) -> Floats:
+    def of_columns(self, values: Floats) -> Floats:
         """What belongs to positions along the row, for each sample."""
         return values if self.row is not None else np.tile(values, self.y.size)
 
@@ -134,10 +134,10 @@ class Group(NamedTuple):
         Their places among the hits.
     sample : (n,)
         Which sample.
-    owner : int, or (runs,)
-        Which object they see (spheres first): one, or one for each run.
-    counts : (runs,)
-        Samples in each run: those in one row that see one object.
+    owner : int, or (spans,)
+        Which object they see (spheres first): one, or one for each span.
+    counts : (spans,)
+        Samples in each span: those in one row that see one object.
     face
         Of boxes, the axis of the face: a number, or (n,); 3 for spheres.
     sign, level
@@ -165,7 +165,7 @@ class Group(NamedTuple):
         return not (isinstance(self.face, int) and self.face == 3)
 
     def spread(self, values: Any) -> Any:
-        """What belongs to the one object, or to runs, for each of the samples."""
+        """What belongs to the one object, or to spans, for each of the samples."""
         return spread(values, self.counts)
 
     def of(self, values: NDArray[Any]) -> Any:
@@ -183,7 +183,8 @@ class Hits(NamedTuple):
         Points seen from the eye, in the camera's axes.
     groups : list of Group
     first : (runs + 1,)
-        Where each run begins, of those of all groups.
+        Where each run begins, of those of all groups: neighbours in one row, on one object and
+        one face, nowhere more than `_GAP` apart.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
@@ -222,7 +223,7 @@ def visible(view: View, samples: Samples, close: Bools | None = None, size: floa
     `close` (n,), if given, is set where a second surface lies so near behind
     the first that they may change places within `size` pixels.
     """
-    s = samples.of_rows(view.raster.across(samples.x))
+    s = samples.of_columns(view.raster.across(samples.x))
     groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         # Nothing can hide a lone object.
@@ -282,7 +283,7 @@ class _Fragments(NamedTuple):
         """What belongs to the one object, or to spans, for each sample."""
         return spread(values, self.counts)
 
-    def along(self, values: Floats) -> Floats:
+    def of_rows(self, values: Floats) -> Floats:
         """What belongs to rows, for each sample."""
         return np.repeat(values[self.row], self.counts)
 
@@ -447,7 +448,7 @@ def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> B
     if inside.any():
         g = raster.down(samples.y)
         u, v, w = raster.axes[:, axis].tolist()
-        ahead = group.s * u + group.along(g * v + raster.depth * w) > 0
+        ahead = group.s * u + group.of_rows(g * v + raster.depth * w) > 0
         down = np.where(group.spread(inside), ahead, down)
     return np.asarray(down)
 
@@ -464,7 +465,7 @@ def _hit(
     """What is seen of one group; fills in the points (3, n), seen from the eye."""
     raster, lines, surfaces = view.raster, view.outlines, view.surfaces
     np.multiply(part.t, part.s, out=p[0])
-    np.multiply(part.t, part.along(raster.down(samples.y)), out=p[1])
+    np.multiply(part.t, part.of_rows(raster.down(samples.y)), out=p[1])
     np.multiply(part.t, raster.depth, out=p[2])
     owner = part.owner
     if part.sphere:
