@@ -111,8 +111,14 @@ def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Ti
     return ours, theirs
 
 
+def _times(ratio: float) -> str:
+    """With two digits at least: 0.50×, 3.0×, 42×."""
+    places = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
+    return f"{ratio:.{places}f}×"
+
+
 def _speedup(of: Timing, over: Timing) -> str:
-    return f"{over.median / of.median:.2g}×"
+    return _times(over.median / of.median)
 
 
 # --- The tables --------------------------------------------------------------------------
@@ -173,23 +179,25 @@ def warm(rounds: int, quick: bool) -> Table:
     return Table(
         "Warm: rendering alone",
         "Milliseconds in process, one sample a pixel: median (fastest–slowest) of at least"
-        f" {rounds}, taken in turns with pauses of 20 ms, for Mitsuba's threads stay awake as long."
+        f" {rounds}, taken in turns with pauses of 20 ms: Mitsuba's threads keep spinning as long."
         f" Mitsuba {variant}, scene and kernels ready, as is the tracer's helper. Exact: the same"
         " picture, by this project's plugins; stock: a similar one by its own, with one light a"
-        " sample.",
+        " sample, in turns with a second timing of the tracer, over which its speedup is.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )
 
 
 def compact(table: Table) -> Table:
-    """`warm` in a row for each scene, beside the exact flavour only."""
+    """`warm` in a row for each scene, beside the exact flavour; of the stock one the mean."""
     columns: dict[str, dict[str, tuple[Timing, Timing]]] = {}
-    for place, ours, theirs, *_ in table.rows:
+    over_stock: dict[str, list[float]] = {}
+    for place, ours, theirs, _, _, over in table.rows:
         name, size = str(place).rsplit(" ", 1)
         assert isinstance(ours, Timing)
         assert isinstance(theirs, Timing)
         columns.setdefault(size, {})[name] = ours, theirs
+        over_stock.setdefault(size, []).append(float(str(over).rstrip("×")))
     rows: list[tuple[object, ...]] = []
     for name in next(iter(columns.values())):
         pairs = [found[name] for found in columns.values()]
@@ -199,12 +207,17 @@ def compact(table: Table) -> Table:
         geometric_mean([theirs.median / ours.median for ours, theirs in found.values()])
         for found in columns.values()
     ]
-    rows.append(("geometric mean", *chain(*(("", f"{mean:.2g}×") for mean in means))))
+    for what, each in (
+        ("geometric mean", means),
+        ("the same over stock plugins", map(geometric_mean, over_stock.values())),
+    ):
+        rows.append((what, *chain(*(("", _times(mean)) for mean in each))))
     return Table(
         table.title,
         "The tracer's milliseconds in process, one sample a pixel, and its speedup over Mitsuba"
         f" {use().variant}, scene and kernels ready, for the same picture by this project's"
-        " plugins; [all figures](reference/benchmark.md), also beside the stock plugins.",
+        " plugins (its stock ones draw a similar picture, with one light a sample);"
+        " [all figures](reference/benchmark.md).",
         ("scene", *chain(*((size, "speedup") for size in columns))),
         rows,
     )
@@ -242,8 +255,10 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         "Growth in objects: N small ones, two lights, 640×360",
         "Milliseconds. From a scene's text to its first picture, then warm. Mitsuba with a shape"
         " per object; and with all objects merged into one mesh of one material, spheres as"
-        " icosahedra (the wrong picture, its fastest geometry). The tracer's time grows as"
-        f" N^{growth_exponent(counts, timings):.2f}.",
+        " icosahedra (the wrong picture, its fastest geometry). Objects shrink as N grows: together"
+        " they cover about as much. The tracer's time grows as"
+        f" N^{growth_exponent(counts, timings):.2f}, in the last step as"
+        f" N^{growth_exponent(counts[-2:], timings[-2:]):.2f}.",
         (
             "N",
             "tracer, first",
@@ -289,14 +304,14 @@ def growth_in_pixels_and_lights(rounds: int, quick: bool) -> Table:
         timings = [_tracer_alone(each, rounds) for each in scenes]
         exponent = growth_exponent(sizes[-3:], timings[-3:])
         rows += [
-            (f"{size:,} {what}", timing, f"^{exponent:.2f}" if size == sizes[-1] else "")
+            (f"{what}: {size:,}", timing, f"^{exponent:.2f}" if size == sizes[-1] else "")
             for size, timing in zip(sizes, timings, strict=True)
         ]
     return Table(
         "Growth in pixels and in lights",
         "Milliseconds for the tracer on the 21-object scene; the exponent is that of the last"
         " three.",
-        ("size", "tracer", "grows as"),
+        ("number", "tracer", "grows as"),
         rows,
     )
 
@@ -405,8 +420,8 @@ def limit(rounds: int, quick: bool) -> Table:
         "How near the limit",
         "Milliseconds, one sample a pixel. The first C loop tests every ray against every object"
         " (one thread, -O3); the second is told what each pixel sees and which lights reach it,"
-        " and only computes the hit and its shading. The last column is the tracer's time over"
-        " the second's.",
+        " and only computes the hit and its shading. The last column is the time of the tracer,"
+        " with its helper, over the second's.",
         ("scene", "tracer", "C, all pairs", "C, knowing the answer", "tracer / C"),
         rows,
     )

@@ -466,7 +466,7 @@ def main() -> None:
         figure,
         "Where ray tracing loses its digits",
         "Each point is a picture held against 50-digit arithmetic.  Left: largest error of the"
-        " radiance (✕: no digit left).  Right: share of pixels decided wrongly.",
+        " radiance (✕: useless from there on).  Right: share of pixels decided wrongly.",
     )
     rows: list[tuple[object, ...]] = []
     for axes, panel in zip(grid.ravel(), tqdm(PANELS, disable=None), strict=True):
