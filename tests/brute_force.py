@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 from probe import Surface, Vector
 
+from tracer.arrays import Bools, Triple, dot
 from tracer.camera import Raster, raster_of
-from tracer.groups import Bools, Triple, dot
 from tracer.intersection import (
     INSIDE,
     ON,

@@ -23,7 +23,7 @@ from tracer import (
     load_scene,
     render,
 )
-from tracer.groups import Bools
+from tracer.arrays import Bools
 from tracer.rendering import render_bands
 from tracer.scene import Floats
 from tracer.shadow import Shadows

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from probe import Surface, Vector
 
 from tracer import Box, Camera, Lambertian, Sphere, Surfaces
+from tracer.arrays import Bools, Triple
 from tracer.camera import raster_of
 from tracer.cells import Cells, in_cells
 from tracer.edges import Kind, Lines, Pencil
-from tracer.groups import Bools, Triple
 from tracer.intersection import (
     box_and_capsule,
     box_around_capsule,
@@ -26,7 +26,7 @@ from tracer.intersection import (
     sphere_around_capsule,
 )
 from tracer.occluders import occluders_of
-from tracer.pencil import box_corners, outlines, silhouette_planes
+from tracer.outlines import box_corners, outlines_of, silhouette_planes
 from tracer.scene import Floats
 from tracer.visibility import View
 
@@ -235,7 +235,7 @@ def some_cells(rng: np.random.Generator) -> tuple[Floats, Cells]:
     every = len(surfaces)
     inside_none = np.zeros(every, dtype=np.bool_)
     view = View(
-        raster, surfaces, outlines(raster, surfaces, split=False), inside_none, np.arange(every)
+        raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none, np.arange(every)
     )
     light = point(rng)
     return light, in_cells(occluders_of(view, light[None, :])).cells[0]

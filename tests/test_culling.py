@@ -15,7 +15,7 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
 from tracer.camera import raster_of
-from tracer.pencil import outlines
+from tracer.outlines import outlines_of
 
 
 def assert_same(scene: Scene) -> None:
@@ -30,7 +30,7 @@ def assert_same(scene: Scene) -> None:
             patch("tracer.shadow._PIXELS_EACH", samples_each),
             patch("tracer.shadow._FEW", 0),
             patch("tracer.visibility._LARGE", large),
-            patch("tracer.pencil._SMALL", small),
+            patch("tracer.outlines._SMALL", small),
         ):
             image = render(scene)
         different = np.argwhere((image != expected).any(axis=2)).tolist()
@@ -124,7 +124,7 @@ def test_nothing_is_seen_outside_the_window(kind: str) -> None:
     for seed in range(2 if kind == "crowd" else 12):
         scene = random_scene(kind, seed, 40, 30)
         raster = raster_of(scene.camera, scene.width, scene.height)
-        lines = outlines(raster, scene.surfaces, split=False)
+        lines = outlines_of(raster, scene.surfaces, split=False)
         image = brute_force(scene)
         assert not image[lines.in_rows() == 0].any()
         image[lines.window()] = 0
@@ -137,7 +137,7 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     # All that is seen is lit.
     alone = scene(surface, light=CAMERA.view_point)
     raster = raster_of(alone.camera, alone.width, alone.height)
-    lines = outlines(raster, alone.surfaces, split=False)
+    lines = outlines_of(raster, alone.surfaces, split=False)
     seen = render(alone).any(axis=2)
     for window, axis in zip(lines.window(), (1, 0), strict=True):
         first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()

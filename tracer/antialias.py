@@ -15,16 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.boundaries import Surface, footprint_of
-from tracer.edges import BEND, Kind, Lines, Pencil, joined
-from tracer.groups import (
+from tracer.arrays import (
     Bools,
     each,
     expand,
     pick,
 )
+from tracer.boundaries import Surface, footprint_of
+from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
-from tracer.pencil import Outlines, Spans
+from tracer.outlines import Outlines, Spans
 from tracer.scene import Floats, Ints
 from tracer.visibility import Samples, View, grid, visible
 

@@ -11,9 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.camera import Raster
-from tracer.edges import BEND, Kind, Lines, Pencil, bowed, joined
-from tracer.groups import (
+from tracer.arrays import (
     Bools,
     Triple,
     columns,
@@ -25,9 +23,11 @@ from tracer.groups import (
     scaled,
     select,
 )
+from tracer.camera import Raster
+from tracer.edges import BEND, Kind, Lines, Pencil, bowed, joined
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
-from tracer.pencil import box_corners, silhouette_planes
+from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints
 from tracer.visibility import Group, Hits, View
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Triple
+from tracer.arrays import Triple
 from tracer.scene import Camera, Floats, unit
 
 __all__ = ["Raster", "raster_of"]

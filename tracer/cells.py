@@ -18,9 +18,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, batches, dot, each, expand, pick, scaled
+from tracer.arrays import Bools, Triple, batches, dot, each, expand, pick, scaled
 from tracer.occluders import Occluders, Pairs, pairs_of_points
-from tracer.pencil import box_corners, silhouette_planes
+from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, cross, dot, each, pick, scaled
+from tracer.arrays import Bools, Triple, cross, dot, each, pick, scaled
 from tracer.scene import Floats, Ints
 
 __all__ = ["BEND", "Kind", "Lines", "Pencil", "bowed", "joined"]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.groups import Bools, Triple, dot, each, pick
+from tracer.arrays import Bools, Triple, dot, each, pick
 from tracer.scene import Floats
 
 __all__ = [

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, pick, rows, scaled, select, where
+from tracer.arrays import Bools, Triple, dot, each, pick, rows, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.scene import Floats, Ints, Scene

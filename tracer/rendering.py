@@ -21,7 +21,7 @@ from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
-from tracer.pencil import outlines
+from tracer.outlines import outlines_of
 from tracer.scene import Floats, Scene
 from tracer.visibility import View, grid, view_of
 from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
@@ -122,10 +122,10 @@ def render_each(
     picture = _Picture.of(scene, samples)
     processes = _processes(threads, can_fork() and picture.load() >= _WORTH_FORKING)
     bands = _Bands.of(picture, processes)
-    render = _Renderer.of(bands)
+    renderer = _Renderer.of(bands)
 
     def result(number: int, _: Floats | None) -> T:
-        return work(render(number))
+        return work(renderer(number))
 
     with forked(result, bands.total, processes - 1) as team:
         yield from team.results(result)
@@ -151,13 +151,13 @@ def _rendered(
     # Who asks for more processors gets them at once.
     load = inf if threads else load
     with helped(bands.total, processes - 1, job, load) as team:
-        render = _Renderer.of(bands)
+        renderer = _Renderer.of(bands)
 
         def work(number: int, _: Floats | None) -> Floats:
-            return render(number, None if image is None else image[bands.rows(number)])
+            return renderer(number, None if image is None else image[bands.rows(number)])
 
         for number, band in enumerate(team.results(work)):
-            yield bands.rows(number), render.columns(number), band
+            yield bands.rows(number), renderer.columns(number), band
 
 
 def _processes(threads: int | None, pays: bool) -> int:
@@ -206,7 +206,7 @@ class _Picture(NamedTuple):
         offset = float(shift[0]), float(shift[1])
         depth = ((samples - 1).bit_length() + 1) // 2
         everywhere = cls(scene, offset, 0, 2**depth)
-        if depth and not dense(outlines(everywhere.raster(), scene.surfaces, split=False)):
+        if depth and not dense(outlines_of(everywhere.raster(), scene.surfaces, split=False)):
             return cls(scene, offset, depth, 1)
         return everywhere
 
@@ -219,7 +219,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """So many bands with much the same number of outlines: see `_Bands.tops`."""
-        total = np.cumsum(outlines(self.raster(), self.scene.surfaces, split=False).in_rows())
+        total = np.cumsum(outlines_of(self.raster(), self.scene.surfaces, split=False).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -240,13 +240,13 @@ class _Bands(NamedTuple):
     picture : _Picture
     tops : list of int
         The first row of each; then the picture's height.
-    columns : int
-        Of a row, as many as are rendered together.
+    at_once : int
+        As many pixels of a row are rendered together.
     """
 
     picture: _Picture
     tops: list[int]
-    columns: int
+    at_once: int
 
     @classmethod
     def of(cls, picture: _Picture, processes: int, band_pixels: int | None = None) -> _Bands:
@@ -254,8 +254,8 @@ class _Bands(NamedTuple):
         width, height = picture.scene.width, picture.scene.height
         # Few pixels are split, and those should be many at a time.
         times = (_SPLIT_BANDS if picture.depth else 1) / picture.per_side**2
-        columns = max(1, int(band_pixels or _BAND_PIXELS * times))
-        step = max(1, columns // width)
+        at_once = max(1, int(band_pixels or _BAND_PIXELS * times))
+        step = max(1, at_once // width)
         if processes > 1:
             # Enough bands for all to end at much the same time, unless that makes them small.
             least = _LEAST_PIXELS * times
@@ -265,7 +265,7 @@ class _Bands(NamedTuple):
         if picture.depth and 1 < processes == len(tops) - 1:
             # One for each: with as many outlines, not as many rows.
             tops = picture.shares(processes)
-        return cls(picture, tops, columns)
+        return cls(picture, tops, at_once)
 
     @property
     def total(self) -> int:
@@ -323,8 +323,8 @@ class _Renderer(NamedTuple):
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
         if self.columns(number).stop:
-            for left in range(0, width, self.bands.columns):
-                right = min(left + self.bands.columns, width)
+            for left in range(0, width, self.bands.at_once):
+                right = min(left + self.bands.at_once, width)
                 self._part(rows, left, right, out[:, left:right])
         return out
 
@@ -345,13 +345,13 @@ class _Renderer(NamedTuple):
 
 def _help(bands: _Bands) -> Work[Floats]:
     """What a helper does: render bands where it is told."""
-    render = _Renderer.of(bands)
+    renderer = _Renderer.of(bands)
 
     def work(number: int, slot: Floats | None) -> Floats:
         assert slot is not None
         rows = bands.rows(number)
         out = slot[: rows.stop - rows.start]
-        out[:, render.columns(number)] = 0
-        return render(number, out)
+        out[:, renderer.columns(number)] = 0
+        return renderer(number, out)
 
     return work

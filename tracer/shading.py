@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tracer.groups import Bools, Triple, dot, each, scaled, select
+from tracer.arrays import Bools, Triple, dot, each, scaled, select
 from tracer.scene import Floats, Ints, Phong, Shader
 
 __all__ = ["Materials", "highlight"]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.arrays import Bools, Triple, columns, dot, each, entries, pick, put
 from tracer.cells import InCells, in_cells
-from tracer.groups import Bools, Triple, columns, dot, each, entries, pick, put
 from tracer.intersection import (
     ON,
     OUTSIDE,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.groups import (
+from tracer.arrays import (
     Bools,
     Triple,
     batches,

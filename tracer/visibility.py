@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.arrays import Bools, Index, Triple, dot, entries, pick, rows, runs, select, spread
 from tracer.camera import Raster
-from tracer.groups import Bools, Index, Triple, dot, entries, pick, rows, runs, select, spread
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
-from tracer.pencil import Outlines, Spans, outlines
+from tracer.outlines import Outlines, Spans, outlines_of
 from tracer.scene import Floats, Ints, Surfaces
 
 __all__ = ["Group", "Hits", "Samples", "View", "grid", "view_of", "visible"]
@@ -110,7 +110,7 @@ class View(NamedTuple):
 
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     """How surfaces look from the eye of a picture's rays, for pixels that may be split."""
-    lines, eye = outlines(raster, surfaces, split), raster.eye
+    lines, eye = outlines_of(raster, surfaces, split), raster.eye
     in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
     for k, place in enumerate(eye.tolist()):
         in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.arrays import Triple, cross, dot, each, expand, pick
 from tracer.camera import Raster
-from tracer.groups import Triple, cross, dot, each, expand, pick
 from tracer.intersection import disc_in_row
 from tracer.scene import Floats, Ints, Surfaces
 
@@ -24,7 +24,7 @@ __all__ = [
     "Outlines",
     "Spans",
     "box_corners",
-    "outlines",
+    "outlines_of",
     "silhouette_planes",
 ]
 
@@ -187,7 +187,7 @@ class Outlines(NamedTuple):
         return Spans(owner[keep], row[keep], left[keep], right[keep])
 
 
-def outlines(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
+def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     """Project all surfaces onto the picture.
 
     The silhouettes of small boxes are left out unless pixels are `split`.
