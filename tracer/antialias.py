@@ -412,17 +412,12 @@ def _bend(radiance: Floats, key: Ints, quarters: _Seen) -> tuple[Floats, Floats]
     Where all see the same, the mean lies beyond that of the quarters' centres by a third of the
     way there from the cell's (Richardson's extrapolation).
     """
-    fine, keys = quarters.radiance.reshape(3, -1, 2, 2), quarters.key.reshape(-1, 2, 2)
-    alike = (keys == key[:, None, None]).all(axis=(1, 2))
-    bend = np.where(alike, (fine.mean(axis=(2, 3)) - radiance) / 3, 0)
-    rough = np.zeros(keys.shape)
-    rough[alike] = np.abs(bend).max(axis=0)[alike, None, None]
-    for axis in (1, 2):
-        # To the other one in a row, or a column, as in `_curvature`.
-        step = np.abs(np.diff(fine, axis=axis + 1)).max(axis=0) / 24
-        step = np.where((np.diff(keys, axis=axis) == 0) & ~alike[:, None, None], step, 0)
-        np.maximum(rough, step, out=rough)
-    return np.repeat(bend, 4, axis=1), rough.ravel()
+    fine, keys = quarters.radiance.reshape(3, -1, 4), quarters.key.reshape(-1, 4)
+    alike = (keys == key[:, None]).all(axis=1)
+    bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
+    # What that leaves out is of higher order in their size.
+    rough = np.abs(bend).max(axis=0) / 4
+    return np.repeat(bend, 4, axis=1), np.repeat(rough, 4)
 
 
 def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:
