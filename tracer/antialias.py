@@ -416,7 +416,7 @@ def _bend(radiance: Floats, key: Ints, quarters: _Seen) -> tuple[Floats, Floats]
     alike = (keys == key[:, None]).all(axis=1)
     bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
     # What that leaves out is of higher order in their size.
-    rough = np.abs(bend).max(axis=0) / 4
+    rough = np.abs(bend).max(axis=0) / 2
     return np.repeat(bend, 4, axis=1), np.repeat(rough, 4)
 
 
