@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from reference import sheet
+from tracer import SceneFileError, load_scene
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -35,6 +36,22 @@ def test_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for block in blocks("python"):
         exec(block, space)
     assert (tmp_path / "four-spheres.png").exists()
+
+
+def test_the_scene_file_is_the_scene_in_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (file,) = blocks("xml")
+    space: dict[str, object] = {}
+    exec(blocks("python")[-1], space)
+    monkeypatch.chdir(tmp_path)
+    Path("good.xml").write_text(file)
+    assert load_scene("good.xml") == space["scene"]
+    # And its fault is told as it says.
+    Path("bad.xml").write_text(file.replace("3 5 4", "1,2,3"))
+    with pytest.raises(SceneFileError) as told:
+        load_scene("bad.xml")
+    assert f"{told.value}\n" in blocks("")
 
 
 def test_links_lead_somewhere() -> None:
