@@ -48,10 +48,10 @@ def test_the_scene_file_is_the_scene_in_python(
     Path("good.xml").write_text(file)
     assert load_scene("good.xml") == space["scene"]
     # And its fault is told as it says.
-    Path("bad.xml").write_text(file.replace("3 5 4", "1,2,3"))
+    Path("bad.xml").write_text(file.replace("3 5 4", "3 five 4"))
     with pytest.raises(SceneFileError) as told:
         load_scene("bad.xml")
-    assert f"{told.value}\n" in blocks("")
+    assert f"\n```\n{told.value}\n```\n" in README
 
 
 def test_links_lead_somewhere() -> None:
