@@ -92,8 +92,8 @@ class Surface(NamedTuple):
             ahead = aside * n[k] / height
             x, y, z = scaled(p, ahead)
             move = raster.turned((x + aside, y, z) if k == 0 else (x, y + aside, z))
-            # A way in the window leads the farther the more it leads ahead; rays are the same
-            # when all of them is as much larger.
+            # At x across the cell the point is (p + x aside) / (1 - x ahead): times that divisor,
+            # a ray to it is linear in x.
             steps.append(each(np.subtract, move, scaled(rays, ahead)) if rays else move)
         return steps[0], steps[1]
 
