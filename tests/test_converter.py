@@ -110,7 +110,8 @@ def test_a_path_that_is_no_file_spares_the_others(
 def test_names_that_are_not_text_are_escaped(small: Path, what: list[str], line: str) -> None:
     odd = small.rename(os.fsdecode(os.fsencode(small.parent) + b"/\xff\n.xml"))
     done = run(*what, "--variant", SCALAR, str(odd), PYTHONIOENCODING="utf-8")
-    assert (done.returncode, done.stderr) == (0, "")
+    # Dr.Jit says there if it has found no libLLVM.
+    assert done.returncode == 0, done.stderr
     assert f"\\udcff\\n{line}\n" in done.stdout
 
 
