@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scene_files import ONE_SPHERE, overflowing, small_one
 
 from converters.check import check_scene, doubts, render_mitsuba
 from converters.flavours import exact, normalisation, stock
@@ -25,7 +26,6 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Su
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = sorted((ROOT / "scenes").glob("*.xml"))
-ONE_SPHERE = ROOT / "scenes" / "one-sphere.xml"
 
 
 def scene_of(*surfaces: Sphere | Box, **camera: object) -> Scene:
@@ -54,10 +54,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     """A scene that is soon rendered."""
-    scene = tmp_path / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
-    return scene
+    return small_one(tmp_path, "40 30")
 
 
 # The command line.
@@ -230,15 +227,6 @@ def test_check_ends_with_status_1_where_a_tolerance_is_broken(
     assert "small: DIFFERS" in told
     assert "exceeds 1e-12" in told
     assert small.with_name("small.check.png").exists()
-
-
-def overflowing(scene: Path) -> Path:
-    """A scene like another, whose radiance is more than float32 holds."""
-    light = "<light><position>3 5 4</position></light>"
-    text = scene.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
-    bright = scene.with_name("bright.xml")
-    bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
-    return bright
 
 
 def test_a_radiance_that_overflows_is_told_and_spares_the_others(

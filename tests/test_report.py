@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from scene_files import overflowing, small_one
 
 from converters.check import CheckResult
 from reference.compare import figures
@@ -118,10 +119,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     """A scene that is soon rendered."""
-    scene = tmp_path / "small.xml"
-    text = (ROOT / "scenes" / "one-sphere.xml").read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", "16 12"), encoding="utf-8")
-    return scene
+    return small_one(tmp_path, "16 12")
 
 
 @pytest.mark.parametrize("output", ["small.xml", "link.xml"])
@@ -142,15 +140,6 @@ def test_a_pipe_is_not_replaced(small: Path, capsys: pytest.CaptureFixture[str])
     assert main([str(small), "--variant", "scalar_rgb", "-o", str(pipe)]) == 1
     assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
     assert pipe.is_fifo()
-
-
-def overflowing(scene: Path) -> Path:
-    """A scene like another, whose radiance is more than float32 holds."""
-    light = "<light><position>3 5 4</position></light>"
-    text = scene.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
-    bright = scene.with_name("bright.xml")
-    bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
-    return bright
 
 
 def test_bad_scenes_are_told_and_spare_the_others(

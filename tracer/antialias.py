@@ -15,12 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    each,
-    expand,
-    pick,
-)
+from tracer.arrays import Bools, each, expand, pick
 from tracer.boundaries import Surface, footprint_of
 from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
