@@ -127,6 +127,31 @@ def test_a_shadow_seen_nearly_edge_on() -> None:
     no_worse_than_the_uniform_grid(low_over(floor, ball, height=0.5, light=(-20, 5, -14)), 2)
 
 
+@pytest.mark.parametrize(
+    ("ball", "radius", "light"),
+    [
+        ((0.0605, 0.9, -5.6067), 0.456, (6.7206, 9, -4.3108)),
+        ((0.0275, 0.9, -3.9131), 0.332, (5.8868, 9, 2.4878)),
+    ],
+)
+def test_a_shadow_less_deep_than_its_pixels(
+    ball: tuple[float, float, float], radius: float, light: tuple[float, float, float]
+) -> None:
+    # It is wider than they are: what is nearest to a pixel's centre does not cross the pixel.
+    floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
+    camera = Camera(view_point=(0, 0.5, 0), view_width=0.7, view_height=0.7 * 2 / 3)
+    no_worse_than_the_uniform_grid(
+        Scene(
+            camera=camera,
+            width=36,
+            height=24,
+            lights=[PointLight(position=light)],
+            surfaces=[floor, Sphere(center=ball, radius=radius, shader=RED)],
+        ),
+        2,
+    )
+
+
 @pytest.mark.parametrize(("radius", "height"), [(20, 0.2), (400, 0.2), (2000, 0.5)])
 def test_the_limb_of_the_ball_that_the_eye_is_next_to(radius: float, height: float) -> None:
     ground = Sphere(center=(0, -radius, 0), radius=radius)

@@ -348,10 +348,10 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     )
     at = np.flatnonzero(cells.owner < spheres)
     ball = cells.owner[at]
-    discs, turn = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
+    discs, turn, near = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
     # Within a limb light is not even: that is for the smallest cells.
     odd = turn > (BEND if depth <= _AT_ONCE else 0)
-    several[discs.cell[odd & discs.crosses()]] = True
+    several[discs.cell[odd & near]] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
     if not at.size:

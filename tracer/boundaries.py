@@ -123,11 +123,11 @@ class Surface(NamedTuple):
         ball = other[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
         radius = surfaces.radius[ball]
-        discs, turn = pencil.take(on).discs(center, radius)
+        discs, turn, near = pencil.take(on).discs(center, radius)
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         # A cell that sees more than the sphere is large may hold all of its shadow.
         odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
-        several[discs.cell[odd & discs.crosses()]] = True
+        several[discs.cell[odd & near]] = True
         on = np.flatnonzero(other >= spheres)
         if not on.size:
             return discs.crossing()

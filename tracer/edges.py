@@ -152,8 +152,11 @@ class Pencil(NamedTuple):
         bow = pick(self.bow, index) if self.bow else None
         return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down, bow)
 
-    def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats]:
-        """Outlines of spheres, one for each ray, and how far they turn in the cell (radians)."""
+    def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats, Bools]:
+        """Outlines of spheres, one for each ray, and how far they turn in the cell (radians).
+
+        The last says which may cross the cell, however they turn.
+        """
         length2 = dot(self.ray, self.ray)
         nearest = dot(center, self.ray) / length2
         offset = each(lambda c, d: c - nearest * d, center, self.ray)
@@ -167,6 +170,10 @@ class Pencil(NamedTuple):
         # What leads along the ray makes all of it larger.
         a += c * dot(self.ray, self.across) / length2
         b += c * dot(self.ray, self.down) / length2
+        # Of a line that turns, it takes more to say that it passes the cell by; of one around the
+        # ray itself nothing is known.
+        half = 0.5 * (np.sqrt(a * a + turn_a * turn_a) + np.sqrt(b * b + turn_b * turn_b))
+        within = ~(np.abs(c) >= half)
         size = np.sqrt(a * a + b * b)
         # From the cell's middle to the line, at most to its rim, it turns as well.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
@@ -178,8 +185,9 @@ class Pencil(NamedTuple):
         c += np.where(bend < size, bend / 24, 0)
         lines = self._lines(a, b, c)
         # With both sides of the disc in the cell there is another line.
-        both = distance + radius < lines.reach()
-        return lines, np.where(both, np.inf, bend / size + bowed(lines, out, self.bow))
+        both = ~(distance + radius >= lines.reach())
+        turn = np.where(both, np.inf, bend / size + bowed(lines, out, self.bow))
+        return lines, turn, lines.crosses() | (within & (turn > BEND))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats]:
         """The same of boxes: planes three (6, n) contain the edges of their outlines."""
