@@ -334,7 +334,7 @@ def test_outlines_of_spheres(seed: int, size: float) -> None:
     width = size * sine
     slope = np.tan(np.arcsin(sine) + width * rng.uniform(-0.6, 0.6, count))
     pencil = a_pencil(rng, ahead + aside * slope[:, None], width)
-    lines, _ = pencil.discs(columns(center), radius)
+    lines, _, _ = pencil.discs(columns(center), radius)
     # Where rays touch the sphere, straight across the line: by bisection.
     steep = np.hypot(lines.a, lines.b)
     low, high = np.full(count, -1.0), np.full(count, 1.0)

@@ -4,8 +4,8 @@ Most pixels see one smooth surface: there the sample at the centre, with a
 correction for curvature, is worth more than any number of samples.  Where one
 edge crosses a pixel, its place is known in closed form, and a sample on either
 side is enough.  A pixel that holds more is split into four, and so on; the last
-splittings, down to the grid of samples asked for, are done at once.  Pictures
-that are full of edges are such grids everywhere.
+splittings are done at once: a lattice that is as good as the grid of samples
+asked for.  Pictures that are full of edges are such lattices everywhere.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from tracer.boundaries import Surface, footprint_of
 from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
 from tracer.outlines import Outlines, Spans
+from tracer.sampling import CENTRES, Lattice, Samples
 from tracer.scene import Floats, Ints
-from tracer.visibility import Samples, View, grid, visible
+from tracer.visibility import View, visible
 
-__all__ = ["antialiased", "dense", "supersampled"]
+__all__ = ["antialiased", "dense"]
 
 # Samples in cells that are split at a time.
 _CHUNK = 1 << 16
@@ -35,32 +36,27 @@ _STRIP = 3 << 15
 # err less with the power 3/2 of the samples along each side.
 _CURVATURE = 1e-2
 
-# The last splittings are done at once, as looks would cost more than the samples they save;
-# and into some more parts on each side, as there are few such cells.
-_AT_ONCE, _MORE = 2, 2
+# The last splittings are done at once, as looks would cost more than the samples they save.
+_AT_ONCE = 2
 
 # Light on a sphere changes like the root of the distance from its limb.  The mean of roots from 0
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
 _ROOT = 1 / 9
 
-# Where outlines cross a larger share of the samples, samples everywhere cost less than looks.
-_DENSE = 0.03
+# Where two outlines cross a larger share of the pixels, for each of the samples along a pixel's
+# side, samples everywhere cost less than looks.
+_DENSE = 0.0022
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
 _ROWS = 16
 
 
-def dense(outlines: Outlines) -> bool:
-    """Whether a picture is so full of outlines that samples everywhere cost less than looks."""
-    return outlines.crossed() > _DENSE
+def dense(outlines: Outlines, depth: int) -> bool:
+    """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
-
-def supersampled(view: View, lighting: Lighting, samples: Samples, per_side: int) -> Floats:
-    """Mean radiance (rows, columns, 3) of per_side x per_side neighbours in a grid of samples."""
-    radiance = radiance_at(view, lighting, samples)
-    columns = radiance.reshape(3, samples.y.size // per_side, per_side, -1).sum(axis=2)
-    total: Floats = sum(columns[:, :, k::per_side] for k in range(per_side))
-    return np.moveaxis(total / per_side**2, 0, 2)
+    At least as accurate as 2^depth x 2^depth samples in every pixel.
+    """
+    return outlines.crossed_twice() > _DENSE * (1 << depth)
 
 
 def antialiased(
@@ -89,14 +85,14 @@ def antialiased(
         return
     out = out[:, start - left : right - left]
     left, width = start - 1, right + 2 - start
-    samples = grid(top, bottom + 1, left, right + 1)
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / 2 ** (1.5 * depth)
     seen = _Seen.of(height * width)
     # As much at a time as the processor's cache holds.
     step = max(1, _STRIP // width)
     for begin in range(0, height, step):
-        strip = samples._replace(y=samples.y[begin : begin + step])
+        end = min(begin + step, height)
+        strip = CENTRES.samples(top + begin, top + end, left, left + width)
         places = np.arange(begin * width, begin * width + strip.size)
         _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
@@ -106,8 +102,7 @@ def antialiased(
     pixels = _Cells(
         1.0,
         tolerance,
-        np.tile(samples.x, height),
-        np.repeat(samples.y, width),
+        *CENTRES.samples(top, top + height, left, left + width).at(np.arange(height * width)),
         rough,
         (row * width + column)[inner],
         owner[inner],
@@ -143,16 +138,17 @@ class _Cells(NamedTuple):
     cell: Ints
     owner: Ints
 
-    def parts(self, index: Ints, per_side: int) -> tuple[Floats, Floats]:
-        """Centres of the parts of some cells, one cell's after the other's."""
-        shift = self.size * ((np.arange(per_side) + 0.5) / per_side - 0.5)
-        x = (self.x[index, None] + np.tile(shift, per_side)).ravel()
-        y = (self.y[index, None] + np.repeat(shift, per_side)).ravel()
-        return x, y
+    def places(self, index: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Points of some cells, one cell's after the other's; x and y from -1/2 to 1/2."""
+        return (
+            np.add.outer(self.x[index], self.size * x).ravel(),
+            np.add.outer(self.y[index], self.size * y).ravel(),
+        )
 
     def split(self, index: Ints) -> _Cells:
         """Quarters of some cells."""
-        x, y = self.parts(index, 2)
+        quarter = np.array([-0.25, 0.25])
+        x, y = self.places(index, np.tile(quarter, 2), np.repeat(quarter, 2))
         place = np.full(self.x.size, -1)
         place[index] = np.arange(index.size)
         cell = place[self.cell]
@@ -229,12 +225,12 @@ def _refine(
         several[more] = True
     rest = np.flatnonzero(several & wanted)
     at_once = depth <= _AT_ONCE
-    per_side = 2**depth + _MORE if at_once else 2
-    step = max(1, _CHUNK // per_side**2)
+    lattice = Lattice.of(depth)
+    step = max(1, _CHUNK // (lattice.size if at_once else 4))
     for begin in range(0, rest.size, step):
         part = rest[begin : begin + step]
         if at_once:
-            x, y = cells.parts(part, per_side)
+            x, y = cells.places(part, *lattice.points())
             # Along with the first of them the sides of shadows' edges.
             x, y = np.append(x, sides.x[beside]), np.append(y, sides.y[beside])
             radiance = _radiance(view, lighting, x, y)
@@ -248,7 +244,7 @@ def _refine(
             radiance = np.add(closer.radiance, bend, out=bend)
             every = np.ones(quarters.x.size, dtype=np.bool_)
             _refine(view, lighting, quarters, closer, radiance, depth - 1, every)
-        mean[:, part] = radiance.reshape(3, -1, per_side**2).mean(axis=2)
+        mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
     if beside.size:
         colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
     alone = np.flatnonzero(~several[single.cell])

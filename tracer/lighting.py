@@ -10,10 +10,11 @@ import numpy as np
 from tracer.arrays import Bools, Triple, dot, each, pick, rows, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
+from tracer.sampling import Samples
 from tracer.scene import Floats, Ints, Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, shadows_of
-from tracer.visibility import Group, Hits, Samples, View, visible
+from tracer.visibility import Group, Hits, View, visible
 
 __all__ = [
     "Gloss",
@@ -112,7 +113,7 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
         intensities,
         Lanes.of(intensities),
         np.column_stack(view.raster.local(positions)),
-        shadows_of(occluders_of(view, positions), view.raster.width * view.raster.height, split),
+        shadows_of(occluders_of(view, positions), view.raster, split),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
         Materials(surfaces.shaders),
     )

@@ -165,13 +165,13 @@ class Outlines(NamedTuple):
         count: Ints = np.cumsum(first - last)[:height]
         return count
 
-    def crossed(self) -> float:
-        """Roughly the share of the picture's pixels that outlines cross, hidden ones too."""
+    def crossed_twice(self) -> float:
+        """Roughly the share of pixels that two outlines cross, if these lay anywhere."""
         frames = self._frames()
         top, bottom = (np.clip(m, 0, self.raster.height) for m in (frames.top, frames.bottom))
         # As wide as they are high, more or less, and crossed on both sides.
-        total = 4 * np.maximum(bottom - top, 0).sum()
-        return float(total / (self.raster.width * self.raster.height))
+        share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
+        return float(share.sum() ** 2 - (share**2).sum())
 
     def _frames(self) -> Frames:
         """Those of all objects, spheres first."""

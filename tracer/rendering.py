@@ -16,14 +16,15 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from tracer.antialias import antialiased, dense, supersampled
+from tracer.antialias import antialiased, dense
 from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.outlines import outlines_of
+from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Floats, Scene
-from tracer.visibility import View, grid, view_of
+from tracer.visibility import View, view_of
 from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
@@ -186,14 +187,14 @@ class _Picture(NamedTuple):
     offset : (float, float)
     depth : int
         How often pixels are split, where they need it.
-    per_side : int
-        Samples along the sides of all pixels.
+    lattice : Lattice
+        The samples in all pixels.
     """
 
     scene: Scene
     offset: tuple[float, float]
     depth: int
-    per_side: int
+    lattice: Lattice
 
     @classmethod
     @_QUIET
@@ -205,16 +206,16 @@ class _Picture(NamedTuple):
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         offset = float(shift[0]), float(shift[1])
         depth = ((samples - 1).bit_length() + 1) // 2
-        everywhere = cls(scene, offset, 0, 2**depth)
-        if depth and not dense(outlines_of(everywhere.raster(), scene.surfaces, split=False)):
-            return cls(scene, offset, depth, 1)
-        return everywhere
+        centres = cls(scene, offset, depth, CENTRES)
+        if depth and dense(outlines_of(centres.raster(), scene.surfaces, split=False), depth):
+            return cls(scene, offset, 0, Lattice.of(depth))
+        return centres
 
     def raster(self) -> Raster:
         """The rays of the samples that are everywhere."""
-        scene, side = self.scene, self.per_side
-        offset = self.offset[0] * side, self.offset[1] * side
-        return raster_of(scene.camera, scene.width * side, scene.height * side, offset)
+        scene, (columns, rows) = self.scene, self.lattice
+        offset = self.offset[0] * columns, self.offset[1] * rows
+        return raster_of(scene.camera, scene.width * columns, scene.height * rows, offset)
 
     @_QUIET
     def shares(self, count: int) -> list[int]:
@@ -229,7 +230,7 @@ class _Picture(NamedTuple):
         """Roughly what it takes: some 10 ns for each of these."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        return scene.width * scene.height * self.per_side**2 * (1 + _SPLIT * self.depth) * each
+        return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * self.depth) * each
 
 
 class _Bands(NamedTuple):
@@ -253,7 +254,7 @@ class _Bands(NamedTuple):
         """Bands for so many processes; of so many pixels, if not of as many as is fast."""
         width, height = picture.scene.width, picture.scene.height
         # Few pixels are split, and those should be many at a time.
-        times = (_SPLIT_BANDS if picture.depth else 1) / picture.per_side**2
+        times = (_SPLIT_BANDS if picture.depth else 1) / picture.lattice.size
         at_once = max(1, int(band_pixels or _BAND_PIXELS * times))
         step = max(1, at_once // width)
         if processes > 1:
@@ -308,8 +309,11 @@ class _Renderer(NamedTuple):
         split = picture.depth > 0
         view = view_of(picture.raster(), picture.scene.surfaces, split)
         lighting = lighting_of(picture.scene, view, split)
-        side = picture.per_side
-        rows, columns = (slice(m.start // side, -(-m.stop // side)) for m in view.outlines.window())
+        sides = picture.lattice.rows, picture.lattice.columns
+        rows, columns = (
+            slice(m.start // side, -(-m.stop // side))
+            for m, side in zip(view.outlines.window(), sides, strict=True)
+        )
         return cls(bands, view, lighting, (rows, columns))
 
     def columns(self, number: int) -> slice:
@@ -335,10 +339,10 @@ class _Renderer(NamedTuple):
         if picture.depth:
             antialiased(view, lighting, top, bottom, left, right, picture.depth, out)
             return
-        side = picture.per_side
-        samples = grid(side * top, side * bottom, side * left, side * right)
-        if side > 1:
-            out[:] = supersampled(view, lighting, samples, side)
+        lattice = picture.lattice
+        samples = lattice.samples(top, bottom, left, right)
+        if lattice.size > 1:
+            out[:] = lattice.mean(radiance_at(view, lighting, samples), right - left)
         else:
             radiance_at(view, lighting, samples, out.reshape(-1, 3).T)
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Triple, columns, dot, each, entries, pick, put
+from tracer.camera import Raster
 from tracer.cells import InCells, in_cells
 from tracer.intersection import (
     ON,
@@ -226,8 +227,10 @@ class Shadows(NamedTuple):
         return SURFACE_TOLERANCE * (reach + occluders.size[other])
 
 
-def shadows_of(occluders: Occluders, pixels: int, split: bool) -> Shadows:
-    """Prepare for the shadows in so many pixels, which may be split."""
+def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
+    """Prepare for the shadows in a picture, whose pixels may be split."""
     pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
+    # What counts is how many neighbours a pixel has in its row.
+    pixels = raster.width * raster.height * raster.step_v / raster.step_u
     few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
     return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))

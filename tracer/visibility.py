@@ -12,9 +12,10 @@ from tracer.arrays import Bools, Index, Triple, dot, entries, pick, rows, runs, 
 from tracer.camera import Raster
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.outlines import Outlines, Spans, outlines_of
+from tracer.sampling import Samples
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Group", "Hits", "Samples", "View", "grid", "view_of", "visible"]
+__all__ = ["Group", "Hits", "View", "view_of", "visible"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
@@ -27,64 +28,6 @@ _GAP = 4.0
 
 # From so many samples on, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 16384
-
-
-class Samples(NamedTuple):
-    """Sample positions, row by row, in pixels from the picture's upper left corner.
-
-    Attributes
-    ----------
-    y : (rows,)
-        Ascending.
-    x : (n,) or (columns,)
-        Position along the row, ascending in each.
-    row : (n,), optional
-        Index into `y`, ascending; without it, every row holds all of `x`, a pixel apart.
-    """
-
-    y: Floats
-    x: Floats
-    row: Ints | None = None
-
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return self.x.size if self.row is not None else self.x.size * self.y.size
-
-    def of_columns(self, values: Floats) -> Floats:
-        """What belongs to positions along the row, for each sample."""
-        return values if self.row is not None else np.tile(values, self.y.size)
-
-    def at(self, index: Ints) -> tuple[Floats, Floats]:
-        """x and y of some samples."""
-        if self.row is not None:
-            return self.x[index], self.y[self.row[index]]
-        row, column = np.divmod(index, self.x.size)
-        return self.x[column], self.y[row]
-
-    def within(self, spans: Spans) -> tuple[Ints, Ints]:
-        """First sample in each span, and the number of samples there."""
-        if self.row is None:
-            columns = self.x.size
-            start = np.ceil(spans.left - self.x[0]).astype(np.intp)
-            stop = np.floor(spans.right - self.x[0]).astype(np.intp) + 1
-            np.clip(start, 0, columns, out=start)
-            np.clip(stop, 0, columns, out=stop)
-            return spans.row * columns + start, np.maximum(stop - start, 0)
-        # Rows one after the other on one axis, so far apart that no span reaches into the next.
-        ends = (self.x, spans.left, spans.right)
-        stride = 4 * (max(float(np.abs(end).max(initial=0)) for end in ends) + 2)
-        key = self.row * stride + self.x
-        start = np.searchsorted(key, spans.row * stride + spans.left)
-        stop = np.searchsorted(key, spans.row * stride + spans.right, side="right")
-        return start, np.maximum(stop - start, 0)
-
-
-def grid(top: int, bottom: int, left: int, right: int) -> Samples:
-    """The centres of a rectangle of pixels."""
-    y = np.arange(top, bottom, dtype=np.float64) + 0.5
-    x = np.arange(left, right, dtype=np.float64) + 0.5
-    return Samples(y, x)
 
 
 class View(NamedTuple):
@@ -223,7 +166,7 @@ def visible(view: View, samples: Samples, close: Bools | None = None, size: floa
     `close` (n,), if given, is set where a second surface lies so near behind
     the first that they may change places within `size` pixels.
     """
-    s = samples.of_columns(view.raster.across(samples.x))
+    s = samples.across(view.raster)
     groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         # Nothing can hide a lone object.

@@ -1,0 +1,73 @@
+"""Where samples lie."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from tracer.sampling import CENTRES, Lattice
+
+DEPTHS = range(1, 5)
+
+
+def test_the_centres() -> None:
+    samples = CENTRES.samples(2, 4, 5, 8)
+    x, y = samples.at(np.arange(samples.size))
+    assert x.tolist() == [5.5, 6.5, 7.5] * 2
+    assert y.tolist() == [2.5] * 3 + [3.5] * 3
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_a_lattice_is_a_turned_square_grid_across_all_pixels(depth: int) -> None:
+    lattice = Lattice.of(depth)
+    x, y = lattice.points()
+    assert x.size == lattice.size > 4**depth
+    place = np.stack([x, y], axis=1)
+    # To the same point of this pixel's neighbours, too.
+    apart = place[:, None] - place[None]
+    apart -= np.round(apart)
+    distance = np.sort(np.hypot(*np.moveaxis(apart, 2, 0)), axis=1)
+    nearest = distance[:, 1:5] * np.sqrt(lattice.size)
+    np.testing.assert_allclose(nearest, 1, rtol=1e-9)
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_points_of_a_lattice_lie_in_many_rows_and_columns(depth: int) -> None:
+    lattice = Lattice.of(depth)
+    for place in lattice.points():
+        _, many = np.unique(place.round(9), return_counts=True)
+        assert many.tolist() == [lattice.columns] * lattice.rows
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_a_quarter_turn_leaves_a_lattice_as_it_is(depth: int) -> None:
+    x, y = (place.round(9) + 0.0 for place in Lattice.of(depth).points())
+    assert {*zip(x, y, strict=True)} == {*zip(-y + 0.0, x, strict=True)}
+
+
+@pytest.mark.parametrize("depth", [0, *DEPTHS])
+def test_all_pixels_hold_the_same_points(depth: int) -> None:
+    lattice = Lattice.of(depth) if depth else CENTRES
+    samples = lattice.samples(3, 6, 2, 4)
+    x, y = samples.at(np.arange(samples.size))
+    x, y = x / lattice.columns, y / lattice.rows
+    own = sorted(zip(*(place + 0.5 for place in lattice.points()), strict=True))
+    for row, column in product(range(3, 6), range(2, 4)):
+        here = np.flatnonzero((np.floor(x) == column) & (np.floor(y) == row))
+        np.testing.assert_allclose(
+            sorted(zip(x[here] - column, y[here] - row, strict=True)), own, rtol=0, atol=1e-12
+        )
+
+
+def test_the_mean_is_that_of_each_pixel() -> None:
+    lattice = Lattice.of(2)
+    samples = lattice.samples(3, 6, 2, 4)
+    x, y = samples.at(np.arange(samples.size))
+    pixel = np.floor(x / lattice.columns) + 10 * np.floor(y / lattice.rows)
+    mean = lattice.mean(np.stack([pixel, 2 * pixel, np.ones_like(pixel)]), 2)
+    expected = np.add.outer(10 * np.arange(3, 6), np.arange(2, 4))
+    np.testing.assert_allclose(mean[..., 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(mean[..., 1], 2 * expected, rtol=1e-12)
+    np.testing.assert_allclose(mean[..., 2], 1, rtol=1e-12)
