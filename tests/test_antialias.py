@@ -112,6 +112,22 @@ def test_a_lamp_behind_a_plate() -> None:
     )
 
 
+def test_shadows_on_a_hollow_ball_that_is_there_twice() -> None:
+    # Points on one of the two are outside of the other as soon as that is a little smaller.
+    hollow = Sphere(center=(0, 0, 0), radius=6)
+    plate = Box(min_pt=(-0.7, -0.5, -2.5), max_pt=(0.4, 0.8, -2.4), shader=RED)
+    no_worse_than_the_uniform_grid(
+        Scene(
+            camera=Camera(view_point=(0, 0, 4)),
+            width=36,
+            height=36,
+            lights=[PointLight(position=(2, 1.5, 1))],
+            surfaces=[hollow, hollow, plate],
+        ),
+        2,
+    )
+
+
 def low_over(*surfaces: Sphere | Box, height: float, light: tuple[float, float, float]) -> Scene:
     """The eye so high over the origin's level, and looking a little down."""
     camera = Camera(

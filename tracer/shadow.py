@@ -84,7 +84,8 @@ class Shadows(NamedTuple):
             p = hits.points(point)
             pairs = pairs_of_points(self.occluders, own, p, point, light, other, footprint)
             does = self._blocks(hits, pairs, point, light, other)
-            must = self._blocks(hits, pairs, point, light, other, -reach)
+            # A point on a hollow sphere is outside of one that is smaller: that says nothing.
+            must = does & self._blocks(hits, pairs, point, light, other, -reach)
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
             edge = (does_larger[may] | does) & ~must & entries(facing, light, point)
