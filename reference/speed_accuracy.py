@@ -296,7 +296,7 @@ class Lead:
     """Seconds to the same error, for this tracer and for the fastest of its rivals.
 
     Rivals take any number of samples, so they reach it between two points of their curves; this
-    tracer takes powers of four, and has to render the next picture that is as good.
+    tracer has to render the next picture of its curve that is as good.
     """
 
     level: float

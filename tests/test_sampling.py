@@ -9,7 +9,7 @@ import pytest
 
 from tracer.sampling import CENTRES, Lattice
 
-DEPTHS = range(1, 5)
+SIDES = range(2, 17)
 
 
 def test_the_centres() -> None:
@@ -19,11 +19,11 @@ def test_the_centres() -> None:
     assert y.tolist() == [2.5] * 3 + [3.5] * 3
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_lattice_is_a_turned_square_grid_across_all_pixels(depth: int) -> None:
-    lattice = Lattice.of(depth)
+@pytest.mark.parametrize("per_side", SIDES)
+def test_a_lattice_is_a_turned_square_grid_across_all_pixels(per_side: int) -> None:
+    lattice = Lattice.of(per_side)
     x, y = lattice.points()
-    assert x.size == lattice.size > 4**depth
+    assert x.size == lattice.size > per_side**2
     place = np.stack([x, y], axis=1)
     # To the same point of this pixel's neighbours, too.
     apart = place[:, None] - place[None]
@@ -33,23 +33,23 @@ def test_a_lattice_is_a_turned_square_grid_across_all_pixels(depth: int) -> None
     np.testing.assert_allclose(nearest, 1, rtol=1e-9)
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_points_of_a_lattice_lie_in_many_rows_and_columns(depth: int) -> None:
-    lattice = Lattice.of(depth)
+@pytest.mark.parametrize("per_side", SIDES)
+def test_points_of_a_lattice_lie_in_many_rows_and_columns(per_side: int) -> None:
+    lattice = Lattice.of(per_side)
     for place in lattice.points():
         _, many = np.unique(place.round(9), return_counts=True)
         assert many.tolist() == [lattice.columns] * lattice.rows
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_quarter_turn_leaves_a_lattice_as_it_is(depth: int) -> None:
-    x, y = (place.round(9) + 0.0 for place in Lattice.of(depth).points())
+@pytest.mark.parametrize("per_side", SIDES)
+def test_a_quarter_turn_leaves_a_lattice_as_it_is(per_side: int) -> None:
+    x, y = (place.round(9) + 0.0 for place in Lattice.of(per_side).points())
     assert {*zip(x, y, strict=True)} == {*zip(-y + 0.0, x, strict=True)}
 
 
-@pytest.mark.parametrize("depth", [0, *DEPTHS])
-def test_all_pixels_hold_the_same_points(depth: int) -> None:
-    lattice = Lattice.of(depth) if depth else CENTRES
+@pytest.mark.parametrize("per_side", [1, *SIDES])
+def test_all_pixels_hold_the_same_points(per_side: int) -> None:
+    lattice = Lattice.of(per_side) if per_side > 1 else CENTRES
     samples = lattice.samples(3, 6, 2, 4)
     x, y = samples.at(np.arange(samples.size))
     x, y = x / lattice.columns, y / lattice.rows
@@ -62,7 +62,7 @@ def test_all_pixels_hold_the_same_points(depth: int) -> None:
 
 
 def test_the_mean_is_that_of_each_pixel() -> None:
-    lattice = Lattice.of(2)
+    lattice = Lattice.of(4)
     samples = lattice.samples(3, 6, 2, 4)
     x, y = samples.at(np.arange(samples.size))
     pixel = np.floor(x / lattice.columns) + 10 * np.floor(y / lattice.rows)

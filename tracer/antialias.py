@@ -36,8 +36,9 @@ _STRIP = 3 << 15
 # err less with the power 3/2 of the samples along each side.
 _CURVATURE = 1e-2
 
-# The last splittings are done at once, as looks would cost more than the samples they save.
-_AT_ONCE = 2
+# Cells that stand for so many samples along each side are not split any more: looks would cost
+# more than the samples they save.
+_AT_ONCE = 4
 
 # Light on a sphere changes like the root of the distance from its limb.  The mean of roots from 0
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
@@ -51,12 +52,12 @@ _DENSE = 0.0022
 _ROWS = 16
 
 
-def dense(outlines: Outlines, depth: int) -> bool:
+def dense(outlines: Outlines, per_side: int) -> bool:
     """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
-    At least as accurate as 2^depth x 2^depth samples in every pixel.
+    At least as accurate as per_side x per_side samples in every pixel.
     """
-    return outlines.crossed_twice() > _DENSE * (1 << depth)
+    return outlines.crossed_twice() > _DENSE * per_side
 
 
 def antialiased(
@@ -66,16 +67,16 @@ def antialiased(
     bottom: int,
     left: int,
     right: int,
-    depth: int,
+    per_side: int,
     out: Floats,
 ) -> None:
     """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
-    At least as accurate as 2^depth x 2^depth samples in every pixel.
+    At least as accurate as per_side x per_side samples in every pixel.
     """
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = top - 1, bottom + 2 - top
-    spans = _spans(view.outlines, top, height, depth)
+    spans = _spans(view.outlines, top, height, per_side)
     if not spans.owner.size:
         return
     # Nothing is seen to the left and to the right of all objects.
@@ -86,7 +87,7 @@ def antialiased(
     out = out[:, start - left : right - left]
     left, width = start - 1, right + 2 - start
     # The finer the grid that is asked for, the less a sample may be off.
-    tolerance = _CURVATURE / 2 ** (1.5 * depth)
+    tolerance = _CURVATURE / per_side**1.5
     seen = _Seen.of(height * width)
     # As much at a time as the processor's cache holds.
     step = max(1, _STRIP // width)
@@ -97,7 +98,7 @@ def antialiased(
         _look(view, lighting, strip, 1.0, tolerance, seen, places)
     curvature, rough = _curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, curvature, out=curvature)
-    row, column, owner = _crossed(spans, left, height, width, depth)
+    row, column, owner = _crossed(spans, left, height, width, per_side)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = _Cells(
         1.0,
@@ -109,7 +110,7 @@ def antialiased(
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    _refine(view, lighting, pixels, seen, mean, depth, inside.ravel())
+    _refine(view, lighting, pixels, seen, mean, per_side, inside.ravel())
     out[:] = np.moveaxis(mean.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
@@ -195,14 +196,14 @@ def _refine(
     cells: _Cells,
     seen: _Seen,
     mean: Floats,
-    depth: int,
+    per_side: int,
     wanted: Bools,
 ) -> None:
     """Put mean radiance (3, n) in the place of that of cells that hold more than a smooth surface.
 
     `seen` is what their centres see.
     """
-    lines = joined([*_outlines(view, cells, seen.several, depth), *seen.lines])
+    lines = joined([*_outlines(view, cells, seen.several, per_side), *seen.lines])
     # The first line of each cell, and whether it is the only one.
     lines = lines.take(np.argsort(lines.cell, kind="stable"))
     first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
@@ -224,8 +225,8 @@ def _refine(
         colors[:, beyond], more = _beyond(view, lighting, cells, single, sides, beyond)
         several[more] = True
     rest = np.flatnonzero(several & wanted)
-    at_once = depth <= _AT_ONCE
-    lattice = Lattice.of(depth)
+    at_once = per_side <= _AT_ONCE
+    lattice = Lattice.of(per_side)
     step = max(1, _CHUNK // (lattice.size if at_once else 4))
     for begin in range(0, rest.size, step):
         part = rest[begin : begin + step]
@@ -243,7 +244,7 @@ def _refine(
             quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
             radiance = np.add(closer.radiance, bend, out=bend)
             every = np.ones(quarters.x.size, dtype=np.bool_)
-            _refine(view, lighting, quarters, closer, radiance, depth - 1, every)
+            _refine(view, lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
     if beside.size:
         colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
@@ -327,7 +328,7 @@ def _look(
             seen.lines.extend(surface.terminators(here, number, at, seen.several))
 
 
-def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator[Lines]:
+def _outlines(view: View, cells: _Cells, several: Bools, per_side: int) -> Iterator[Lines]:
     """Outlines across cells; marks `several` where they are not straight enough."""
     if not cells.cell.size:
         return
@@ -346,7 +347,7 @@ def _outlines(view: View, cells: _Cells, several: Bools, depth: int) -> Iterator
     ball = cells.owner[at]
     discs, turn, near = pencil.take(at).discs(pick(lines.center, ball), lines.radius[ball])
     # Within a limb light is not even: that is for the smallest cells.
-    odd = turn > (BEND if depth <= _AT_ONCE else 0)
+    odd = turn > (BEND if per_side <= _AT_ONCE else 0)
     several[discs.cell[odd & near]] = True
     yield discs.crossing()
     at = np.flatnonzero(cells.owner >= spheres)
@@ -411,9 +412,8 @@ def _bend(radiance: Floats, key: Ints, quarters: _Seen) -> tuple[Floats, Floats]
     return np.repeat(bend, 4, axis=1), np.repeat(rough, 4)
 
 
-def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:
+def _spans(lines: Outlines, top: int, height: int, per_side: int) -> Spans:
     """Spans of all objects, spheres first, in rows of samples from one above to one below."""
-    per_side = 2**depth
     y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
     spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
     boxes = boxes._replace(owner=boxes.owner + len(lines.radius))
@@ -421,7 +421,7 @@ def _spans(lines: Outlines, top: int, height: int, depth: int) -> Spans:
 
 
 def _crossed(
-    spans: Spans, left: int, height: int, width: int, depth: int
+    spans: Spans, left: int, height: int, width: int, per_side: int
 ) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: pixels that an outline may cross.
 
@@ -429,7 +429,6 @@ def _crossed(
     an object begins (or ends) in a pixel's rows and the next ones its outline
     crosses; one that misses some of them crosses wherever it is.
     """
-    per_side = 2**depth
     owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
     # The first row of a pixel is that below the pixel above, too.
     above, below = (np.flatnonzero(line % per_side == k) for k in (0, per_side - 1))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from math import inf
+from math import inf, isqrt
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -185,31 +185,38 @@ class _Picture(NamedTuple):
     ----------
     scene : Scene
     offset : (float, float)
-    depth : int
-        How often pixels are split, where they need it.
     lattice : Lattice
         The samples in all pixels.
+    per_side : int
+        Samples along each side that pixels are split for, where they need it; or 1.
     """
 
     scene: Scene
     offset: tuple[float, float]
-    depth: int
     lattice: Lattice
+    per_side: int
 
     @classmethod
     @_QUIET
     def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
-        """The least power of four that is as many samples: everywhere, or by splitting."""
+        """At least as good as so many samples: everywhere, or by splitting."""
         samples = _at_least_one(samples, "samples")
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         offset = float(shift[0]), float(shift[1])
-        depth = ((samples - 1).bit_length() + 1) // 2
-        centres = cls(scene, offset, depth, CENTRES)
-        if depth and dense(outlines_of(centres.raster(), scene.surfaces, split=False), depth):
-            return cls(scene, offset, 0, Lattice.of(depth))
+        per_side = isqrt(samples - 1) + 1
+        centres = cls(scene, offset, CENTRES, per_side)
+        if per_side > 1:
+            outlines = outlines_of(centres.raster(), scene.surfaces, split=False)
+            if dense(outlines, per_side):
+                return cls(scene, offset, Lattice.of(per_side), 1)
         return centres
+
+    @property
+    def split(self) -> bool:
+        """Whether pixels are split."""
+        return self.per_side > 1
 
     def raster(self) -> Raster:
         """The rays of the samples that are everywhere."""
@@ -230,7 +237,8 @@ class _Picture(NamedTuple):
         """Roughly what it takes: some 10 ns for each of these."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * self.depth) * each
+        often = (self.per_side - 1).bit_length()
+        return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * often) * each
 
 
 class _Bands(NamedTuple):
@@ -254,7 +262,7 @@ class _Bands(NamedTuple):
         """Bands for so many processes; of so many pixels, if not of as many as is fast."""
         width, height = picture.scene.width, picture.scene.height
         # Few pixels are split, and those should be many at a time.
-        times = (_SPLIT_BANDS if picture.depth else 1) / picture.lattice.size
+        times = (_SPLIT_BANDS if picture.split else 1) / picture.lattice.size
         at_once = max(1, int(band_pixels or _BAND_PIXELS * times))
         step = max(1, at_once // width)
         if processes > 1:
@@ -263,7 +271,7 @@ class _Bands(NamedTuple):
             count = max(processes, min(4 * processes, int(width * height / least)))
             step = min(step, -(-height // count))
         tops = [*range(0, height, step), height]
-        if picture.depth and 1 < processes == len(tops) - 1:
+        if picture.split and 1 < processes == len(tops) - 1:
             # One for each: with as many outlines, not as many rows.
             tops = picture.shares(processes)
         return cls(picture, tops, at_once)
@@ -306,9 +314,8 @@ class _Renderer(NamedTuple):
         """Prepare a scene."""
         keep_heap()
         picture = bands.picture
-        split = picture.depth > 0
-        view = view_of(picture.raster(), picture.scene.surfaces, split)
-        lighting = lighting_of(picture.scene, view, split)
+        view = view_of(picture.raster(), picture.scene.surfaces, picture.split)
+        lighting = lighting_of(picture.scene, view, picture.split)
         sides = picture.lattice.rows, picture.lattice.columns
         rows, columns = (
             slice(m.start // side, -(-m.stop // side))
@@ -336,8 +343,8 @@ class _Renderer(NamedTuple):
     def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
         view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
         picture = self.bands.picture
-        if picture.depth:
-            antialiased(view, lighting, top, bottom, left, right, picture.depth, out)
+        if picture.split:
+            antialiased(view, lighting, top, bottom, left, right, picture.per_side, out)
             return
         lattice = picture.lattice
         samples = lattice.samples(top, bottom, left, right)

@@ -91,13 +91,13 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def of(cls, depth: int) -> Lattice:
-        """One that errs less than a grid of 2^depth x 2^depth points in rows and columns.
+    def of(cls, per_side: int) -> Lattice:
+        """One that errs less than a grid of per_side x per_side points in rows and columns.
 
         The mean error is smaller with a quarter more points than these, the largest one by
         chance: hence another five across and down.
         """
-        columns = 2**depth // 2 + 1
+        columns = (per_side + 1) // 2 + 1
         return cls(columns, 5 * columns)
 
     @property
