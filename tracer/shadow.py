@@ -9,6 +9,7 @@ exact test.
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -231,7 +232,7 @@ class Shadows(NamedTuple):
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
     """Prepare for the shadows in a picture, whose pixels may be split."""
     pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
-    # What counts is how many neighbours a pixel has in its row.
-    pixels = raster.width * raster.height * raster.step_v / raster.step_u
+    # Neighbours in a row make stretches; more rows of as many make only more of them.
+    pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
     return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))
