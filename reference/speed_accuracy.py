@@ -45,6 +45,8 @@ Curve: TypeAlias = tuple[str, bool]
 """A method, and whether its whole process is timed, or rendering alone."""
 
 _OURS = "this tracer"
+# The same with 9, 36, 144, ... samples a pixel: all others have powers of four.
+_BETWEEN = "this tracer, between"
 _SCALAR = "Mitsuba scalar"
 _POVRAY = "POV-Ray adaptive"
 _SAMPLERS = ("independent", "stratified", "multijitter")
@@ -178,6 +180,7 @@ def _rendering_tasks(scene: Scene, k: int) -> dict[Curve, Task]:
     """Rendering alone, with 4^k samples a pixel."""
     ours = {
         _OURS: partial(render, samples=4**k),
+        _BETWEEN: partial(render, samples=9 * 4**k),
         "uniform grid": partial(supersampled, side=2**k),
         "float32, all pairs": partial(_all_pairs, side=2**k),
     }
@@ -200,6 +203,7 @@ def _process_tasks(scene: Scene, k: int) -> dict[Curve, Task]:
     theirs.write_text(rivals.mitsuba_text(scene, 4**k, ["multijitter"]))
     return {
         (_OURS, True): process(rivals.tracer_command(ours, png, 4**k)),
+        (_BETWEEN, True): process(rivals.tracer_command(ours, png, 9 * 4**k)),
         (_LLVM["multijitter"], True): process(rivals.mitsuba_command(theirs, png)),
     }
 
@@ -280,7 +284,8 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             timings |= scalar[k]
         for (method, whole), timing in timings.items():
             if method in errors:
-                yield Point(name, method, 4**k, whole, errors[method], timing)
+                shown, times = (_OURS, 9) if method == _BETWEEN else (method, 1)
+                yield Point(name, shown, times * 4**k, whole, errors[method], timing)
 
 
 def _side(quick: bool) -> int:
@@ -296,7 +301,7 @@ class Lead:
     """Seconds to the same error, for this tracer and for the fastest of its rivals.
 
     Rivals take any number of samples, so they reach it between two points of their curves; this
-    tracer has to render the next picture of its curve that is as good.
+    tracer takes squares, and has to render the next picture of its curve that is as good.
     """
 
     level: float
@@ -324,7 +329,7 @@ class Lead:
 
 def _curves(points: Sequence[Point]) -> dict[str, list[Point]]:
     curves: dict[str, list[Point]] = defaultdict(list)
-    for point in points:
+    for point in sorted(points, key=lambda point: point.samples):
         curves[point.method].append(point)
     return curves
 
@@ -366,7 +371,7 @@ def _title(leads: dict[bool, list[Lead]], others: str) -> str:
 
 # Inches: what surrounds the panels, and the panels, rendering alone and whole processes.
 _WIDTH, _LEFT, _NAMES, _GAP = 13.0, 0.85, 1.55, 0.3
-_TOP, _ROW, _TITLE, _BOTTOM = 2.3, 2.2, 0.65, 0.6
+_TOP, _ROW, _TITLE, _BOTTOM = 2.55, 2.2, 0.65, 0.6
 _WIDE = (5.2, 3.4)
 
 
@@ -407,7 +412,8 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
         _title(leads, others),
         "Time against error: the root mean square, in linear radiance, from a picture of"
         f" {truth:,} samples a pixel.  Lower left is better.\n"
-        "Points: 1, 4, 16, ... samples a pixel, or POV-Ray's thresholds.  Arrows: from the fastest"
+        "Points: 1, 4, 16, ... samples a pixel (9, 36, ... too for this tracer), or POV-Ray's"
+        " thresholds.\nArrows: from the fastest"
         f" of {others} to this tracer, near the error of an 8-bit picture.",
     )
     return figure
