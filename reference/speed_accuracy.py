@@ -45,7 +45,7 @@ Curve: TypeAlias = tuple[str, bool]
 """A method, and whether its whole process is timed, or rendering alone."""
 
 _OURS = "this tracer"
-# The same with 9, 36, 144, ... samples a pixel: all others have powers of four.
+# The same with 9, 36, 144, ... samples a pixel: the others have powers of four.
 _BETWEEN = "this tracer, between"
 _SCALAR = "Mitsuba scalar"
 _POVRAY = "POV-Ray adaptive"
@@ -331,7 +331,11 @@ def _curves(points: Sequence[Point]) -> dict[str, list[Point]]:
     curves: dict[str, list[Point]] = defaultdict(list)
     for point in sorted(points, key=lambda point: point.samples):
         curves[point.method].append(point)
-    return curves
+    # Two numbers of samples that make the same picture are one point.
+    return {
+        method: [*{point.error: point for point in curve}.values()]
+        for method, curve in curves.items()
+    }
 
 
 def _least(curve: Sequence[Point]) -> float:

@@ -72,7 +72,7 @@ def antialiased(
 ) -> None:
     """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
-    At least as accurate as per_side x per_side samples in every pixel.
+    At least as accurate as per_side x per_side samples in every pixel; that is a power of two.
     """
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = top - 1, bottom + 2 - top
@@ -244,7 +244,7 @@ def _refine(
             quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
             radiance = np.add(closer.radiance, bend, out=bend)
             every = np.ones(quarters.x.size, dtype=np.bool_)
-            _refine(view, lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
+            _refine(view, lighting, quarters, closer, radiance, per_side // 2, every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
     if beside.size:
         colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
