@@ -94,8 +94,8 @@ class Lattice(NamedTuple):
     def of(cls, per_side: int) -> Lattice:
         """One that errs less than a grid of per_side x per_side points in rows and columns.
 
-        The mean error is smaller with a quarter more points than these, the largest one by
-        chance: hence another five across and down.
+        A quarter more points than these do for the mean error; the largest is a matter of chance,
+        hence one lattice of five more across and down.
         """
         columns = (per_side + 1) // 2 + 1
         return cls(columns, 5 * columns)
