@@ -55,7 +55,7 @@ _ROWS = 16
 def dense(outlines: Outlines, per_side: int) -> bool:
     """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
-    At least as accurate as per_side x per_side samples in every pixel.
+    Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
     return outlines.crossed_twice() > _DENSE * per_side
 
@@ -103,7 +103,7 @@ def antialiased(
     pixels = _Cells(
         1.0,
         tolerance,
-        *CENTRES.samples(top, top + height, left, left + width).at(np.arange(height * width)),
+        *CENTRES.samples(top, top + height, left, left + width).positions(),
         rough,
         (row * width + column)[inner],
         owner[inner],

@@ -43,6 +43,12 @@ class Samples(NamedTuple):
         s = raster.across(self.x)
         return s if self.row is not None else np.add.outer(self.shift * raster.step_u, s).ravel()
 
+    def positions(self) -> tuple[Floats, Floats]:
+        """x and y of all samples."""
+        if self.row is not None:
+            return self.x, self.y[self.row]
+        return np.add.outer(self.shift, self.x).ravel(), np.repeat(self.y, self.x.size)
+
     def at(self, index: Ints) -> tuple[Floats, Floats]:
         """x and y of some samples."""
         if self.row is not None:
