@@ -39,7 +39,6 @@ class Lighting(NamedTuple):
     Attributes
     ----------
     positions, intensities : (lights, 3)
-    lanes : Lanes
     local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
     shadows : Shadows
@@ -50,32 +49,10 @@ class Lighting(NamedTuple):
 
     positions: Floats
     intensities: Floats
-    lanes: Lanes
     local: Floats
     shadows: Shadows
     shader: Ints
     materials: Materials
-
-
-class Lanes(NamedTuple):
-    """The distinct channels of lights: grey ones have but one.
-
-    Attributes
-    ----------
-    intensities : (lanes, lights)
-    channels
-        The lanes of red, green and blue.
-    """
-
-    intensities: list[tuple[float, ...]]
-    channels: list[int]
-
-    @classmethod
-    def of(cls, intensities: Floats) -> Lanes:
-        """Compare the channels of intensities (lights, 3)."""
-        channels = [tuple(channel) for channel in intensities.T.tolist()]
-        lanes = list(dict.fromkeys(channels))
-        return cls(lanes, [lanes.index(channel) for channel in channels])
 
 
 class Incoming(NamedTuple):
@@ -107,11 +84,9 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     """Prepare a scene's lights, for pixels that may be split."""
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
-    intensities = np.array([light.intensity for light in lights]).reshape(-1, 3)
     return Lighting(
         positions,
-        intensities,
-        Lanes.of(intensities),
+        np.array([light.intensity for light in lights]).reshape(-1, 3),
         np.column_stack(view.raster.local(positions)),
         shadows_of(occluders_of(view, positions), view.raster, split),
         np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
@@ -150,28 +125,31 @@ def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
     """
     lighting, group = gloss.lighting, gloss.group
     # Light that falls on the points, and its highlights: what shaders make of it comes last.
-    count, lanes = group.sample.size, lighting.lanes
-    fallen, mirrored = _Sum(count, lanes), _Sum(count, lanes)
-    for number, reached in enumerate(lit):
+    fallen: list[Floats] = []
+    mirrored: list[Floats] = []
+    for number, (intensity, reached) in enumerate(
+        zip(lighting.intensities.tolist(), lit, strict=True)
+    ):
         if not reached.any():
             continue
         length = np.sqrt(light.length2[number])
         cosine = light.falls[number] / length
         if not reached.all():
             cosine = np.where(reached, cosine, 0.0)
-        fallen.add(number, cosine)
+        _add(fallen, intensity, cosine)
         if gloss.any:
             at = where(reached & gloss.glossy)
             power = gloss.highlight(number, at, cosine[at], length[at], light.along[number][at])
             if not isinstance(at, slice):
-                everywhere = np.zeros(count)
+                everywhere = np.zeros(cosine.size)
                 everywhere[at] = power
                 power = everywhere
-            mirrored.add(number, power)
+            _add(mirrored, intensity, power)
     materials, shader = lighting.materials, lighting.shader[group.owner]
-    radiance = fallen.times(materials.diffuse[:, shader], group)
+    radiance = _returned(fallen, materials.diffuse[:, shader], group)
     if gloss.any:
-        radiance = each(np.add, radiance, mirrored.times(materials.specular[:, shader], group))
+        highlights = _returned(mirrored, materials.specular[:, shader], group)
+        radiance = each(np.add, radiance, highlights)
     return radiance
 
 
@@ -283,32 +261,19 @@ def radiance_at(
     return radiance
 
 
-class _Sum:
-    """Light of several sources, in three channels; those that are always equal are one lane."""
+def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
+    """Add the light of one more source, as seen by each point (n,), to three channels."""
+    if not total:
+        total.extend(strength * weight for strength in intensity)
+        return
+    for channel, strength in zip(total, intensity, strict=True):
+        channel += strength * weight
 
-    __slots__ = ("count", "lanes", "totals")
 
-    def __init__(self, count: int, lanes: Lanes) -> None:
-        self.count = count
-        self.lanes = lanes
-        self.totals: list[Floats] = []
-
-    def add(self, number: int, weight: Floats) -> None:
-        """The light of one more source, as seen by each point (n,)."""
-        more = [intensity[number] * weight for intensity in self.lanes.intensities]
-        if not self.totals:
-            self.totals = more
-        else:
-            for total, lane in zip(self.totals, more, strict=True):
-                total += lane
-
-    def times(self, colors: Floats, group: Group) -> Triple:
-        """The light that surfaces return, of colours (3,) or (3, spans)."""
-        if not self.totals:
-            nothing = np.zeros(self.count)
-            return nothing, nothing, nothing
-        r, g, b = (
-            self.totals[lane] * group.spread(color)
-            for lane, color in zip(self.lanes.channels, colors, strict=True)
-        )
-        return r, g, b
+def _returned(total: list[Floats], colors: Floats, group: Group) -> Triple:
+    """The light, if there is any, that surfaces return, of colours (3,) or (3, spans)."""
+    if not total:
+        nothing = np.zeros(group.sample.size)
+        return nothing, nothing, nothing
+    r, g, b = (light * group.spread(color) for light, color in zip(total, colors, strict=True))
+    return r, g, b
