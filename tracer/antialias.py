@@ -38,7 +38,7 @@ _CURVATURE = 1e-2
 
 # Cells that stand for so many samples along each side are not split any more: looks would cost
 # more than the samples they save.
-_AT_ONCE = 4
+_AT_ONCE = 2
 
 # Light on a sphere changes like the root of the distance from its limb.  The mean of roots from 0
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
