@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from random_scenes import KINDS, random_scene
 
+from reference.workloads import crowd
 from tracer import (
     Box,
     Camera,
@@ -22,12 +23,14 @@ from tracer import (
     antialias,
     load_scene,
     render,
+    shadow,
 )
 from tracer.arrays import Bools
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
 from tracer.scene import Floats
 from tracer.shadow import Shadows
+from tracer.surroundings import InSurroundings
 from tracer.visibility import Hits
 
 SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))
@@ -230,8 +233,33 @@ def test_what_is_looked_at_is_as_dark_as_what_is_not(
     assert looks
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, blocked = 0, Shadows.blocked
+
+    def compared(self: Shadows, hits: Hits, facing: Bools) -> Bools:
+        nonlocal known
+        found = blocked(self, hits, facing)
+        if isinstance(self.finder, InSurroundings):
+            known += hits.own.size
+            afresh = blocked(self._replace(finder=self.finder.finder), hits, facing)
+            assert np.array_equal(found[facing], afresh[facing])
+        return found
+
+    monkeypatch.setattr(Shadows, "blocked", compared)
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    # Cells for all shadows: stretches remember nothing.
+    monkeypatch.setattr(shadow, "_FEW", -1)
+    monkeypatch.setattr(shadow, "_MOST", -1)
+    for seed in range(6):
+        render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
+    assert known
+
+
 def test_pictures_full_of_outlines_are_lattices() -> None:
-    scene = small(SCENES[0].parent / "many-objects.xml")
+    scene = crowd(3000, width=96, height=54)
     offsets = zip(*Lattice.of(4).points(), strict=True)
     mean = np.mean([render(scene, offset=offset, threads=1) for offset in offsets], axis=0)
     assert np.abs(render(scene, samples=16) - mean).max() <= 1e-12

@@ -10,18 +10,20 @@ asked for.  Pictures that are full of edges are such lattices everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from tracer.arrays import Bools, each, expand, pick
 from tracer.boundaries import Surface, footprint_of
+from tracer.cells import InCells
 from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
 from tracer.outlines import Outlines, Spans
 from tracer.sampling import CENTRES, Lattice, Samples
 from tracer.scene import Floats, Ints
+from tracer.surroundings import InSurroundings, Look
 from tracer.visibility import View, visible
 
 __all__ = ["antialiased", "dense"]
@@ -44,9 +46,9 @@ _AT_ONCE = 2
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
 _ROOT = 1 / 9
 
-# Where two outlines cross a larger share of the pixels than so much times the power 3/2 of the
-# samples along a pixel's side, as which they err less, samples everywhere do for less than looks.
-_DENSE = 0.009
+# Where two outlines cross a larger share of the pixels, for each of the samples in one, samples
+# everywhere do for less than looks.
+_DENSE = 0.0055
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
 _ROWS = 16
@@ -57,7 +59,7 @@ def dense(outlines: Outlines, per_side: int) -> bool:
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return outlines.crossed_twice() > _DENSE * per_side**1.5
+    return outlines.crossed_twice() > _DENSE * per_side**2
 
 
 def antialiased(
@@ -112,6 +114,10 @@ def antialiased(
     inside[1:-1, 1:-1] = True
     _refine(view, lighting, pixels, seen, mean, per_side, inside.ravel())
     out[:] = np.moveaxis(mean.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
+
+
+_Lights: TypeAlias = Callable[[Ints], Lighting]
+"""The lights as they are known of samples, given the cell of each."""
 
 
 class _Cells(NamedTuple):
@@ -171,6 +177,10 @@ class _Seen(NamedTuple):
         -1 where nothing is seen.
     lines : list of Lines
         Ridges and shadows near each sample, c being zero at the sample.
+    looks : list of Look
+        What keeps lights from what is seen.
+    place : (n,)
+        Of what each sample sees among the points of all looks; -1 where that is nothing.
     several : (n,)
         Whether there may be more than straight lines.
     wide : (n,)
@@ -180,6 +190,8 @@ class _Seen(NamedTuple):
     radiance: Floats
     key: Ints
     lines: list[Lines]
+    looks: list[Look]
+    place: Ints
     several: Bools
     wide: Bools
 
@@ -187,7 +199,8 @@ class _Seen(NamedTuple):
     def of(cls, count: int) -> _Seen:
         """Nothing so far, of so many samples."""
         none = np.zeros((2, count), dtype=np.bool_)
-        return cls(np.zeros((3, count)), np.full(count, -1), [], *none)
+        key, place = np.full((2, count), -1)
+        return cls(np.zeros((3, count)), key, [], [], place, *none)
 
 
 def _refine(
@@ -225,6 +238,7 @@ def _refine(
         colors[:, beyond], more = _beyond(view, lighting, cells, single, sides, beyond)
         several[more] = True
     rest = np.flatnonzero(several & wanted)
+    lights = _known(lighting, seen, np.append(rest, single.cell))
     at_once = per_side <= _AT_ONCE
     lattice = Lattice.of(per_side)
     step = max(1, _CHUNK // (lattice.size if at_once else 4))
@@ -234,12 +248,16 @@ def _refine(
             x, y = cells.places(part, *lattice.points())
             # Along with the first of them the sides of shadows' edges.
             x, y = np.append(x, sides.x[beside]), np.append(y, sides.y[beside])
-            radiance = _radiance(view, lighting, x, y)
+            inside = np.append(np.repeat(part, lattice.size), sides.cell[beside])
+            radiance = _radiance(view, lights, x, y, inside)
             radiance, colors[:, beside] = np.split(radiance, [x.size - beside.size], axis=1)
             beside = beside[:0]
         else:
             quarters = cells.split(part)
-            closer = _looked(view, lighting, quarters.x, quarters.y, quarters.size, cells.tolerance)
+            inside = np.repeat(part, 4)
+            closer = _looked(
+                view, lights, quarters.x, quarters.y, inside, quarters.size, cells.tolerance
+            )
             bend, rough = _bend(seen.radiance[:, part], seen.key[part], closer)
             quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
             radiance = np.add(closer.radiance, bend, out=bend)
@@ -247,7 +265,8 @@ def _refine(
             _refine(view, lighting, quarters, closer, radiance, per_side // 2, every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
     if beside.size:
-        colors[:, beside] = _radiance(view, lighting, sides.x[beside], sides.y[beside])
+        x, y, inside = sides.x[beside], sides.y[beside], sides.cell[beside]
+        colors[:, beside] = _radiance(view, lights, x, y, inside)
     alone = np.flatnonzero(~several[single.cell])
     mean[:, single.cell[alone]] = sides.mean(colors)[:, alone]
 
@@ -260,21 +279,47 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
     return Samples(y[new], x[order], np.cumsum(new) - 1), order
 
 
-def _radiance(view: View, lighting: Lighting, x: Floats, y: Floats) -> Floats:
-    """Radiance (3, n) at positions in any order."""
+def _known(lighting: Lighting, seen: _Seen, some: Ints) -> _Lights:
+    """What looks at some cells have found is known of all samples in them."""
+    finder = lighting.shadows.finder
+    if not isinstance(finder, InCells):
+        # Stretches take neighbours together, which would be taken apart.
+        return lambda _: lighting
+    known = InSurroundings.of(finder, seen.looks, seen.place[some])
+    near = np.empty(seen.place.size, dtype=np.intp)
+    near[some] = np.arange(some.size)
+
+    def lights(cell: Ints) -> Lighting:
+        shadows = lighting.shadows._replace(finder=known._replace(near=near[cell]))
+        return lighting._replace(shadows=shadows)
+
+    return lights
+
+
+def _radiance(view: View, lights: _Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
+    """Radiance (3, n) at positions in any order, each in a cell."""
     samples, order = _sorted(x, y)
     radiance = np.empty((3, order.size))
-    radiance[:, order] = radiance_at(view, lighting, samples)
+    radiance[:, order] = radiance_at(view, lights(cell[order]), samples)
     return radiance
 
 
 def _looked(
-    view: View, lighting: Lighting, x: Floats, y: Floats, size: float, tolerance: float
+    view: View,
+    lights: _Lights,
+    x: Floats,
+    y: Floats,
+    cell: Ints,
+    size: float,
+    tolerance: float,
 ) -> _Seen:
-    """What positions in any order see, and the lines through cells of a size around them."""
+    """What positions in any order see, and the lines through cells of a size around them.
+
+    Each is in one of the cells that `lights` knows.
+    """
     samples, order = _sorted(x, y)
     seen = _Seen.of(order.size)
-    _look(view, lighting, samples, size, tolerance, seen, order)
+    _look(view, lights(cell[order]), samples, size, tolerance, seen, order)
     return seen
 
 
@@ -297,8 +342,10 @@ def _look(
     footprint = np.empty(facing.shape[1])
     for group, (_, slope) in zip(hits.groups, sights, strict=True):
         footprint[group.part] = footprint_of(hits, group, slope, size)
-    blocked, (point, shaded_from, other) = lighting.shadows.edges(hits, facing, footprint)
+    blocked, look = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
+    before = sum(other.own.size for other in seen.looks)
+    seen.looks.append(look)
     for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
         surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
@@ -316,10 +363,12 @@ def _look(
             seen.several[cell[places]] = True
         for places in surface.wide(here, sight[1]):
             seen.wide[cell[places]] = True
-        at = np.flatnonzero((point >= part.start) & (point < part.stop))
+        seen.place[cell] = np.arange(before + part.start, before + part.stop)
+        at = np.flatnonzero((look.point >= part.start) & (look.point < part.stop))
         if at.size:
-            places = point[at] - part.start
-            seen.lines.append(surface.shadows(shaded_from[at], places, other[at], seen.several))
+            places = look.point[at] - part.start
+            lines = surface.shadows(look.light[at], places, look.other[at], seen.several)
+            seen.lines.append(lines)
         if group.flat:
             seen.lines.extend(surface.ridges())
         else:
@@ -464,6 +513,7 @@ class _Sides(NamedTuple):
 
     Attributes
     ----------
+    cell : (2 n,)
     share : (n,)
         Of the cell, that of the first side.
     row, column : (2 n,)
@@ -472,6 +522,7 @@ class _Sides(NamedTuple):
         Where they are in the picture.
     """
 
+    cell: Ints
     share: Floats
     row: Floats
     column: Floats
@@ -494,8 +545,9 @@ class _Sides(NamedTuple):
         row = (y + 0.5) * _ROWS
         row = np.where(b < 0, np.floor(row), np.ceil(row)) / _ROWS - 0.5
         x = np.where(np.abs(a) > np.abs(b), x - b / a * (row - y), x)
-        at = np.tile(lines.cell, 2)
-        return cls(share, row, x, cells.x[at] + cells.size * x, cells.y[at] + cells.size * row)
+        cell = np.tile(lines.cell, 2)
+        at = cells.x[cell] + cells.size * x, cells.y[cell] + cells.size * row
+        return cls(cell, share, row, x, *at)
 
     def mean(self, radiance: Floats) -> Floats:
         """Of the radiance (3, 2 n) on both sides."""
@@ -510,7 +562,8 @@ def _beyond(
     """Radiance (3, n) at some samples beside lines; and cells that hold more lines there."""
     count = single.cell.size
     x, y = sides.x[which], sides.y[which]
-    seen = _looked(view, lighting, x, y, 2 * cells.size, cells.tolerance)
+    unknown = sides.cell[which]
+    seen = _looked(view, lambda _: lighting, x, y, unknown, 2 * cells.size, cells.tolerance)
     found = joined(seen.lines)
     side = which[found.cell]
     a, b = found.a / 2, found.b / 2

@@ -28,6 +28,7 @@ from tracer.intersection import (
 from tracer.occluders import SLACK, Occluders, Pairs, pairs_of_points
 from tracer.scene import Floats, Ints
 from tracer.stretches import InStretches, in_stretches
+from tracer.surroundings import InSurroundings, Look
 from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
@@ -43,11 +44,11 @@ class Shadows(NamedTuple):
     Attributes
     ----------
     occluders : Occluders
-    finder : InStretches or InCells
+    finder : InStretches, InCells or InSurroundings
     """
 
     occluders: Occluders
-    finder: InStretches | InCells
+    finder: InStretches | InCells | InSurroundings
 
     def blocked(self, hits: Hits, facing: Bools) -> Bools:
         """Whether other objects than their own keep lights from points that face them.
@@ -62,14 +63,11 @@ class Shadows(NamedTuple):
             put(blocked, light[blocks], point[blocks], True)
         return blocked | dark
 
-    def edges(
-        self, hits: Hits, facing: Bools, footprint: Floats
-    ) -> tuple[Bools, tuple[Ints, Ints, Ints]]:
+    def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, Look]:
         """`blocked`, and where it may change within a distance (n,) of a point.
 
-        That is a point, a light and an object that blocks when it is larger by
-        as much, and does not when smaller by as much; unless another blocks,
-        too, when smaller.
+        Listed is an object that blocks when it is larger by as much, and does not when smaller
+        by as much; unless another blocks, too, when smaller.
         """
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)
@@ -89,11 +87,14 @@ class Shadows(NamedTuple):
             must = does & self._blocks(hits, pairs, point, light, other, -reach)
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
-            edge = (does_larger[may] | does) & ~must & entries(facing, light, point)
+            edge = ~must & entries(facing, light, point)
             found.append((point[edge], light[edge], other[edge]))
         point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
-        seen = np.flatnonzero(~entries(solid | dark, light, point))
-        return blocked | dark, (point[seen], light[seen], other[seen])
+        blocked |= dark
+        dark |= solid
+        seen = np.flatnonzero(~entries(dark, light, point))
+        found_there = point[seen], light[seen], other[seen]
+        return blocked, Look(hits, own, footprint, facing, dark, *found_there)
 
     def _blocks(
         self,

@@ -147,6 +147,11 @@ class Hits(NamedTuple):
         """The object (n,) that each point lies on."""
         return np.repeat(self.owner, np.diff(self.first))
 
+    @property
+    def sample(self) -> Ints:
+        """The sample (n,) that each point is seen by."""
+        return np.concatenate([np.zeros(0, dtype=np.intp), *(g.sample for g in self.groups)])
+
     def sights(self, group: Group) -> tuple[Floats, Floats]:
         """Distance from the eye, and cosine between the normal and the way there, (n,)."""
         x, y, z = self.p[:, group.part]
