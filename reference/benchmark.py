@@ -16,7 +16,6 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -30,13 +29,13 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.charts import write_csv
 from reference.command import HERE, SCENES, built, parser
+from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process, run
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
-__all__ = ["Section", "Table", "compact", "growth_exponent", "main", "peak", "quote", "tables"]
+__all__ = ["Section", "compact", "growth_exponent", "main", "peak", "tables"]
 
 _FEW = ("one-sphere", "four-spheres", "sticks-perspective")
 _SPEEDUPS = ("speedup over exact", "speedup over stock")
@@ -48,36 +47,6 @@ def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
     """Slope of time against size, both logarithmic, by least squares."""
     slope, _ = np.polyfit(np.log(sizes), np.log([t.median for t in timings]), 1)
     return float(slope)
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """One table of the report; cells that are timings go to the CSV in full."""
-
-    title: str
-    note: str
-    header: tuple[str, ...]
-    rows: list[tuple[object, ...]]
-
-    def markdown(self) -> str:
-        """As GitHub shows it."""
-        lines = [f"## {self.title}", "", self.note, "", "| " + " | ".join(self.header) + " |"]
-        lines.append("|---" * len(self.header) + "|")
-        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in self.rows]
-        return "\n".join(lines) + "\n"
-
-    def records(self) -> Iterator[tuple[object, ...]]:
-        """A line for each cell: table, row, column, value (median), low, high."""
-        for row in self.rows:
-            for name, cell in zip(self.header[1:], row[1:], strict=True):
-                if isinstance(cell, Timing):
-                    yield self.title, row[0], name, cell.median, cell.low, cell.high
-                else:
-                    yield self.title, row[0], name, cell, "", ""
-
-
-def _cell(value: object) -> str:
-    return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
 # Short times vary most: so many times the rounds, or until they add up to so many seconds.
@@ -111,14 +80,8 @@ def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Ti
     return ours, theirs
 
 
-def _times(ratio: float) -> str:
-    """With two digits at least: 0.50×, 3.0×, 42×."""
-    places = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
-    return f"{ratio:.{places}f}×"
-
-
 def _speedup(of: Timing, over: Timing) -> str:
-    return _times(over.median / of.median)
+    return times(over.median / of.median)
 
 
 # --- The tables --------------------------------------------------------------------------
@@ -211,7 +174,7 @@ def compact(table: Table) -> Table:
         ("geometric mean", means),
         ("the same over stock plugins", map(geometric_mean, over_stock.values())),
     ):
-        rows.append((what, *chain(*(("", _times(mean)) for mean in each))))
+        rows.append((what, *chain(*(("", times(mean)) for mean in each))))
     return Table(
         table.title,
         "The tracer's milliseconds in process, one sample a pixel, and its speedup over Mitsuba"
@@ -450,17 +413,6 @@ def tables(*, quick: bool) -> Iterator[tuple[Section, Table]]:
         yield section, section(rounds, quick)
 
 
-def quote(readme: str, where: str, found: list[Table]) -> str:
-    """The README's text with tables between its benchmark marks."""
-    begin, end = "<!-- benchmark:begin -->\n", "<!-- benchmark:end -->"
-    before, rest = readme.split(begin)
-    # One heading level deeper than in the report.
-    quoted = "\n".join("#" + table.markdown() for table in found)
-    after = rest.split(end)[1]
-    made = f"Measured by `python -m reference.benchmark` on {where}. {_SPEEDUP}\n"
-    return f"{before}{begin}{made}\n{quoted}\n{end}{after}"
-
-
 def main() -> None:
     """Measure, and write the report."""
     options = parser("reference.benchmark", __doc__, quick="small sizes, two rounds").parse_args()
@@ -473,17 +425,15 @@ def main() -> None:
     report = "\n".join([head, *(table.markdown() for table in found.values())])
     (HERE / "benchmark.md").write_text(report, encoding="utf-8")
     if not options.quick:
-        readme = HERE.parent / "README.md"
         shown = [
             found[whole_process],
             compact(found[warm]),
             found[growth_in_objects],
             found[memory],
         ]
-        text = quote(readme.read_text(encoding="utf-8"), where, shown)
-        readme.write_text(text, encoding="utf-8")
-    records = (record for table in found.values() for record in table.records())
-    write_csv("benchmark", where, ("table", "row", "column", "value", "low", "high"), records)
+        made = f"Measured by `python -m reference.benchmark` on {where}. {_SPEEDUP}"
+        quote(HERE.parent / "README.md", "benchmark", made, shown)
+    write_records("benchmark", where, [*found.values()])
 
 
 if __name__ == "__main__":

@@ -14,12 +14,13 @@ import pytest
 import reference.charts
 import reference.command
 from converters.variant import LLVM, use
-from reference import alternatives, benchmark, minimal, speed_accuracy, stability
+from reference import ablation, alternatives, benchmark, minimal, speed_accuracy, stability
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
 from reference.benchmark import growth_exponent
 from reference.povray import to_pov
 from reference.rivals import povray_trace
 from reference.speed_accuracy import Lead, Point, Truth
+from reference.tables import Table
 from reference.timing import Task, Timing, interleaved
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
@@ -216,13 +217,59 @@ def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
     assert {line.count("|") for line in lines if line.startswith("|")} == {len(table.header) + 1}
 
 
+@pytest.mark.parametrize("part", ablation.ONE_SAMPLE, ids=lambda part: part.name)
+def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
+    for scene in (_small("highlights", 96, 54), crowd(300, width=96, height=54)):
+        picture = render(scene, threads=1)
+        with ablation.without(part):
+            other = render(scene, threads=1)
+        # Highlights from vectors round differently.
+        assert np.abs(other - picture).max() <= 1e-12
+
+
+@pytest.mark.parametrize("part", ablation.ANTIALIASING, ids=lambda part: part.name)
+def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.Part) -> None:
+    scene = _small("sunflower", 96, 54)
+    picture = render(scene, samples=16, threads=1)
+    with ablation.without(part):
+        other = render(scene, samples=16, threads=1)
+    assert np.array_equal(render(scene, samples=16, threads=1), picture)
+    error = np.abs(other - picture)
+    # Several edges cross most of its pixels, in which 16 samples err by a few hundredths.
+    assert np.sqrt((error**2).mean()) < 0.01
+    assert error.max() < 0.2
+
+
+def test_ablation_of_small_pictures(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(reference.charts, "HERE", tmp_path)
+    monkeypatch.setattr(ablation, "HERE", tmp_path)
+    monkeypatch.setattr(
+        ablation, "resized", lambda scene, width, height: resized(scene, width // 10, height // 10)
+    )
+    monkeypatch.setattr(ablation, "crowd", lambda count, **_: crowd(50, width=32, height=18))
+    marks = "<!-- ablation:begin -->\n", "<!-- ablation:end -->\n"
+    (tmp_path / "README.md").write_text("before\n{}old\n{}after\n".format(*marks))
+    monkeypatch.setattr(sys, "argv", ["ablation", "--quick"])
+    ablation.main()
+    page = (tmp_path / "README.md").read_text()
+    assert page.startswith(f"before\n{marks[0]}Measured by `python -m reference.ablation` on ")
+    assert page.endswith(f"\n{marks[1]}after\n")
+    assert "old" not in page
+    parts = [*ablation.ONE_SAMPLE, *ablation.ANTIALIASING]
+    assert all(page.count(f"| {part.name} |") == 1 for part in parts)
+    lines = (tmp_path / "ablation.csv").read_text().splitlines()[2:]
+    assert len(lines) == 5 * (1 + len(ablation.ONE_SAMPLE)) + 8 * (1 + len(ablation.ANTIALIASING))
+
+
 def test_the_compact_table_has_every_scene_at_every_size() -> None:
     rows = [
         (f"{name} {size}", Timing.of([ours]), Timing.of([theirs]), "", "", "0.50×")
         for size, ours, theirs in (("3×2", 0.01, 0.02), ("6×4", 0.04, 0.01))
         for name in ("a", "b")
     ]
-    table = benchmark.compact(benchmark.Table("Warm", "", (), list(rows)))
+    table = benchmark.compact(Table("Warm", "", (), list(rows)))
     assert table.header == ("scene", "3×2", "speedup", "6×4", "speedup")
     cells = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[-4:]]
     assert cells[0] == ["a", "10.0", "2.0×", "40.0", "0.25×"]

@@ -1,0 +1,223 @@
+"""What each part of the tracer buys: the same pictures with one part after the other left out.
+
+    python -m reference.ablation [--quick]
+
+writes `ablation.csv` into this folder, and its tables into the study, `README.md`.
+Everything runs in turns, in one process unless a line says two.  At one sample a pixel no part
+changes what is seen or which lights reach it; antialiasing is judged by time and error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from reference import machine
+from reference.command import HERE, SCENES, parser
+from reference.speed_accuracy import Truth
+from reference.tables import Table, quote, times, write_records
+from reference.timing import Task, Timing, interleaved, on_copies
+from reference.workloads import crowd, resized
+from tracer import (
+    Scene,
+    antialias,
+    cells,
+    load_scene,
+    render,
+    rendering,
+    shading,
+    shadow,
+    stretches,
+    visibility,
+)
+from tracer.lighting import Lighting
+from tracer.sampling import Lattice
+from tracer.scene import Floats, Ints
+
+__all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
+
+_ALL = "all as it is"
+_NEVER, _ALWAYS = -1, 1 << 40
+
+_SAMPLES = 64
+
+# Shorter times are measured more often: so many times in all, or until they add up to seconds.
+_ROUNDS, _MOST, _ENOUGH = 3, 9, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Something that the tracer could do without, and what is put in its place.
+
+    Attributes
+    ----------
+    name : str
+    instead : sequence of (object, str, object)
+        What has an attribute, which, and its value instead.
+    processes : int
+    """
+
+    name: str
+    instead: Sequence[tuple[Any, str, Any]]
+    processes: int = 1
+
+
+def _uncertain(*arguments: Any, near: Any = stretches._near) -> tuple[Any, Any]:
+    """Nothing is certainly in shadow."""
+    meets, cuts = near(*arguments)
+    return meets, np.zeros_like(cuts)
+
+
+def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
+    """No curvature anywhere."""
+    return np.zeros_like(radiance), np.zeros(key.size)
+
+
+def _forgotten(lighting: Lighting, *_: Any) -> Callable[[Ints], Lighting]:
+    """What shades samples is sought anew."""
+    return lambda _: lighting
+
+
+def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
+    """A grid in rows and columns, of about as many points."""
+    side = round(np.sqrt(turned(per_side).size))
+    return Lattice(side, side)
+
+
+ONE_SAMPLE = [
+    Part(
+        "no stretches: cells for all shadows",
+        [(shadow, "_FEW", _NEVER), (shadow, "_MOST", _NEVER)],
+    ),
+    Part(
+        "no cells: stretches for all shadows",
+        [(shadow, "_FEW", _ALWAYS), (shadow, "_MOST", _ALWAYS)],
+    ),
+    Part("no stretch certainly in shadow", [(stretches, "_near", _uncertain)]),
+    Part("no long stretches before short ones", [(stretches, "_LONG", stretches._SHORT)]),
+    Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
+    Part("no planes between cells and objects", [(cells, "_FEW_CELLS", _ALWAYS)]),
+    Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
+    Part("no bands: the picture in one", [(rendering, "_BAND_PIXELS", _ALWAYS)]),
+    Part("bands of 16,384 pixels", [(rendering, "_BAND_PIXELS", 1 << 14)]),
+    Part("no highlights from cosines: from vectors", [(shading, "_SHOWS", -1.0)]),
+    Part("two processes", [], processes=2),
+]
+"""Parts without which a picture of one sample a pixel takes longer."""
+
+ANTIALIASING = [
+    Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
+    Part("no samples everywhere: looks, however dense", [(rendering, "dense", lambda *_: False)]),
+    Part("no samples in the last cells: looks to the end", [(antialias, "_AT_ONCE", 1)]),
+    Part("samples in cells twice as large", [(antialias, "_AT_ONCE", 4)]),
+    Part("no memory of looks: shadows sought anew", [(antialias, "_known", _forgotten)]),
+    Part("no curvature: centres as they are", [(antialias, "_curvature", _flat)]),
+    Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
+]
+"""Parts without which an antialiased picture takes longer, or errs more."""
+
+
+@contextmanager
+def without(part: Part) -> Iterator[None]:
+    """Do without a part for a while."""
+    with ExitStack() as stack:
+        for where, name, value in part.instead:
+            stack.enter_context(mock.patch.object(where, name, value))
+        yield
+
+
+# --- The tables --------------------------------------------------------------------------
+
+
+def _one_sample(quick: bool) -> Table:
+    """Times at one sample a pixel."""
+    wide = (320, 180) if quick else (1280, 720)
+    names = "four-spheres", "sticks-perspective", "sunflower", "many-objects"
+    scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), *wide) for name in names}
+    scenes["1,000 small objects"] = crowd(1000)
+    parts = [Part(_ALL, []), *ONE_SAMPLE]
+    found = [_timed(scene, parts, 1, quick) for scene in scenes.values()]
+    return Table(
+        "One sample a pixel",
+        f"Milliseconds with all parts; then how many times as long it takes with a change."
+        f" {wide[0]}×{wide[1]}, the small objects at 640×360.",
+        ("change", *scenes),
+        [(part.name, *(spent[part.name] for spent in found)) for part in parts],
+    )
+
+
+def _antialiased(quick: bool) -> Table:
+    """Times and errors with antialiasing."""
+    names = "four-spheres", "room", "sunflower"
+    scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), 320, 180) for name in names}
+    scenes["1,000 small objects"] = crowd(1000, width=320, height=180)
+    parts = [Part(_ALL, []), *ANTIALIASING]
+    rows: list[list[object]] = [[part.name] for part in parts]
+    header = ["change"]
+    for name, scene in scenes.items():
+        truth = Truth.of(scene, 17 if quick else 65)
+        spent = _timed(scene, parts, _SAMPLES, quick)
+        header += [name, "RMSE"]
+        for row, part in zip(rows, parts, strict=True):
+            row += [spent[part.name], truth.error(_render(scene, part, _SAMPLES))]
+    return Table(
+        f"{_SAMPLES} samples a pixel",
+        "Milliseconds with all parts, then how many times as long; and the error of either."
+        " 320×180.",
+        tuple(header),
+        [tuple(row) for row in rows],
+    )
+
+
+def _timed(scene: Scene, parts: Sequence[Part], samples: int, quick: bool) -> dict[str, Timing]:
+    """Pictures without each of the parts, in turns."""
+    tasks: dict[str, Task] = {
+        part.name: on_copies(partial(_render, part=part, samples=samples), scene, _MOST)
+        for part in parts
+    }
+    if quick:
+        return interleaved(tasks, 1)
+    return interleaved(tasks, _ROUNDS, most=_MOST, seconds=_ENOUGH)
+
+
+def _render(scene: Scene, part: Part, samples: int) -> Floats:
+    with without(part):
+        return render(scene, samples, threads=part.processes)
+
+
+def _relative(table: Table) -> Table:
+    """Times of all rows but the first as multiples of it."""
+    every, *rest = table.rows
+
+    def cell(value: object, whole: object) -> object:
+        if isinstance(value, Timing) and isinstance(whole, Timing):
+            return times(value.median / whole.median)
+        return value
+
+    shown = [(row[0], *map(cell, row[1:], every[1:])) for row in rest]
+    return replace(table, rows=[every, *shown])
+
+
+def main() -> None:
+    """Measure, and write the tables."""
+    options = parser(
+        "reference.ablation", __doc__, quick="small sizes, one round, a rough truth"
+    ).parse_args()
+    where = machine.describe()
+    found = [_one_sample(options.quick), _antialiased(options.quick)]
+    write_records("ablation", where, found)
+    shown = [_relative(table) for table in found]
+    for table in shown:
+        print(table.markdown())
+    made = f"Measured by `python -m reference.ablation` on {where}, with one process but where it says two."
+    quote(HERE / "README.md", "ablation", made, shown)
+
+
+if __name__ == "__main__":
+    main()
