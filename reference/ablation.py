@@ -191,17 +191,18 @@ def _render(scene: Scene, part: Part, samples: int) -> Floats:
         return render(scene, samples, threads=part.processes)
 
 
-def _relative(table: Table) -> Table:
-    """Times of all rows but the first as multiples of it."""
-    every, *rest = table.rows
+def _shown(table: Table) -> Table:
+    """Times of all rows but the first as multiples of it; errors with as many places."""
+    every = table.rows[0]
 
     def cell(value: object, whole: object) -> object:
-        if isinstance(value, Timing) and isinstance(whole, Timing):
+        if isinstance(value, float):
+            return f"{value:.6f}"
+        if isinstance(value, Timing) and isinstance(whole, Timing) and value is not whole:
             return times(value.median / whole.median)
         return value
 
-    shown = [(row[0], *map(cell, row[1:], every[1:])) for row in rest]
-    return replace(table, rows=[every, *shown])
+    return replace(table, rows=[tuple(map(cell, row, every)) for row in table.rows])
 
 
 def main() -> None:
@@ -212,10 +213,12 @@ def main() -> None:
     where = machine.describe()
     found = [_one_sample(options.quick), _antialiased(options.quick)]
     write_records("ablation", where, found)
-    shown = [_relative(table) for table in found]
+    shown = [_shown(table) for table in found]
     for table in shown:
         print(table.markdown())
-    made = f"Measured by `python -m reference.ablation` on {where}, with one process but where it says two."
+    made = (
+        f"Measured by `python -m reference.ablation` on {where}; one process, unless it says two."
+    )
     quote(HERE / "README.md", "ablation", made, shown)
 
 
