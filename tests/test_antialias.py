@@ -91,7 +91,7 @@ def test_splitting_pixels_is_no_worse_than_the_uniform_grid(
 @pytest.mark.parametrize("name", ["many-objects", "room", "two-boxes"])
 def test_other_squares_than_powers_of_four(name: str) -> None:
     scene = small(SCENES[0].parent / f"{name}.xml")
-    no_worse_than_the_uniform_grid(scene, numbers=(9, 25, 36, 100))
+    no_worse_than_the_uniform_grid(scene, numbers=(9, 25, 36, 49, 100))
 
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))

@@ -40,7 +40,7 @@ _CURVATURE = 1e-2
 
 # Cells that stand for so many samples along each side are not split any more: looks would cost
 # more than the samples they save.
-_AT_ONCE = 2
+_AT_ONCE = 3
 
 # Light on a sphere changes like the root of the distance from its limb.  The mean of roots from 0
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
@@ -74,7 +74,7 @@ def antialiased(
 ) -> None:
     """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
-    At least as accurate as per_side x per_side samples in every pixel; that is a power of two.
+    At least as accurate as per_side x per_side samples in every pixel.
     """
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = top - 1, bottom + 2 - top
@@ -262,7 +262,7 @@ def _refine(
             quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
             radiance = np.add(closer.radiance, bend, out=bend)
             every = np.ones(quarters.x.size, dtype=np.bool_)
-            _refine(view, lighting, quarters, closer, radiance, per_side // 2, every)
+            _refine(view, lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
     if beside.size:
         x, y, inside = sides.x[beside], sides.y[beside], sides.cell[beside]

@@ -206,8 +206,7 @@ class _Picture(NamedTuple):
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         offset = float(shift[0]), float(shift[1])
         per_side = isqrt(samples - 1) + 1
-        # Splitting halves the sides, again and again.
-        centres = cls(scene, offset, CENTRES, 1 << (per_side - 1).bit_length())
+        centres = cls(scene, offset, CENTRES, per_side)
         if per_side > 1:
             outlines = outlines_of(centres.raster(), scene.surfaces, split=False)
             if dense(outlines, per_side):
