@@ -106,7 +106,7 @@ def afresh(scene: Scene, k: int) -> Scene:
     x, y, z = camera.view_point
     return replace(
         scene,
-        camera=replace(camera, view_point=(x + k * 1e-5 * camera.proj_distance, y, z)),
+        camera=replace(camera, view_point=(x + k * 1e-5 * camera.view_width, y, z)),
         surfaces=Surfaces(
             center=s.center.copy(),
             radius=s.radius.copy(),

@@ -46,9 +46,9 @@ _AT_ONCE = 3
 # to 1 is that of 4/9: so much nearer than the middle is the sample that stands for all.
 _ROOT = 1 / 9
 
-# Where two outlines cross a larger share of the pixels, for each of the samples in one, samples
-# everywhere do for less than looks.
-_DENSE = 0.0055
+# Where two outlines cross a larger share of the pixels, samples everywhere do for less than looks;
+# each time that pixels are split, four times as large.
+_DENSE = 0.022
 
 # Rows of samples in each row of cells, beside edges: the more in a row the better.
 _ROWS = 16
@@ -59,7 +59,12 @@ def dense(outlines: Outlines, per_side: int) -> bool:
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return outlines.crossed_twice() > _DENSE * per_side**2
+    return outlines.crossed_twice() > _DENSE * 4.0 ** _splittings(per_side)
+
+
+def _splittings(per_side: int) -> int:
+    """How often pixels are split to be looked at again, where they need it."""
+    return 0 if per_side <= _AT_ONCE else 1 + _splittings((per_side + 1) // 2)
 
 
 def antialiased(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Triple, batches, dot, each, expand, pick, scaled
-from tracer.occluders import Occluders, Pairs, pairs_of_points
+from tracer.occluders import Occluders, Pairs, pairs_with_objects
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits
@@ -444,7 +444,6 @@ class InCells(NamedTuple):
     ) -> Iterator[Pairs]:
         """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
         own = hits.own
-        spheres = len(self.occluders.surfaces.radius)
         points = hits.points(slice(None))
         for number, cells in enumerate(self.cells):
             asked = np.flatnonzero(facing[number])
@@ -459,14 +458,9 @@ class InCells(NamedTuple):
                 distance, ball, cell, within = cells.around(to_light, footprint[asked])
                 at, other = _listed(cells, own[asked[ball]], cell, distance[ball], within)
                 point, other = _once(asked[ball[at]], other, len(cells.near))
-            for of_kind in (other < spheres, other >= spheres):
-                at = np.flatnonzero(of_kind)
-                if at.size:
-                    light = np.full(at.size, number)
-                    which, p = point[at], pick(points, point[at])
-                    yield pairs_of_points(
-                        self.occluders, own, p, which, light, other[at], footprint
-                    )
+            yield from pairs_with_objects(
+                self.occluders, own, points, point, number, other, footprint
+            )
 
 
 def _listed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,7 +13,15 @@ from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import View
 
-__all__ = ["SLACK", "Balls", "Occluders", "Pairs", "occluders_of", "pairs_of_points"]
+__all__ = [
+    "SLACK",
+    "Balls",
+    "Occluders",
+    "Pairs",
+    "occluders_of",
+    "pairs_of_points",
+    "pairs_with_objects",
+]
 
 Array = TypeVar("Array", bound=NDArray[Any])
 
@@ -129,6 +138,25 @@ def pairs_of_points(
     if footprint is not None:
         radius = radius + footprint[point]
     return Pairs(Balls(owner, point, np.ones_like(point), p, radius), light, other)
+
+
+def pairs_with_objects(
+    occluders: Occluders,
+    own: Ints,
+    points: Triple,
+    point: Ints,
+    light: int,
+    other: Ints,
+    footprint: Floats | None,
+) -> Iterator[Pairs]:
+    """`pairs_of_points` of one light: with spheres, then with boxes; `points` are all hits."""
+    spheres = len(occluders.surfaces.radius)
+    for of_kind in (other < spheres, other >= spheres):
+        at = np.flatnonzero(of_kind)
+        if at.size:
+            which, lights = point[at], np.full(at.size, light)
+            p = pick(points, which)
+            yield pairs_of_points(occluders, own, p, which, lights, other[at], footprint)
 
 
 def occluders_of(view: View, lights: Floats) -> Occluders:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, batches, dot, each, expand, rows
 from tracer.cells import InCells
-from tracer.occluders import Pairs, pairs_of_points
+from tracer.occluders import Pairs, pairs_with_objects
 from tracer.scene import Floats, Ints
 from tracer.visibility import Hits
 
@@ -128,27 +128,21 @@ class InSurroundings(NamedTuple):
         if unknown.any():
             yield from self.finder.pairs(hits, unknown, dark, footprint)
         dark |= state == _DARK
-        own, occluders = hits.own, self.finder.occluders
-        spheres = len(occluders.surfaces.radius)
+        own, points = hits.own, hits.points(slice(None))
         for number, asked in enumerate(facing & (state == _LISTED)):
-            points = np.flatnonzero(asked)
-            first, listed = (m[number][near[points]] for m in (self.first, self.listed))
+            which = np.flatnonzero(asked)
+            first, listed = (m[number][near[which]] for m in (self.first, self.listed))
             for batch in batches(listed):
                 at, place = expand(listed[batch], first[batch])
-                point, other = points[batch][at], self.others[place]
-                for of_kind in (other < spheres, other >= spheres):
-                    at = np.flatnonzero(of_kind)
-                    if at.size:
-                        which, light = point[at], np.full(at.size, number)
-                        yield pairs_of_points(
-                            occluders,
-                            own,
-                            hits.points(which),
-                            which,
-                            light,
-                            other[at],
-                            footprint,
-                        )
+                yield from pairs_with_objects(
+                    self.finder.occluders,
+                    own,
+                    points,
+                    which[batch][at],
+                    number,
+                    self.others[place],
+                    footprint,
+                )
 
     def _inside(self, hits: Hits, near: Ints, footprint: Floats | None) -> Bools:
         """Whether all that is asked about a hit is known: it lies on the same object, and near."""
