@@ -3,9 +3,10 @@
 Most pixels see one smooth surface: there the sample at the centre, with a
 correction for curvature, is worth more than any number of samples.  Where one
 edge crosses a pixel, its place is known in closed form, and a sample on either
-side is enough.  A pixel that holds more is split into four, and so on; the last
-splittings are done at once: a lattice that is as good as the grid of samples
-asked for.  Pictures that are full of edges are such lattices everywhere.
+side is enough.  A pixel that holds more is split into four, and so on; in the
+last of its parts samples lie on a lattice that is as good as the grid asked
+for.  What a look has found is known of all samples near it.  Pictures that are
+full of edges are such lattices everywhere.
 """
 
 from __future__ import annotations
@@ -182,10 +183,8 @@ class _Seen(NamedTuple):
         -1 where nothing is seen.
     lines : list of Lines
         Ridges and shadows near each sample, c being zero at the sample.
-    looks : list of Look
-        What keeps lights from what is seen.
-    place : (n,)
-        Of what each sample sees among the points of all looks; -1 where that is nothing.
+    looks : list of (Look, (m,))
+        What keeps lights from what is seen, and the places of each look's samples.
     several : (n,)
         Whether there may be more than straight lines.
     wide : (n,)
@@ -195,8 +194,7 @@ class _Seen(NamedTuple):
     radiance: Floats
     key: Ints
     lines: list[Lines]
-    looks: list[Look]
-    place: Ints
+    looks: list[tuple[Look, Ints]]
     several: Bools
     wide: Bools
 
@@ -204,8 +202,7 @@ class _Seen(NamedTuple):
     def of(cls, count: int) -> _Seen:
         """Nothing so far, of so many samples."""
         none = np.zeros((2, count), dtype=np.bool_)
-        key, place = np.full((2, count), -1)
-        return cls(np.zeros((3, count)), key, [], [], place, *none)
+        return cls(np.zeros((3, count)), np.full(count, -1), [], [], *none)
 
 
 def _refine(
@@ -290,8 +287,11 @@ def _known(lighting: Lighting, seen: _Seen, some: Ints) -> _Lights:
     if not isinstance(finder, InCells):
         # Stretches take neighbours together, which would be taken apart.
         return lambda _: lighting
-    known = InSurroundings.of(finder, seen.looks, seen.place[some])
-    near = np.empty(seen.place.size, dtype=np.intp)
+    sample = np.concatenate([order[look.hits.sample] for look, order in seen.looks])
+    place = np.full(seen.key.size, -1)
+    place[sample] = np.arange(sample.size)
+    known = InSurroundings.of(finder, [look for look, _ in seen.looks], place[some])
+    near = np.empty(seen.key.size, dtype=np.intp)
     near[some] = np.arange(some.size)
 
     def lights(cell: Ints) -> Lighting:
@@ -349,8 +349,7 @@ def _look(
         footprint[group.part] = footprint_of(hits, group, slope, size)
     blocked, look = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
-    before = sum(other.own.size for other in seen.looks)
-    seen.looks.append(look)
+    seen.looks.append((look, order))
     for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
         surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
@@ -368,7 +367,6 @@ def _look(
             seen.several[cell[places]] = True
         for places in surface.wide(here, sight[1]):
             seen.wide[cell[places]] = True
-        seen.place[cell] = np.arange(before + part.start, before + part.stop)
         at = np.flatnonzero((look.point >= part.start) & (look.point < part.stop))
         if at.size:
             places = look.point[at] - part.start

@@ -3,8 +3,8 @@
 All shadow segments end at a light, so an object can only block those that pass
 it on their way.  The pairs of points and objects for which that cannot be ruled
 out are found in one of two ways, whichever has less to do: from coarse to fine
-in the picture, or by cells of direction around each light.  They end in the same
-exact test.
+in the picture, or by cells of direction around each light; or they are known
+from a look nearby.  All end in the same exact test.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class Shadows(NamedTuple):
     def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, Look]:
         """`blocked`, and where it may change within a distance (n,) of a point.
 
-        Listed is an object that blocks when it is larger by as much, and does not when smaller
-        by as much; unless another blocks, too, when smaller.
+        Listed is an object that, when it is larger by as much, blocks or holds both ends, and
+        does not block when smaller by as much; unless another blocks, too, when smaller.
         """
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)

@@ -120,15 +120,14 @@ class InSurroundings(NamedTuple):
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
     ) -> Iterator[Pairs]:
         """Points and what may shade them, as in `InStretches.pairs`."""
-        near = self.near[hits.sample]
-        inside = self._inside(hits, near, footprint)
+        near, own = self.near[hits.sample], hits.own
         state = self.state.take(near, axis=1)
-        state *= inside
+        state *= self._inside(hits.p, own, near, footprint)
         unknown = facing & (state == _UNKNOWN)
         if unknown.any():
             yield from self.finder.pairs(hits, unknown, dark, footprint)
         dark |= state == _DARK
-        own, points = hits.own, hits.points(slice(None))
+        points = hits.points(slice(None))
         for number, asked in enumerate(facing & (state == _LISTED)):
             which = np.flatnonzero(asked)
             first, listed = (m[number][near[which]] for m in (self.first, self.listed))
@@ -144,11 +143,11 @@ class InSurroundings(NamedTuple):
                     footprint,
                 )
 
-    def _inside(self, hits: Hits, near: Ints, footprint: Floats | None) -> Bools:
-        """Whether all that is asked about a hit is known: it lies on the same object, and near."""
-        away = each(np.subtract, rows(hits.p, slice(None)), rows(self.p, near))
+    def _inside(self, p: Floats, own: Ints, near: Ints, footprint: Floats | None) -> Bools:
+        """Whether all that is asked about hits is known: they lie on the same object, and near."""
+        away = each(np.subtract, rows(p, slice(None)), rows(self.p, near))
         reach = self.reach[near]
         if footprint is not None:
             reach = np.maximum(reach - footprint, 0)
-        inside: Bools = (dot(away, away) <= reach * reach) & (hits.own == self.own[near])
+        inside: Bools = (dot(away, away) <= reach * reach) & (own == self.own[near])
         return inside
