@@ -9,7 +9,7 @@ changes what is seen or which lights reach it; antialiasing is judged by time an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,14 +20,14 @@ import numpy as np
 
 from reference import machine
 from reference.command import HERE, SCENES, parser
-from reference.speed_accuracy import Truth
+from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
 from reference.workloads import crowd, resized
 from tracer import (
     Scene,
     antialias,
-    cells,
+    light_buffers,
     load_scene,
     render,
     rendering,
@@ -36,7 +36,10 @@ from tracer import (
     stretches,
     visibility,
 )
+from tracer.edges import Lines
 from tracer.lighting import Lighting
+from tracer.looks import Lights, Seen
+from tracer.regions import Points
 from tracer.sampling import Lattice
 from tracer.scene import Floats, Ints
 
@@ -79,9 +82,24 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     return np.zeros_like(radiance), np.zeros(key.size)
 
 
-def _forgotten(lighting: Lighting, *_: Any) -> Callable[[Ints], Lighting]:
+def _forgotten(_: Seen, lighting: Lighting, __: Ints) -> Lights:
     """What shades samples is sought anew."""
     return lambda _: lighting
+
+
+def _alike(_: Lines, cells: Ints, x: Floats, __: Floats) -> tuple[Floats, Points]:
+    """All points stand for as much, whatever lies between them."""
+    none = np.zeros(0)
+    nowhere = none.astype(np.intp)
+    shares = np.full((cells.size, x.size), 1 / x.size)
+    return shares, Points(nowhere, none, none, none, nowhere > 0)
+
+
+def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:
+    """One point within limbs, in the middle, in place of two; with half of the share each."""
+    share, x, y = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c).halves()
+    share, x, y = np.repeat([[share / 2, x, y]], 2, axis=0).swapaxes(0, 1)
+    return share, x / np.maximum(2 * share, 1e-9), y / np.maximum(2 * share, 1e-9)
 
 
 def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
@@ -92,17 +110,17 @@ def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
 
 ONE_SAMPLE = [
     Part(
-        "no stretches: cells for all shadows",
+        "no stretches: light buffers for all shadows",
         [(shadow, "_FEW", _NEVER), (shadow, "_MOST", _NEVER)],
     ),
     Part(
-        "no cells: stretches for all shadows",
+        "no light buffers: stretches for all shadows",
         [(shadow, "_FEW", _ALWAYS), (shadow, "_MOST", _ALWAYS)],
     ),
     Part("no stretch certainly in shadow", [(stretches, "_near", _uncertain)]),
     Part("no long stretches before short ones", [(stretches, "_LONG", stretches._SHORT)]),
     Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
-    Part("no planes between cells and objects", [(cells, "_FEW_CELLS", _ALWAYS)]),
+    Part("no planes between cells and objects", [(light_buffers, "_FEW_CELLS", _ALWAYS)]),
     Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
     Part("no bands: the picture in one", [(rendering, "_BAND_PIXELS", _ALWAYS)]),
     Part("bands of 16,384 pixels", [(rendering, "_BAND_PIXELS", 1 << 14)]),
@@ -113,12 +131,13 @@ ONE_SAMPLE = [
 
 ANTIALIASING = [
     Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
-    Part("no samples everywhere: looks, however dense", [(rendering, "dense", lambda *_: False)]),
     Part("no samples in the last cells: looks to the end", [(antialias, "_AT_ONCE", 1)]),
     Part("samples in cells twice as large", [(antialias, "_AT_ONCE", 4)]),
-    Part("no memory of looks: shadows sought anew", [(antialias, "_known", _forgotten)]),
-    Part("no curvature: centres as they are", [(antialias, "_curvature", _flat)]),
-    Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
+    Part("no regions: all samples in a cell weigh the same", [(antialias, "stratified", _alike)]),
+    Part("one sample within limbs, not two", [(Lines, "roots", _in_the_middle)]),
+    Part("no memory of looks: shadows sought anew", [(Seen, "lights", _forgotten)]),
+    Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
+    Part("no turn: upright grids, 16 samples for 20", [(Lattice, "of", _upright)]),
 ]
 """Parts without which an antialiased picture takes longer, or errs more."""
 
@@ -161,7 +180,7 @@ def _antialiased(quick: bool) -> Table:
     rows: list[list[object]] = [[part.name] for part in parts]
     header = ["change"]
     for name, scene in scenes.items():
-        truth = Truth.of(scene, 17 if quick else 65)
+        truth = Truth.of(scene, truth_side(quick))
         spent = _timed(scene, parts, _SAMPLES, quick)
         header += [name, "RMSE"]
         for row, part in zip(rows, parts, strict=True):

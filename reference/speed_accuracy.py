@@ -4,7 +4,7 @@
 
 writes `speed_accuracy.svg`, `.png` and `.csv` into this folder.  The error is the
 root mean square of the linear radiance, over evenly spread rows of the picture,
-against 65 x 65 samples in every pixel, traced one by one; only these are kept,
+against 129 x 129 samples in every pixel, traced one by one; only these are kept,
 in the `build` folder.  From one number of samples to the next, four times as
 large, all methods are timed in turns; those that would take too long stop.
 Mitsuba's scalar variant would be held up by this project's plugins, which are
@@ -242,7 +242,7 @@ def _next(seconds: Sequence[float]) -> float:
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
     """All methods on one scene."""
     levels = 3 if quick else 6
-    truth = Truth.of(scene, _side(quick))
+    truth = Truth.of(scene, truth_side(quick))
     # Scenes of one variant do not outlive a switch to another.
     mi.set_variant(SCALAR)
     scalar = dict(_sweep(partial(_scalar_tasks, rivals.mitsuba_stock(scene)), levels))
@@ -288,9 +288,9 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
                 yield Point(name, shown, times * 4**k, whole, errors[method], timing)
 
 
-def _side(quick: bool) -> int:
+def truth_side(quick: bool) -> int:
     """Samples a side of the pixel that count as the truth; odd, like no method's."""
-    return 17 if quick else 65
+    return 17 if quick else 129
 
 
 # --- The chart ---------------------------------------------------------------------------
@@ -529,7 +529,7 @@ def main() -> None:
             _COLUMNS,
             ((p.scene, p.method, p.samples, p.process, p.error, *astuple(p.time)) for p in points),
         )
-    save(_draw(scenes, points, _side(chosen.quick) ** 2), "speed_accuracy")
+    save(_draw(scenes, points, truth_side(chosen.quick) ** 2), "speed_accuracy")
 
 
 if __name__ == "__main__":

@@ -195,6 +195,138 @@ def test_the_limb_of_the_ball_that_the_eye_is_next_to(radius: float, height: flo
     no_worse_than_the_uniform_grid(low_over(ground, height=height, light=(5, 9, 5)), 2)
 
 
+@pytest.mark.parametrize("radius", [1e4, 6.4e6, 1e8])
+@pytest.mark.parametrize("up", [0, 0.02, -0.02])
+def test_the_horizon_of_a_planet(radius: float, up: float) -> None:
+    # Rays to its horizon are at right angles to the way to its centre, or nearly.
+    planet = Sphere(center=(0, -radius, 0), radius=radius)
+    camera = Camera(view_point=(0, 2, 0), view_dir=(0, up, -1))
+    scene = Scene(
+        camera=camera,
+        width=18,
+        height=13,
+        lights=[PointLight(position=(0, 1e3, -50))],
+        surfaces=[planet],
+    )
+    no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
+
+
+def test_light_that_falls_off_towards_a_horizon() -> None:
+    # On the near side of the horizon's line light falls from nearly all to nothing.
+    camera = Camera(
+        view_point=(0, 1.4, 0), view_dir=(0, 0.009, -1), proj_normal=(0, 0, 1), view_width=0.4
+    )
+    scene = Scene(
+        camera=replace(camera, view_height=0.4 * 13 / 18),
+        width=18,
+        height=13,
+        lights=[PointLight(position=(-100, 210, -160))],
+        surfaces=[Box(min_pt=(-3e4, -1, -3e4), max_pt=(3e4, 0, 3e4))],
+    )
+    no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
+
+
+def test_a_shadow_on_the_far_part_of_what_a_pixel_sees() -> None:
+    camera = Camera(
+        view_point=(0, 0.31, 0), view_dir=(0, -0.034, -1), view_width=0.65, view_height=1.3 / 3
+    )
+    floor = Box(min_pt=(-6e4, -1, -6e4), max_pt=(6e4, 0, 6e4))
+    out_of_sight = Box(min_pt=(-3.3, 2.7, -45.5), max_pt=(9.4, 6.6, -30.3))
+    lights = [PointLight(position=(-360, 295, 131))]
+    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, out_of_sight])
+    no_worse_than_the_uniform_grid(scene, 2, numbers=(64, 256))
+
+
+@pytest.mark.parametrize("distance", [1e4, 1e6, 1e8])
+def test_a_box_through_a_long_lens(distance: float) -> None:
+    ahead = np.array([2.0, -3.0, 6.0]) / 7
+    x, y, z = (-ahead * distance).tolist()
+    camera = Camera(
+        view_point=(x, y, z),
+        view_dir=(2, -3, 6),
+        proj_distance=distance,
+        view_width=3,
+        view_height=2,
+    )
+    box = Box(min_pt=(-0.5, -0.5, -0.5), max_pt=(0.5, 0.5, 0.5))
+    lights = [PointLight(position=(-0.14, 3.7, -3.4))]
+    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[box])
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
+
+
+def test_the_ends_of_a_thin_rod_far_away() -> None:
+    camera = Camera(view_point=(0, 0, 1e4), proj_distance=1e4, view_width=0.03, view_height=0.02)
+    rod = Box(min_pt=(-3, -0.0041, -0.01), max_pt=(0.0007, 0.0041, 0.01))
+    lights = [PointLight(position=(3, 4, 9))]
+    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[rod])
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_a_light_on_a_ball(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Its tangent plane there divides what it lights from what the ball shades: on the wall.
+    if not few:
+        monkeypatch.setattr(shadow, "_FEW", -1)
+        monkeypatch.setattr(shadow, "_MOST", -1)
+    wall = Box(min_pt=(-9, -9, -4), max_pt=(9, 9, -3))
+    camera = Camera(
+        view_point=(6, 1.02, 5),
+        view_dir=(-3, 0, -8),
+        proj_normal=(-3, 0, -8),
+        view_width=0.6,
+        view_height=0.4,
+    )
+    lights = [PointLight(position=(0, 1, 0))]
+    scene = Scene(
+        camera=camera, width=24, height=16, lights=lights, surfaces=[wall, Sphere(shader=RED)]
+    )
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
+
+
+@pytest.mark.parametrize("part", [0.1, 0.3, 0.7])
+def test_a_wall_through_a_floor_seen_at_a_low_angle(part: float) -> None:
+    # Its foot is so much of a pixel below the top of a row; behind it the floor is far away.
+    step = 0.1 / 18
+    up = -0.01 + part * step
+    camera = Camera(
+        view_point=(0, 0.1, 0),
+        view_dir=(0, up, -1),
+        proj_normal=(0, 0, 1),
+        proj_distance=math.hypot(1, up),
+        view_width=0.1,
+        view_height=0.2 / 3,
+    )
+    floor = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
+    wall = Box(min_pt=(-3, -1, -11), max_pt=(3, 2, -10), shader=RED)
+    lights = [PointLight(position=(5, 20, 5))]
+    scene = Scene(camera=camera, width=18, height=12, lights=lights, surfaces=[floor, wall])
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64, 256))
+
+
+@pytest.mark.parametrize("aside", [-0.01, 0.01, 0.02])
+def test_a_narrow_highlight_beside_a_shadow(aside: float) -> None:
+    # The pixel's middle lies in the shadow of the plate, its highlight beside it.
+    at = -2.5 + 2.5 * 3 / 11
+    gloss = Phong(diffuse=(0.2, 0.2, 0.2), specular=(1, 1, 1), exponent=1e5)
+    floor = Box(min_pt=(-9, -9, -1), max_pt=(9, 9, 0), shader=gloss)
+    plate = Box(min_pt=(-3, -3, 4), max_pt=((at + aside) / 2, 3, 4.01))
+    camera = Camera(
+        view_point=(-2.5, 0, 3), view_dir=(at + 2.5, 0, -3), view_width=1, view_height=2 / 3
+    )
+    lights = [PointLight(position=(0, 0, 8))]
+    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[floor, plate])
+    assert np.abs(render(scene, samples=64) - uniform(scene, 129)).max() <= 0.002
+
+
+def test_a_terminator_of_many_dim_lights() -> None:
+    # None of them alone shows.
+    lights = [PointLight(position=(9, 5, -1.5), intensity=(1 / 300,) * 3)] * 300
+    camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=6.3, view_height=4.2)
+    ball = Sphere(center=(0.1, 0.1, 0))
+    scene = Scene(camera=camera, width=18, height=12, lights=lights, surfaces=[ball])
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
+
+
 def test_a_smooth_surface_in_large_pixels() -> None:
     # No edge at all: the light alone changes, in a highlight, within a pixel.
     camera = Camera(view_point=(0, 0, 3), view_width=0.54, view_height=0.36)
@@ -250,7 +382,7 @@ def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
 
     monkeypatch.setattr(Shadows, "blocked", compared)
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
-    # Cells for all shadows: stretches remember nothing.
+    # Light buffers for all shadows: stretches remember nothing.
     monkeypatch.setattr(shadow, "_FEW", -1)
     monkeypatch.setattr(shadow, "_MOST", -1)
     for seed in range(6):
@@ -282,8 +414,9 @@ def view(
 
 
 def test_one_sample_is_the_centre() -> None:
-    scene = view(BALL)
-    assert np.array_equal(render(scene, samples=1), render(scene))
+    # Of three by three pixels in the place of each, the middle one has the same centre.
+    fine = render(view(BALL, pixels=48), samples=1)[1::3, 1::3]
+    np.testing.assert_allclose(render(view(BALL), samples=1), fine, atol=1e-12)
 
 
 def test_other_numbers_are_rounded_up_to_squares() -> None:
@@ -358,6 +491,35 @@ def test_shadows_between_pixel_centres(occluder: str, receiver: str) -> None:
     # Each of the four pixels loses a quarter of the shadow: a disc of radius 0.04, or more.
     assert (shadow > 0.5 * (np.pi * 0.04**2 / 4) * 16).all()
     assert np.array_equal(render(without)[5:7, 9:11], render(with_it)[5:7, 9:11])
+
+
+@pytest.mark.parametrize("name", ["one-sphere", "four-spheres"])
+def test_limbs_and_terminators_are_nearly_exact(name: str) -> None:
+    # Both are known in closed form, with how light falls off towards them.
+    scene = small(SCENES[0].parent / f"{name}.xml")
+    converged = uniform(scene, 41)
+    rmse, grid_rmse = (
+        np.sqrt(((image - converged) ** 2).mean())
+        for image in (render(scene, samples=16), uniform(scene, 4))
+    )
+    assert rmse <= grid_rmse / 8
+
+
+def test_where_two_boxes_meet_is_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    # A wall that leans out of another: no edge of either, but a straight line between them.
+    back = Box(min_pt=(-9, -9, -9), max_pt=(0.3, 9, 0))
+    side = Box(min_pt=(-9, -9, -9), max_pt=(9, 9, -1), shader=RED)
+    camera = Camera(
+        view_point=(6, 0, 8),
+        view_dir=(-6, 0, -8),
+        view_up=(0.3, 1, 0),
+        view_width=0.2,
+        view_height=0.2,
+    )
+    lights = [PointLight(position=(40, 0, 30))]
+    scene = Scene(camera=camera, width=9, height=9, lights=lights, surfaces=[back, side])
+    np.testing.assert_allclose(render(scene, samples=16), uniform(scene, 201), atol=5e-4)
 
 
 def test_tip_of_one_object_in_another() -> None:

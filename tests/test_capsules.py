@@ -16,7 +16,6 @@ from probe import Surface, Vector
 from tracer import Box, Camera, Lambertian, Sphere, Surfaces
 from tracer.arrays import Bools, Triple
 from tracer.camera import raster_of
-from tracer.cells import Cells, in_cells
 from tracer.edges import Kind, Lines, Pencil
 from tracer.intersection import (
     box_and_capsule,
@@ -25,6 +24,7 @@ from tracer.intersection import (
     sphere_and_capsule,
     sphere_around_capsule,
 )
+from tracer.light_buffers import LightBuffer, in_light_buffers
 from tracer.occluders import occluders_of
 from tracer.outlines import box_corners, outlines_of, silhouette_planes
 from tracer.scene import Floats
@@ -227,8 +227,8 @@ def test_light_straight_over_a_large_ball(size: float) -> None:
     assert not cuts.any()
 
 
-def some_cells(rng: np.random.Generator) -> tuple[Floats, Cells]:
-    """A light (3,) and the cells around it, with some objects."""
+def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
+    """A light (3,) and the buffer around it, with some objects."""
     surfaces = Surfaces.of([*(a_sphere(rng) for _ in range(9)), *(a_box(rng) for _ in range(9))])
     camera = Camera(view_point=vector(point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
     raster = raster_of(camera, 32, 32)
@@ -238,24 +238,24 @@ def some_cells(rng: np.random.Generator) -> tuple[Floats, Cells]:
         raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none, np.arange(every)
     )
     light = point(rng)
-    return light, in_cells(occluders_of(view, light[None, :])).cells[0]
+    return light, in_light_buffers(occluders_of(view, light[None, :])).buffers[0]
 
 
 @np.errstate(all="ignore")
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32))
-def test_cells_around_a_ball(seed: int) -> None:
+def test_cells_of_a_buffer_around_a_ball(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    light, cells = some_cells(rng)
+    light, buffer = a_buffer(rng)
     middle = np.array([point(rng) for _ in range(40)])
     middle[:10] = light + 1e-3 * middle[:10]
     middle[10] = light
     radius = rng.choice([0, 1e-9, 1e-3, 0.1, 1], size=40)
-    distance, ball, cell, wide = cells.around(columns(light - middle), radius)
+    distance, ball, cell, wide = buffer.around(columns(light - middle), radius)
     pairs = {pair: k for k, pair in enumerate(zip(ball.tolist(), cell.tolist(), strict=True))}
     for i in range(40):
         points = middle[i] + radius[i] * (1 - 1e-12) * unit_vectors(rng, 60)
-        far, at, within = cells.locate(columns(light - points))
+        far, at, within = buffer.locate(columns(light - points))
         assert (far <= distance[i]).all()
         assert {(i, c) for c in at.tolist()} <= pairs.keys()
         # Bounds of objects are wider by a ten-thousandth: what meets the point meets the ball.
@@ -379,7 +379,7 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
         surfaces.min_pt,
         surfaces.max_pt,
     )
-    lines, turn = pencil.boxes(planes)
+    lines, turn, _ = pencil.boxes(planes)
     assert not turn.any()
     x, y = spread(150)
     inner = np.ones((400, x.size), dtype=np.bool_)

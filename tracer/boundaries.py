@@ -28,13 +28,15 @@ from tracer.edges import BEND, Kind, Lines, Pencil, bowed, joined
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
-from tracer.scene import Floats, Ints
+from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Group, Hits, View
 
-__all__ = ["Surface", "footprint_of"]
+__all__ = ["Surface", "footprint_of", "meetings"]
 
 # What a cell sees may reach so far from its middle, as a part of the way to a light.
 _WIDE = 0.1
+_EDGE_ON = 1e-3
+_ALIKE = 1e-9
 
 
 def _half_angle(raster: Raster, size: float) -> float:
@@ -42,10 +44,65 @@ def _half_angle(raster: Raster, size: float) -> float:
     return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
 
 
-def footprint_of(hits: Hits, group: Group, slope: Floats, size: float) -> Floats:
+def footprint_of(hits: Hits, group: Group, slope: Floats, radius: Floats, size: float) -> Floats:
     """Radius (n,) on the surface, around each point, of what a cell of a size sees."""
-    # Nearly edge-on, outlines mark the pixel anyway.
-    return hits.p[2, group.part] * _half_angle(hits.raster, size) / np.maximum(slope, 0.02)
+    angle = _half_angle(hits.raster, size)
+    half = hits.p[2, group.part] * angle
+    if group.flat:
+        # Towards a horizon, what the far end of a cell sees is farther away by more.
+        slope = np.maximum(slope, _EDGE_ON)
+        return half / slope / np.maximum(1 - angle / slope, _EDGE_ON)
+    footprint = half / slope
+    # A sphere turns away no faster than its limb is near: that is for the few points next to it.
+    of_sphere = group.of(radius)
+    at = np.flatnonzero(slope <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
+    footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
+    return footprint
+
+
+def meetings(
+    hits: Hits, behind: Hits, surfaces: Surfaces, cell: Ints, size: float, several: Bools
+) -> Iterator[Lines]:
+    """Where surfaces meet those close `behind`; marks `several` where that is no straight line.
+
+    In units of the ray's direction d, the distance t of a plane is n.p / n.d: 1 / t is linear in
+    the picture.  What it is on one surface less what it is on the other is a line.
+    """
+    if not behind.groups:
+        return
+    raster = hits.raster
+    place = np.empty(cell.size, dtype=np.intp)
+    place[hits.sample] = np.arange(hits.p.shape[1])
+    sample = behind.sample
+    first, off_first = _inverse(hits, surfaces, place[sample], size)
+    second, off_second = _inverse(behind, surfaces, np.arange(sample.size), size)
+    d = scaled(rows(behind.p, slice(None)), raster.depth / behind.p[2])
+    u, v, w = each(np.subtract, first, second)
+    a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
+    lines = Lines(cell[sample], np.full(sample.size, Kind.RIDGE), a, b, c)
+    reach, off = lines.reach(), off_first + off_second
+    # Of surfaces that coincide, nothing but rounding says which is seen.
+    alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
+    straight = ~alike & (4 * off <= BEND * reach)
+    several[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
+    yield lines.take(np.flatnonzero(straight & lines.crosses()))
+
+
+def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Triple, Floats]:
+    """Vectors whose product with rays is 1 / t, and how far that may be off in a cell's corners."""
+    vectors, off = np.empty((3, at.size)), np.zeros(at.size)
+    for group in hits.groups:
+        here = np.flatnonzero((at >= group.part.start) & (at < group.part.stop))
+        p, n = rows(hits.p, at[here]), pick(group.n, at[here] - group.part.start)
+        height = dot(n, p)
+        for out, component in zip(vectors, n, strict=True):
+            out[here] = component / height
+        if not group.flat:
+            radius = select(group.of(surfaces.radius), at[here] - group.part.start)
+            # As far as the surface leaves its tangent plane, along the ray.
+            reach2 = (p[2] * _half_angle(hits.raster, size)) ** 2 * dot(p, p) / height**2
+            off[here] = reach2 / (2 * radius * np.abs(height)) * hits.raster.depth / p[2]
+    return (vectors[0], vectors[1], vectors[2]), off
 
 
 class Surface(NamedTuple):
@@ -128,9 +185,10 @@ class Surface(NamedTuple):
         # A cell that sees more than the sphere is large may hold all of its shadow.
         odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
         several[discs.cell[odd & near]] = True
+        discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
         on = np.flatnonzero(other >= spheres)
         if not on.size:
-            return discs.crossing()
+            return discs
         # Every box and light once.
         pair, place = np.unique(light[on] * len(surfaces) + other[on], return_inverse=True)
         number, box = np.divmod(pair, len(surfaces))
@@ -138,11 +196,10 @@ class Surface(NamedTuple):
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
         planes = silhouette_planes(box_corners(low, high, apex), apex, low, high)
         planes = each(lambda m: m.take(place, axis=1), planes)
-        unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
+        edges, turn, unknown = pencil.take(on).boxes(planes)
         several[pencil.cell[on[unknown]]] = True
-        edges, turn = pencil.take(on).boxes(planes)
         several[edges.cell[turn > BEND]] = True
-        return joined([discs.crossing(), edges])
+        return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
 
     def wide(self, light: Incoming, slope: Floats) -> Iterator[Ints]:
         """Points around which a cell sees so much of the surface, as a light is near.
@@ -165,37 +222,44 @@ class Surface(NamedTuple):
         turns = np.flatnonzero(falls**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 
-    def kinks(self, light: Ints, at: Ints, tolerance: float) -> Ints:
-        """Where light begins so fast, as spheres are `turning`, that one sample is off by more."""
-        lighting, group = self.lighting, self.group
-        # On either side of the middle by a quarter of the cell, half of the time.
-        radius = select(group.of(self.view.surfaces.radius), at)
-        diffuse = lighting.materials.diffuse.max(axis=0)[lighting.shader]
-        change = self.footprint[at] / radius / 8 * select(group.of(diffuse), at)
-        kinks: Ints = at[change * lighting.intensities.max(axis=1)[light] > tolerance]
-        return kinks
-
     def terminators(
-        self, incoming: Incoming, light: Ints, at: Ints, several: Bools
+        self,
+        incoming: Incoming,
+        light: Ints,
+        at: Ints,
+        tolerance: float,
+        several: Bools,
     ) -> Iterator[Lines]:
-        """Where a highlight ends because spheres are `turning` away from its light.
+        """Where light, and its highlight, begin, as spheres are `turning`.
 
-        Marks `several` where that is no straight line.
+        Light that begins so slowly that one sample is off by less is left out. Marks `several`
+        where the line is not straight.
         """
         lighting, group = self.lighting, self.group
-        glossy = group.of(lighting.materials.glossy[lighting.shader])
-        shines = np.flatnonzero(np.broadcast_to(select(glossy, at), at.shape))
-        if not shines.size:
+        materials, shader = lighting.materials, lighting.shader
+        radius = group.of(self.view.surfaces.radius)
+        diffuse = select(group.of(materials.diffuse.max(axis=0)[shader]), at)
+        diffuse = diffuse * lighting.intensities.max(axis=1)[light]
+        glossy = np.broadcast_to(select(group.of(materials.glossy[shader]), at), at.shape)
+        # A ramp from the middle of a cell on is an eighth of what it changes across all of it.
+        change = self.footprint[at] / select(radius, at) * diffuse
+        total = np.bincount(at, change, self.cell.size)[at]
+        shown = np.flatnonzero(glossy | (total > 8 * tolerance))
+        if not shown.size:
             return
-        light, at = light[shines], at[shines]
-        ray, r = self.from_light(light, at), -select(group.of(self.view.surfaces.radius), at)
+        light, at, glossy, diffuse = light[shown], at[shown], glossy[shown], diffuse[shown]
+        ray, r = self.from_light(light, at), -select(radius, at)
         across, down = self.steps(at)
-        kind = np.full(at.size, Kind.SHADOW)
         a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.falls[light, at]
+        # What may shade the other side has been sought only if light falls on this one.
+        kind = np.where(c > 0, Kind.SHADOW, Kind.RIDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
-        slope = each(lambda d, n: d / r - n, ray, self.hits.raster.turned(pick(group.n, at)))
-        several[lines.cell[bowed(lines, slope, self.bow(at)) > BEND]] = True
-        yield lines.crossing()
+        gradient = each(lambda d, n: d / r + n, ray, self.hits.raster.turned(pick(group.n, at)))
+        off, turn = bowed(lines, gradient, self.bow(at))
+        bent = glossy & (turn > BEND)
+        bent |= diffuse * off > 8 * tolerance * np.sqrt(incoming.length2[light, at])
+        several[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
+        yield lines.take(np.flatnonzero(~bent & lines.crosses()))
 
     def ridges(self) -> Iterator[Lines]:
         """Where a box's face meets another that is seen as well."""

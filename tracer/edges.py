@@ -24,9 +24,13 @@ BEND = 0.2
 # Slopes of a line are at least so much of each other: then nothing divides by nearly zero.
 _LEAST_SLOPE = 1e-4
 
+# A share of a cell, or a variance in it, that is nothing but rounding.
+_TINY = 1e-12
+
 # Lines that are nowhere farther apart, in cells, count as one: a light near the eye
 # throws its shadows right behind the outlines.
 _SAME = 0.02
+_COMPARED = 6
 
 
 class Kind(IntEnum):
@@ -69,14 +73,25 @@ class Lines(NamedTuple):
 
     def differ(self, other: Lines) -> Bools:
         """Whether each is another line than its counterpart."""
-        mine, its = self.reach(), other.reach()
-        sign = np.where(self.a * other.a + self.b * other.b < 0, -1.0, 1.0)
-        a, b, c = (
-            np.abs(sign * m / mine - n / its)
-            for m, n in ((self.a, other.a), (self.b, other.b), (self.c, other.c))
-        )
+        mine, its = self._unit(), other._unit()
+        sign = np.where(mine[0] * its[0] + mine[1] * its[1] < 0, -1.0, 1.0)
+        a, b, c = (np.abs(sign * m - n) for m, n in zip(mine, its, strict=True))
         differ: Bools = a + b + c > _SAME
         return differ
+
+    def _unit(self) -> Triple:
+        """a, b and c, where the most that a x + b y differs from zero in a cell is 1."""
+        return scaled((self.a, self.b, self.c), 1 / self.reach())
+
+    def distinct(self) -> Lines:
+        """Sorted by cell, those that are not the same as one before in their cell."""
+        lines = self.take(np.argsort(self.cell, kind="stable"))
+        kept = np.ones(lines.cell.size, dtype=np.bool_)
+        for back in range(1, _COMPARED):
+            at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
+            same = ~lines.take(at + back).differ(lines.take(at))
+            kept[at[same] + back] = False
+        return lines.take(np.flatnonzero(kept))
 
     def reach(self) -> Floats:
         """The most that a x + b y differs from zero in a cell."""
@@ -89,19 +104,54 @@ class Lines(NamedTuple):
         A step at the line, integrated in x and in y, is max(z, 0)^2 / (2 a b): what is in the
         cell is the sum over its corners, with signs in turn.
         """
-        size = np.maximum(np.abs(self.a), np.abs(self.b))
-        a, b = (
-            np.copysign(np.maximum(np.abs(m / size), _LEAST_SLOPE), m) for m in (self.a, self.b)
-        )
-        share, moment_x, moment_y = np.zeros(size.size), np.zeros(size.size), np.zeros(size.size)
+        a, b, c = self._scaled()
+        share, moment_x, moment_y = np.zeros(a.size), np.zeros(a.size), np.zeros(a.size)
         for x in (-0.5, 0.5):
             for y in (-0.5, 0.5):
-                z = np.maximum(self.c / size + a * x + b * y, 0)
+                z = np.maximum(c + a * x + b * y, 0)
                 square = 4 * x * y * z * z / 2
                 share += square
                 moment_x += x * square - square * z / (3 * a)
                 moment_y += y * square - square * z / (3 * b)
         return share / (a * b), moment_x / (a * b), moment_y / (a * b)
+
+    def roots(self) -> tuple[Floats, Floats, Floats]:
+        """Shares, x and y (2, n): two points for the cell's part where z = -(c + a x + b y) > 0.
+
+        Within a limb light is a function of s = sqrt(z).  The points are those of Gauss, by which
+        the means of 1, s, s^2 and s^3 are exact; each lies in the middle of its line of equal z.
+        """
+        a, b, c = (-m for m in self._scaled())
+        x, y = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])[:, :, None]
+        z = np.maximum(c + a * x + b * y, 0)
+        # As in `halves`, with z^(k / 2) integrated twice.
+        power, root = 4 * x * y / (a * b) * z * z, np.sqrt(z)
+        moments = []
+        for k in range(4):
+            moments.append(power.sum(axis=0) / ((k / 2 + 1) * (k / 2 + 2)))
+            power = power * root
+        share = np.maximum(moments[0], _TINY)
+        mean, second, third = (m / share for m in moments[1:])
+        deviation = np.sqrt(np.maximum(second - mean * mean, _TINY))
+        skew = (third - 3 * mean * second + 2 * mean**3) / deviation**3 / 2
+        sign, root = np.array([[-1.0], [1.0]]), np.sqrt(1 + skew * skew)
+        s = np.maximum(mean + deviation * (skew + sign * root), 0)
+        shares = share * (1 - sign * skew / root) / 2
+        level = (s * s - c) / (a * a + b * b)
+        x, y = level * a, level * b
+        ends = [(x - 0.5) / b, (x + 0.5) / b], [(-y - 0.5) / a, (-y + 0.5) / a]
+        begin = np.maximum(*(np.minimum(*m) for m in ends))
+        end = np.minimum(*(np.maximum(*m) for m in ends))
+        along = (begin + end) / 2
+        return shares, x - along * b, y + along * a
+
+    def _scaled(self) -> tuple[Floats, Floats, Floats]:
+        """a, b and c, the larger of a and b being 1, and none of them nearly 0."""
+        size = np.maximum(np.abs(self.a), np.abs(self.b))
+        a, b = (
+            np.copysign(np.maximum(np.abs(m / size), _LEAST_SLOPE), m) for m in (self.a, self.b)
+        )
+        return a, b, self.c / size
 
 
 def joined(lines: Iterable[Lines]) -> Lines:
@@ -113,16 +163,17 @@ def joined(lines: Iterable[Lines]) -> Lines:
     return Lines(cell, kind, a, b, c)
 
 
-def bowed(lines: Lines, slope: Triple, bow: Triple | None) -> Floats:
-    """How far lines turn in their cells because the surface is curved (radians).
+def bowed(lines: Lines, gradient: Triple, bow: Triple | None) -> tuple[Floats, Floats]:
+    """How far c is off in the corners because the surface is curved, and how far lines turn.
 
-    `slope` is that of c on the way that the surface is off in the corners, `bow`.
+    `gradient`: of c, by where the point lies; `bow`: how far the surface leaves its tangent plane
+    in the corners, or None.  Turns are in radians.
     """
     if bow is None:
-        return np.zeros(lines.cell.size)
+        return np.zeros(lines.cell.size), np.zeros(lines.cell.size)
     # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
-    turn: Floats = 4 * np.abs(dot(slope, bow)) / lines.reach()
-    return turn
+    off: Floats = np.abs(dot(gradient, bow))
+    return off, 4 * off / lines.reach()
 
 
 class Pencil(NamedTuple):
@@ -160,16 +211,18 @@ class Pencil(NamedTuple):
         length2 = dot(self.ray, self.ray)
         nearest = dot(center, self.ray) / length2
         offset = each(lambda c, d: c - nearest * d, center, self.ray)
-        distance = np.sqrt(dot(offset, offset))
-        # Across the ray, at the sphere: how far the cell's sides lead out of it, and around it.
-        out = scaled(offset, -nearest / distance)
+        distance, along = np.sqrt(dot(offset, offset)), nearest * np.sqrt(length2)
+        c, scale = _beyond_limb(distance, along, radius)
+        # Across the ray, at that scale: how far the cell's sides lead out of it, and around it.
+        out = scaled(offset, -scale / (distance * np.sqrt(length2)))
         around = scaled(cross(out, self.ray), 1 / np.sqrt(length2))
         a, b = dot(out, self.across), dot(out, self.down)
         turn_a, turn_b = dot(around, self.across), dot(around, self.down)
-        c = _beyond_limb(distance, nearest * np.sqrt(length2), radius)
         # What leads along the ray makes all of it larger.
         a += c * dot(self.ray, self.across) / length2
         b += c * dot(self.ray, self.down) / length2
+        # Seen at right angles from the centre the outline is straight.
+        curvature = along / (distance * scale)
         # Of a line that turns, it takes more to say that it passes the cell by; of one around the
         # ray itself nothing is known.
         half = 0.5 * (np.sqrt(a * a + turn_a * turn_a) + np.sqrt(b * b + turn_b * turn_b))
@@ -178,19 +231,22 @@ class Pencil(NamedTuple):
         # From the cell's middle to the line, at most to its rim, it turns as well.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
         turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
-        bend = ((b * turn_a - a * turn_b) / size) ** 2 / distance
-        a, b = a + turn_a * turned / distance, b + turn_b * turned / distance
-        c -= turned * turned / (2 * distance)
+        bend = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
+        a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
+        c -= turned * turned * curvature / 2
         # A chord as long as the cell lies so far inside a flat arc on average.
-        c += np.where(bend < size, bend / 24, 0)
+        c += np.where(np.abs(bend) < size, bend / 24, 0)
         lines = self._lines(a, b, c)
         # With both sides of the disc in the cell there is another line.
-        both = ~(distance + radius >= lines.reach())
-        turn = np.where(both, np.inf, bend / size + bowed(lines, out, self.bow))
+        both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
+        turn = np.where(both, np.inf, np.abs(bend) / size + bowed(lines, out, self.bow)[1])
         return lines, turn, lines.crosses() | (within & (turn > BEND))
 
-    def boxes(self, planes: Triple) -> tuple[Lines, Floats]:
-        """The same of boxes: planes three (6, n) contain the edges of their outlines."""
+    def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
+        """The same of boxes: planes three (6, n) contain the edges of their outlines.
+
+        The last says where a plane is missing (zero).
+        """
         normals = [*zip(*planes, strict=True)]
         edges = [
             self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
@@ -200,17 +256,21 @@ class Pencil(NamedTuple):
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
-        turn = [bowed(edge, normal, self.bow) for edge, normal in zip(edges, normals, strict=True)]
+        turn = [
+            bowed(edge, normal, self.bow)[1] for edge, normal in zip(edges, normals, strict=True)
+        ]
         at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
-        return lines, np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
+        turns = np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
+        unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)
+        return lines, turns, unknown
 
     def _lines(self, a: Floats, b: Floats, c: Floats) -> Lines:
         return Lines(self.cell, np.full(self.cell.size, self.kind), a, b, c)
 
 
-def _beyond_limb(distance: Floats, along: Floats, radius: Floats) -> Floats:
-    """How far rays pass by the limbs of spheres, at right angles, where they are nearest.
+def _beyond_limb(distance: Floats, along: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    """How far rays pass by the limbs of spheres, and how far from the apex that is measured.
 
     Parameters
     ----------
@@ -220,9 +280,12 @@ def _beyond_limb(distance: Floats, along: Floats, radius: Floats) -> Floats:
         From the apex to where that is.
     radius
     """
-    # With the angles of ray and limb to the centre, along * tan(ray - limb).
+    # At right angles to the ray, as far away as the limb: tan(ray - limb), with their angles to
+    # the centre.
     tangent2 = along * along + (distance - radius) * (distance + radius)
-    ratio = radius / np.sqrt(tangent2)
-    angular = (distance - along * ratio) / (1 + distance / along * ratio)
+    tangent = np.sqrt(tangent2)
+    turned = along * tangent + distance * radius
+    beyond = tangent * (distance * tangent - along * radius) / turned
     # Seen from inside, or from behind, there is no limb.
-    return np.where((tangent2 > 0) & (along > 0), angular, distance - radius)
+    there = (tangent2 > 0) & (turned > 0)
+    return np.where(there, beyond, distance - radius), np.where(there, tangent, np.abs(along))

@@ -30,7 +30,7 @@ __all__ = [
 
 # On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
 # zero, and where it underflows.
-_SMOOTH, _FAINT, _DARK = 0.5, 3.0, 27.0
+_SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
 
 
 class Lighting(NamedTuple):
@@ -249,7 +249,7 @@ def radiance_at(
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; into zeros, if they are given."""
     radiance = np.zeros((3, samples.size)) if out is None else out
-    hits = visible(view, samples)
+    hits, _ = visible(view, samples)
     light = incoming(lighting, hits)
     lit = light.falls > 0
     lit &= ~lighting.shadows.blocked(hits, lit)

@@ -35,7 +35,7 @@ _ROUNDING = 1e-12
 _SMALL = 8.0
 
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
-_LEAST_ANGLE = 1e-6
+_LEAST_ANGLE = 1e-10
 
 
 class Spans(NamedTuple):
@@ -166,7 +166,7 @@ class Outlines(NamedTuple):
         return count
 
     def crossed_twice(self) -> float:
-        """Roughly the share of pixels that two outlines cross, if these lay anywhere."""
+        """Pairs of outlines in a pixel, on average, if they lay anywhere: it may be more than 1."""
         frames = self._frames()
         top, bottom = (np.clip(m, 0, self.raster.height) for m in (frames.top, frames.bottom))
         # As wide as they are high, more or less, and crossed on both sides.

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from tracer.antialias import antialiased, dense
+from tracer.antialias import antialiased, dense, splittings
 from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
@@ -58,26 +58,27 @@ def render(
     ----------
     scene : Scene
     samples : int
-        The picture is at least as accurate as with so many samples spread
-        evenly over every pixel; 1 samples the pixels' centres.
+        Rounded up to a square, n x n: the picture is at least as accurate as with n x n samples
+        in a grid in every pixel; 1 samples the pixels' centres.
     threads : int, optional
-        How many processors to use, at most as many as there are, with a process on each; one or
-        two, whatever pays, if absent.  Processes that help start in the background, and stay for
-        the next picture.
+        How many processors to use, this one included, at most as many as there are, with a process
+        on each; one or two, whatever pays, if absent or 0.  Processes that help start in the
+        background, and stay for the next picture.
     offset : (float, float)
         Moves every sample by so many pixels to the right and down.
+
+    Returns
+    -------
+    image : (height, width, 3) float64
+        Linear RGB radiance; row 0 is the top.
 
     Raises
     ------
     TypeError
         For a number of samples or threads that is no integer.
     ValueError
-        For fewer than one sample, and an offset that is not two finite numbers.
-
-    Returns
-    -------
-    image : (height, width, 3) float64
-        Linear RGB radiance; row 0 is the top.
+        For fewer than one sample, fewer threads than none, and an offset that is not two finite
+        numbers.
     """
     # Where nothing is seen, its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
@@ -97,8 +98,8 @@ def render_bands(
 ) -> Iterator[Floats]:
     """Render a scene from the top, band by band.
 
-    Parameters are those of `render`; `band_pixels` is the size of a band, if
-    not whatever is fast: it changes no pixel.
+    Parameters are those of `render`, and checked when the first band is asked for; `band_pixels`
+    is the size of a band, if not whatever is fast: it changes no pixel.
 
     Yields
     ------
@@ -237,7 +238,7 @@ class _Picture(NamedTuple):
         """Roughly what it takes: some 10 ns for each of these."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        often = (self.per_side - 1).bit_length()
+        often = splittings(self.per_side) + self.split
         return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * often) * each
 
 

@@ -14,7 +14,10 @@ __all__ = ["CENTRES", "Lattice", "Samples"]
 
 
 class Samples(NamedTuple):
-    """Sample positions, row by row, in pixels from the picture's upper left corner.
+    """Sample positions, row by row, from the picture's upper left corner.
+
+    They are in pixels of the raster whose rays they are: a `Lattice` has one of its own, with as
+    many columns and rows in every pixel.
 
     Attributes
     ----------
@@ -90,7 +93,7 @@ class Lattice(NamedTuple):
     columns : int
         Points in each row.
     rows : int
-        As many, or five times as many.
+        One for the centre alone, else five times as many.
     """
 
     columns: int
@@ -112,7 +115,7 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, top: int, bottom: int, left: int, right: int) -> Samples:
-        """Those in a rectangle of pixels, in a picture with `rows` and `columns` in each pixel."""
+        """Those in a rectangle of pixels, in steps of one of its rows and columns."""
         row = np.arange(self.rows * top, self.rows * bottom)
         column = np.arange(self.columns * left, self.columns * right)
         y, x = (each.astype(np.float64) + 0.5 for each in (row, column))

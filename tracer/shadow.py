@@ -3,12 +3,13 @@
 All shadow segments end at a light, so an object can only block those that pass
 it on their way.  The pairs of points and objects for which that cannot be ruled
 out are found in one of two ways, whichever has less to do: from coarse to fine
-in the picture, or by cells of direction around each light; or they are known
-from a look nearby.  All end in the same exact test.
+in the picture, or by light buffers; or they are known from a look nearby.  All
+end in the same exact test.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import sqrt
 from typing import NamedTuple
 
@@ -16,7 +17,6 @@ import numpy as np
 
 from tracer.arrays import Bools, Triple, columns, dot, each, entries, pick, put
 from tracer.camera import Raster
-from tracer.cells import InCells, in_cells
 from tracer.intersection import (
     ON,
     OUTSIDE,
@@ -25,6 +25,7 @@ from tracer.intersection import (
     sphere_blocks,
     sphere_crosses,
 )
+from tracer.light_buffers import InLightBuffers, in_light_buffers
 from tracer.occluders import SLACK, Occluders, Pairs, pairs_of_points
 from tracer.scene import Floats, Ints
 from tracer.stretches import InStretches, in_stretches
@@ -44,11 +45,11 @@ class Shadows(NamedTuple):
     Attributes
     ----------
     occluders : Occluders
-    finder : InStretches, InCells or InSurroundings
+    finder : InStretches, InLightBuffers or InSurroundings
     """
 
     occluders: Occluders
-    finder: InStretches | InCells | InSurroundings
+    finder: InStretches | InLightBuffers | InSurroundings
 
     def blocked(self, hits: Hits, facing: Bools) -> Bools:
         """Whether other objects than their own keep lights from points that face them.
@@ -64,10 +65,11 @@ class Shadows(NamedTuple):
         return blocked | dark
 
     def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, Look]:
-        """`blocked`, and where it may change within a distance (n,) of a point.
+        """`blocked`, and where it may change within a distance `footprint` (n,) of a point.
 
-        Listed is an object that, when it is larger by as much, blocks or holds both ends, and
-        does not block when smaller by as much; unless another blocks, too, when smaller.
+        Listed are the objects whose shadow's edge may be so near: they block, as they are or when
+        grown by the footprint, or have the light so near to their surface; and they do not block
+        when shrunk by it.  Where another blocks even so, all that is near is dark.
         """
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)
@@ -76,7 +78,8 @@ class Shadows(NamedTuple):
             point, light, other = pairs.points()
             reach = footprint[point]
             does_larger = self._blocks(hits, pairs, point, light, other, reach)
-            may = np.flatnonzero(does_larger | (self._to_light(pairs) <= reach))
+            to_light = self._to_light(pairs)
+            may = np.flatnonzero(does_larger | (to_light <= reach))
             if not may.size:
                 continue
             point, light, other, reach = point[may], light[may], other[may], reach[may]
@@ -85,9 +88,12 @@ class Shadows(NamedTuple):
             does = self._blocks(hits, pairs, point, light, other)
             # A point on a hollow sphere is outside of one that is smaller: that says nothing.
             must = does & self._blocks(hits, pairs, point, light, other, -reach)
+            # Nor does one with the light on its surface.
+            must &= entries(self.occluders.side, light, other) != ON
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
-            edge = ~must & entries(facing, light, point)
+            changes = does_larger[may] | does | (np.abs(to_light[may]) <= reach)
+            edge = ~must & changes & entries(facing, light, point)
             found.append((point[edge], light[edge], other[edge]))
         point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
         blocked |= dark
@@ -95,6 +101,17 @@ class Shadows(NamedTuple):
         seen = np.flatnonzero(~entries(dark, light, point))
         found_there = point[seen], light[seen], other[seen]
         return blocked, Look(hits, own, footprint, facing, dark, *found_there)
+
+    def remembering(self, looks: Sequence[Look], place: Ints) -> Callable[[Ints], Shadows]:
+        """What looks have found holds for samples near their points: these, given that of each.
+
+        `place` (points,): where the points are in all looks, or -1 where nothing is seen.
+        """
+        if not isinstance(self.finder, InLightBuffers):
+            # Stretches take neighbours together, which would be taken apart.
+            return lambda _: self
+        known = InSurroundings.of(self.finder, looks, place)
+        return lambda near: self._replace(finder=known._replace(near=near))
 
     def _blocks(
         self,
@@ -236,4 +253,4 @@ def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
     # Neighbours in a row make stretches; more rows of as many make only more of them.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
-    return Shadows(occluders, in_stretches(occluders) if few else in_cells(occluders))
+    return Shadows(occluders, in_stretches(occluders) if few else in_light_buffers(occluders))

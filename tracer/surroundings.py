@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, batches, dot, each, expand, rows
-from tracer.cells import InCells
+from tracer.light_buffers import InLightBuffers
 from tracer.occluders import Pairs, pairs_with_objects
 from tracer.scene import Floats, Ints
 from tracer.visibility import Hits
@@ -35,7 +35,7 @@ class Look(NamedTuple):
         The points.
     own : (n,)
         The object that each is on.
-    reach : (n,)
+    footprint : (n,)
         How near.
     facing, dark : (lights, n)
         Which points face which light, and where it reaches nothing that is near.
@@ -45,7 +45,7 @@ class Look(NamedTuple):
 
     hits: Hits
     own: Ints
-    reach: Floats
+    footprint: Floats
     facing: Bools
     dark: Bools
     point: Ints
@@ -58,11 +58,11 @@ class InSurroundings(NamedTuple):
 
     Attributes
     ----------
-    finder : InCells
+    finder : InLightBuffers
         For samples of which nothing is known.
     near : (samples,)
         Each sample's point, of those that follow.
-    own, p, reach : (points,), (3, points), (points,)
+    own, p, footprint : (points,), (3, points), (points,)
         See `Look`.
     state, first, listed : (lights, points)
         What is known of a light, where the objects for it begin in `others`, and how many are
@@ -70,18 +70,18 @@ class InSurroundings(NamedTuple):
     others : (m,)
     """
 
-    finder: InCells
+    finder: InLightBuffers
     near: Ints
     own: Ints
     p: Floats
-    reach: Floats
+    footprint: Floats
     state: NDArray[np.int8]
     first: Ints
     listed: Ints
     others: Ints
 
     @classmethod
-    def of(cls, finder: InCells, looks: Sequence[Look], place: Ints) -> InSurroundings:
+    def of(cls, finder: InLightBuffers, looks: Sequence[Look], place: Ints) -> InSurroundings:
         """Gather points, given their `place` (points,) in all looks, or -1 where nothing is seen.
 
         Samples are near none so far.
@@ -103,7 +103,7 @@ class InSurroundings(NamedTuple):
             count = look.own.size
             at = np.flatnonzero((place >= start) & (place < start + count))
             point = place[at] - start
-            known.own[at], known.reach[at] = look.own[point], look.reach[point]
+            known.own[at], known.footprint[at] = look.own[point], look.footprint[point]
             known.p[:, at] = rows(look.hits.p, point)
             key = look.light * count + look.point
             order = np.argsort(key)
@@ -146,7 +146,7 @@ class InSurroundings(NamedTuple):
     def _inside(self, p: Floats, own: Ints, near: Ints, footprint: Floats | None) -> Bools:
         """Whether all that is asked about hits is known: they lie on the same object, and near."""
         away = each(np.subtract, rows(p, slice(None)), rows(self.p, near))
-        reach = self.reach[near]
+        reach = self.footprint[near]
         if footprint is not None:
             reach = np.maximum(reach - footprint, 0)
         inside: Bools = (dot(away, away) <= reach * reach) & (own == self.own[near])

@@ -21,7 +21,7 @@ __all__ = ["Group", "Hits", "View", "view_of", "visible"]
 _PAD = 0.5
 
 # Surfaces may cross within a pixel if their distance is less than so many pixels' size.
-_CLOSE = 8.0
+_CLOSE = 64.0
 
 # Samples farther apart, in pixels, are no neighbours.
 _GAP = 4.0
@@ -88,8 +88,8 @@ class Group(NamedTuple):
     n : three
         The unit normal towards the eye, in the camera's axes.
     lift
-        The cosine between the normal and the way to the eye times the length of that way;
-        of spheres, that of the ray's direction: a number, or (n,).
+        Of boxes n . (eye - p), the eye's height over the face; of spheres -n . d, with the ray's
+        direction d: a number, or (n,).
     """
 
     part: slice
@@ -165,27 +165,27 @@ class Hits(NamedTuple):
         return self.raster.placed(rows(self.p, index))
 
 
-def visible(view: View, samples: Samples, close: Bools | None = None, size: float = 1.0) -> Hits:
+def visible(view: View, samples: Samples, size: float = 0.0) -> tuple[Hits, Hits]:
     """Nearest surface at each sample; of exactly equal ones the first in the file.
 
-    `close` (n,), if given, is set where a second surface lies so near behind
-    the first that they may change places within `size` pixels.
+    Returns
+    -------
+    hits : Hits
+    behind : Hits
+        Surfaces so near behind those that they may change places within `size` pixels.
     """
     s = samples.across(view.raster)
     groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
+    behind: list[_Fragments] = []
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         # Nothing can hide a lone object.
         groups = [groups[0].where(groups[0].t < np.inf)]
     else:
-        groups = _nearest(view, samples, groups, close, size)
-    parts = [part for group in groups if group.t.size for part in _faces(view, samples, group)]
-    ends = np.cumsum([0] + [part.t.size for part, *_ in parts]).tolist()
-    p = np.empty((3, ends[-1]))
-    hits = []
-    for (part, face, sign), start, end in zip(parts, ends, ends[1:], strict=False):
-        place = slice(start, end)
-        hits.append(_hit(view, samples, part, face, sign, place, p[:, place]))
-    return _hits(view, samples, p, hits)
+        nearest = _nearest(samples, groups)
+        if size > 0:
+            behind = _close_behind(view.raster, samples, groups, nearest, size)
+        groups = _seen(view, groups, nearest)
+    return _hits(view, samples, groups), _hits(view, samples, behind)
 
 
 class _Fragments(NamedTuple):
@@ -216,8 +216,11 @@ class _Fragments(NamedTuple):
 
     def where(self, mask: Bools) -> _Fragments:
         """Those where the mask holds."""
-        index = np.flatnonzero(mask)
-        if index.size == mask.size:
+        return self.take(np.flatnonzero(mask))
+
+    def take(self, index: Ints) -> _Fragments:
+        """Some of them, in order."""
+        if index.size == self.t.size:
             return self
         return self._replace(
             counts=np.diff(np.searchsorted(index, np.cumsum(self.counts)), prepend=0),
@@ -236,10 +239,8 @@ class _Fragments(NamedTuple):
         return np.repeat(values[self.row], self.counts)
 
 
-def _nearest(
-    view: View, samples: Samples, groups: list[_Fragments], close: Bools | None, size: float
-) -> list[_Fragments]:
-    """Of all fragments those that are seen; sets `close` as `visible` says."""
+def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
+    """The distance (n,) of the first fragment of each sample."""
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for i, group in enumerate(groups):
@@ -249,11 +250,12 @@ def _nearest(
             nearest[group.sample] = np.minimum(before, group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
-    for i, group in enumerate(groups):
-        first = nearest[group.sample]
-        if close is not None:
-            close[group.sample[_close_behind(view.raster, samples, group, first, size)]] = True
-        groups[i] = group.where(group.t == first)
+    return nearest
+
+
+def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragments]:
+    """Of all fragments those that are seen, given the distance of each sample's first."""
+    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     if sum(group.t.size for group in groups) > seen:
         groups = _first_of_equals(view, groups)
@@ -261,17 +263,21 @@ def _nearest(
 
 
 def _close_behind(
-    raster: Raster, samples: Samples, group: _Fragments, first: Floats, size: float
-) -> Ints:
-    """Fragments that lie so near behind the `first` of their samples as `visible` says."""
+    raster: Raster, samples: Samples, groups: list[_Fragments], nearest: Floats, size: float
+) -> list[_Fragments]:
+    """Fragments that lie so near behind the first of their samples as `visible` says."""
     step = _CLOSE * size * max(raster.step_u, raster.step_v)
-    # No direction is shorter than the window is far: few are left for their lengths.
-    most = first * (1 + 2 * step / raster.depth)
-    at = np.flatnonzero((group.t > first) & (group.t < most))
-    _, y = samples.at(group.sample[at])
-    s, g, first = group.s[at], raster.down(y), first[at]
-    gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
-    return at[gap < step * first]
+    behind = []
+    for group in groups:
+        first = nearest[group.sample]
+        # No direction is shorter than the window is far: few are left for their lengths.
+        most = first * (1 + 2 * step / raster.depth)
+        at = np.flatnonzero((group.t > first) & (group.t < most))
+        _, y = samples.at(group.sample[at])
+        s, g, first = group.s[at], raster.down(y), first[at]
+        gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
+        behind.append(group.take(at[gap < step * first]))
+    return behind
 
 
 def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
@@ -441,8 +447,15 @@ def _hit(
     )
 
 
-def _hits(view: View, samples: Samples, p: Floats, groups: list[Group]) -> Hits:
-    """Put the runs of all groups one after the other."""
+def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
+    """What is seen: faces one by one, and the runs of all groups one after the other."""
+    faces = [face for group in fragments if group.t.size for face in _faces(view, samples, group)]
+    ends = np.cumsum([0] + [part.t.size for part, *_ in faces]).tolist()
+    p = np.empty((3, ends[-1]))
+    groups = []
+    for (part, face, sign), start, end in zip(faces, ends, ends[1:], strict=False):
+        place = slice(start, end)
+        groups.append(_hit(view, samples, part, face, sign, place, p[:, place]))
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
     piece = None

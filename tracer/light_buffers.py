@@ -1,10 +1,11 @@
-"""Directions around a light, in cells, each with the objects that lie there.
+"""Light buffers: directions around a light, in cells, each with the objects that lie there.
 
-The cells are those of an octahedral map (Engelhardt and Dachsbacher 2008): each
-octant of directions is projected onto its face of |x| + |y| + |z| = 1, where
-planes through the light are straight lines.  An object is listed in the cells
-that its bounding box can touch, less those that a plane keeps apart from it;
-with it, how far it reaches there, which rules out most of a cell's points.
+Haines and Greenberg (1986) divide a cube around the light; here the cells are
+those of an octahedral map (Engelhardt and Dachsbacher 2008): each octant of
+directions is projected onto its face of |x| + |y| + |z| = 1, where planes through
+the light are straight lines.  An object is listed in the cells that its bounding
+box can touch, less those that a plane keeps apart from it; with it, how far it
+reaches there, which rules out most of a cell's points.
 
 All bounds are interval arithmetic and valid with the light beside, on or inside
 an object: they leave out only pairs that cannot meet.
@@ -19,15 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Triple, batches, dot, each, expand, pick, scaled
-from tracer.occluders import Occluders, Pairs, pairs_with_objects
+from tracer.occluders import SLACK, Occluders, Pairs, pairs_with_objects
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Floats, Ints, Surfaces
 from tracer.visibility import Hits
 
-__all__ = ["Cells", "InCells", "in_cells"]
-
-# Widens bounds by more than all roundings between a point and its cell.
-_SLACK = 1e-9
+__all__ = ["InLightBuffers", "LightBuffer", "in_light_buffers"]
 
 # A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
 _LEAST_ANGLE = 1e-5
@@ -69,22 +67,22 @@ class _Extents(NamedTuple):
         center, radius = surfaces.center.T, surfaces.radius
         low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
         high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
-        slack = _SLACK * (np.abs(low) + np.abs(high))
+        slack = SLACK * (np.abs(low) + np.abs(high))
         return cls(low - slack, high + slack, seen)
 
     def around(self, light: Floats) -> _Extents:
         """As seen from a light (3,)."""
-        slack = _SLACK * np.abs(light).sum()
+        slack = SLACK * np.abs(light).sum()
         low, high = self.low - (light + slack)[:, None], self.high - (light - slack)[:, None]
         return _Extents(low, high, self.seen)
 
 
-class Cells(NamedTuple):
+class LightBuffer(NamedTuple):
     """Lists of objects, by direction from a light.
 
     Attributes
     ----------
-    side : int
+    resolution : int
         Cells along each side of an octant.
     scale, shift : (2, 8)
         From octahedral coordinates to cells, per octant.
@@ -103,7 +101,7 @@ class Cells(NamedTuple):
         Each object's least distance to the light, in the 1-norm.
     """
 
-    side: int
+    resolution: int
     scale: Floats
     shift: Floats
     base: Ints
@@ -122,11 +120,11 @@ class Cells(NamedTuple):
         i = x * inverse * self.scale[0][octant] + self.shift[0][octant]
         j = y * inverse * self.scale[1][octant] + self.shift[1][octant]
         # A point in the light itself is in no direction: any cell will do.
-        last = self.side - 1
+        last = self.resolution - 1
         column = np.fmin(np.fmax(i, 0), last).astype(np.intp)
         row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
-        cell = self.base[octant] + column * self.side + row
-        return total * (1 + _SLACK), cell, _within(i, i, j, j)
+        cell = self.base[octant] + column * self.resolution + row
+        return total * (1 + SLACK), cell, _within(i, i, j, j)
 
     def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints, Bounds]:
         """Distance of balls (1-norm), pairs of a ball and a cell it reaches into, and `_within`."""
@@ -143,16 +141,16 @@ class Cells(NamedTuple):
             low = each(np.maximum, each(np.subtract, middle, (r, r, r)), (0 * r, 0 * r, 0 * r))
             bounds = _octahedral(low, each(np.add, middle, (r, r, r)))
             bounds = _to_cells(bounds, self.scale[:, number], self.shift[:, number])
-            west, east, north, south = np.clip(bounds, 0, self.side - 1).astype(np.intp)
+            west, east, north, south = np.clip(bounds, 0, self.resolution - 1).astype(np.intp)
             tall = south - north + 1
             owner, place = expand((east - west + 1) * tall)
             over, down = np.divmod(place, tall[owner])
-            cell = (west[owner] + over) * self.side + north[owner] + down
+            cell = (west[owner] + over) * self.resolution + north[owner] + down
             balls.append(ball[owner])
             cells.append(self.base[number] + cell)
             reaches.append(_within(*bounds)[owner])
         ball, cell = np.concatenate(balls), np.concatenate(cells)
-        return total * (1 + _SLACK), ball, cell, np.concatenate(reaches)
+        return total * (1 + SLACK), ball, cell, np.concatenate(reaches)
 
     def lengths(self, cell: Ints) -> Ints:
         """How many objects are listed in cells."""
@@ -170,14 +168,14 @@ class Cells(NamedTuple):
 
 
 def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """What the `Cells.bounds` of objects must reach (n,) to meet a rectangle."""
+    """What the `LightBuffer.bounds` of objects must reach (n,) to meet a rectangle."""
     within = np.empty((left.size, 4), dtype=np.float32)
     within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
     return within.view(np.complex128)[:, 0]
 
 
 def _reaching(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """The `Cells.bounds` (n,) of objects that lie in a rectangle, as `_within` asks for them."""
+    """`LightBuffer.bounds` (n,) of objects that lie in a rectangle, as `_within` asks for them."""
     return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
@@ -219,7 +217,7 @@ class _Listing(NamedTuple):
     scale, shift : (2,)
         From octahedral coordinates to cells.
     objects, nearest, bounds : (n,)
-        What may shade something there, its least distance to the light, and `Cells.bounds`.
+        What may shade something there, its least distance to the light, and `LightBuffer.bounds`.
     cell, place : (m,)
         Pairs of one of the cells, and of one of the objects.
     """
@@ -234,7 +232,7 @@ class _Listing(NamedTuple):
     place: Ints
 
 
-def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells:
+def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> LightBuffer:
     """Fill the cells around a light (3,)."""
     count = len(surfaces)
     root = np.sqrt(count)
@@ -268,7 +266,7 @@ def _cells_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Cells
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[single]]
-    return Cells(side, scale, shift, base, first, listed, reach, sole, near * (1 - _SLACK))
+    return LightBuffer(side, scale, shift, base, first, listed, reach, sole, near * (1 - SLACK))
 
 
 def _listing(
@@ -286,7 +284,7 @@ def _listing(
     extent = _to_cells(octant.bounds, scale, shift)
     west, east, north, south = extent
     may = np.flatnonzero(
-        (octant.nearest <= _reach(octant, lit) * (1 + _SLACK))
+        (octant.nearest <= _reach(octant, lit) * (1 + SLACK))
         & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
     )
     if not may.size:
@@ -323,7 +321,7 @@ def _octahedral(low: Triple, high: Triple) -> Floats:
     around = np.isnan(bounds)
     if around.any():
         bounds = np.where(around, whole, bounds)
-    bounds += _SLACK * (2 * whole - 1)
+    bounds += SLACK * (2 * whole - 1)
     return bounds
 
 
@@ -422,22 +420,22 @@ def _beyond(plane: Triple, column: Ints, row: Ints) -> Bools:
     """Whether all of a cell is on the wrong side of a plane a + b column + c row >= 0."""
     a, b, c = plane
     most = a + b * column + c * row + np.maximum(b, 0) + np.maximum(c, 0)
-    beyond: Bools = most < -_SLACK
+    beyond: Bools = most < -SLACK
     return beyond
 
 
-class InCells(NamedTuple):
+class InLightBuffers(NamedTuple):
     """Finds what may shade points by the cells they lie in.
 
     Attributes
     ----------
     occluders : Occluders
-    cells : tuple of Cells
+    buffers : tuple of LightBuffer
         Around each light.
     """
 
     occluders: Occluders
-    cells: tuple[Cells, ...]
+    buffers: tuple[LightBuffer, ...]
 
     def pairs(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
@@ -445,38 +443,38 @@ class InCells(NamedTuple):
         """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
         own = hits.own
         points = hits.points(slice(None))
-        for number, cells in enumerate(self.cells):
+        for number, buffer in enumerate(self.buffers):
             asked = np.flatnonzero(facing[number])
             x, y, z = self.occluders.lights[number].tolist()
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
-                distance, cell, within = cells.locate(to_light)
-                at, other = _listed(cells, own[asked], cell, distance, within)
+                distance, cell, within = buffer.locate(to_light)
+                at, other = _listed(buffer, own[asked], cell, distance, within)
                 point = asked[at]
             else:
-                distance, ball, cell, within = cells.around(to_light, footprint[asked])
-                at, other = _listed(cells, own[asked[ball]], cell, distance[ball], within)
-                point, other = _once(asked[ball[at]], other, len(cells.near))
+                distance, ball, cell, within = buffer.around(to_light, footprint[asked])
+                at, other = _listed(buffer, own[asked[ball]], cell, distance[ball], within)
+                point, other = _once(asked[ball[at]], other, len(buffer.near))
             yield from pairs_with_objects(
                 self.occluders, own, points, point, number, other, footprint
             )
 
 
 def _listed(
-    cells: Cells, own: Ints, cell: Ints, distance: Floats, within: Bounds
+    buffer: LightBuffer, own: Ints, cell: Ints, distance: Floats, within: Bounds
 ) -> tuple[Ints, Ints]:
     """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
-    # Most cells hold nothing, or the object itself.
-    sole = cells.sole[cell]
+    # Most buffer hold nothing, or the object itself.
+    sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
     none = np.zeros(0, dtype=np.intp)
     points, others = [none], [none]
-    for batch in batches(cells.lengths(cell[asked])):
+    for batch in batches(buffer.lengths(cell[asked])):
         some = asked[batch]
-        owner, other = cells.objects(cell[some], within[some])
+        owner, other = buffer.objects(cell[some], within[some])
         point = some[owner]
-        keep = np.flatnonzero((other != own[point]) & (cells.near[other] <= distance[point]))
+        keep = np.flatnonzero((other != own[point]) & (buffer.near[other] <= distance[point]))
         points.append(point[keep])
         others.append(other[keep])
     return np.concatenate(points), np.concatenate(others)
@@ -488,9 +486,9 @@ def _once(point: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 
 
-def in_cells(occluders: Occluders) -> InCells:
+def in_light_buffers(occluders: Occluders) -> InLightBuffers:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
     extents = _Extents.of(surfaces, occluders.seen)
-    cells = (_cells_around(light, surfaces, extents) for light in occluders.lights)
-    return InCells(occluders, tuple(cells))
+    buffers = (_buffer_around(light, surfaces, extents) for light in occluders.lights)
+    return InLightBuffers(occluders, tuple(buffers))

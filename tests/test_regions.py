@@ -1,0 +1,104 @@
+"""Regions of cells: exact shares, whatever lines divide them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tracer.edges import Kind, Lines
+from tracer.regions import sides_of, stratified
+from tracer.sampling import Lattice
+from tracer.scene import Floats, Ints
+
+FINE = (np.arange(400) + 0.5) / 400 - 0.5
+
+
+def lines_in(rng: np.random.Generator, counts: Ints, kind: Kind = Kind.OUTLINE) -> Lines:
+    """So many lines in each cell, sorted by cell: at all slopes, upright, level, and alike."""
+    cell = np.repeat(np.arange(counts.size), counts)
+    angle = rng.uniform(0, 2 * np.pi, cell.size)
+    angle = np.where(rng.random(cell.size) < 0.2, np.round(angle), angle * np.pi / 3)
+    angle = np.where(rng.random(cell.size) < 0.2, 0.5 * np.pi * rng.integers(4, size=1), angle)
+    scale = 10.0 ** rng.integers(-6, 7, cell.size)
+    a, b = scale * np.cos(angle), scale * np.sin(angle)
+    c = 0.5 * (np.abs(a) + np.abs(b)) * rng.uniform(-1, 1, cell.size)
+    return Lines(cell, np.full(cell.size, kind), a, b, c)
+
+
+def codes(lines: Lines, cell: int, x: Floats, y: Floats) -> Ints:
+    """On which side of each of a cell's lines points are: a bit for each."""
+    at = np.flatnonzero(lines.cell == cell)
+    z = lines.a[at, None] * x + lines.b[at, None] * y + lines.c[at, None]
+    sides: Ints = ((z < 0) << np.arange(at.size)[:, None]).sum(axis=0)
+    return sides
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("per_side", [1, 2, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 5, 60)
+    lines = lines_in(rng, counts)
+    x, y = Lattice.of(per_side).points()
+    shares, lone = stratified(lines, np.arange(counts.size), x, y)
+    fine_x, fine_y = (m.ravel() for m in np.meshgrid(FINE, FINE))
+    for cell, count in enumerate(counts.tolist()):
+        whole = np.bincount(codes(lines, cell, fine_x, fine_y), minlength=1 << count) / fine_x.size
+        own = np.flatnonzero(lone.cell == cell)
+        total = np.bincount(codes(lines, cell, x, y), shares[cell], minlength=1 << count)
+        regions = codes(lines, cell, lone.x[own], lone.y[own])
+        # Those without points of the lattice, and no others, have one of their own, inside.
+        assert not total[regions].any()
+        assert np.unique(regions).size == own.size
+        total += np.bincount(regions, lone.share[own], minlength=1 << count)
+        assert total == pytest.approx(whole, abs=0.003)
+        assert total.sum() == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sides_of_a_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    lines = lines_in(rng, np.ones(200, dtype=np.intp))
+    sides = sides_of(lines)
+    assert np.bincount(sides.cell, sides.share) == pytest.approx(1)
+    # What changes evenly across the cell is its mean there, whatever the line.
+    assert np.bincount(sides.cell, sides.share * sides.x) == pytest.approx(0, abs=2e-4)
+    assert np.bincount(sides.cell, sides.share * sides.y) == pytest.approx(0, abs=2e-4)
+    z = lines.c + lines.a * sides.x.reshape(2, -1) + lines.b * sides.y.reshape(2, -1)
+    assert (z[0] > 0).all()
+    assert (z[1] < 0).all()
+    # One of the two is on the side of the middle.
+    assert np.array_equal(sides.beyond, (np.sign(lines.c) * z <= 0).ravel())
+
+
+def test_a_shadow_divides_a_single_surface() -> None:
+    rng = np.random.default_rng(0)
+    assert not sides_of(lines_in(rng, np.ones(20, dtype=np.intp), Kind.SHADOW)).beyond.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_means_of_roots_within_a_limb_are_exact(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    lines = lines_in(rng, np.ones(200, dtype=np.intp), Kind.LIMB)
+    # Some of them pass their cells by.
+    lines = lines._replace(c=lines.c * np.where(rng.random(200) < 0.3, -3.0, 1.0))
+    steep = np.maximum(np.abs(lines.a), np.abs(lines.b))
+    sides = sides_of(lines)
+    inside = -(lines.c[sides.cell] + lines.a[sides.cell] * sides.x + lines.b[sides.cell] * sides.y)
+    fine_x, fine_y = (m.ravel() for m in np.meshgrid(FINE, FINE))
+    for power in (0.0, 0.5, 1.0, 1.5):
+        value = np.where(inside > 0, np.maximum(inside / steep[sides.cell], 0) ** power, 0)
+        mean = np.bincount(sides.cell, sides.share * value, minlength=200)
+        for cell in range(0, 200, 7):
+            z = -(lines.c[cell] + lines.a[cell] * fine_x + lines.b[cell] * fine_y) / steep[cell]
+            exact = np.where(z > 0, np.maximum(z, 0) ** power, 0).mean()
+            assert mean[cell] == pytest.approx(exact, abs=2e-3), (cell, power)
+
+
+def test_lines_that_are_the_same() -> None:
+    a = np.array([1.0, -2.0, 1.0, 1.0, 1.0])
+    lines = Lines(np.array([1, 1, 1, 0, 0]), np.zeros(5, dtype=np.intp), a, 0 * a, 0.1 * a)
+    distinct = lines._replace(c=np.array([0.1, -0.2, 0.3, 0.1, -0.1])).distinct()
+    assert distinct.cell.tolist() == [0, 0, 1, 1]
+    assert distinct.c.tolist() == [0.1, -0.1, 0.1, 0.3]

@@ -1,0 +1,112 @@
+"""Outlines across the picture: which pixels each may cross, and the lines they draw in cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tracer.arrays import Bools, each, expand, pick
+from tracer.edges import BEND, Kind, Lines, Pencil
+from tracer.looks import Cells, Seen
+from tracer.outlines import Outlines, Spans
+from tracer.scene import Ints
+from tracer.visibility import View
+
+__all__ = ["crossed", "outlines_across", "spans_of"]
+
+# A limb that turns by less (radians), for each unit of radiance that a sample may be off, passes
+# for straight.
+_TURN = 57.0
+
+# From a limb on, in halves of a cell, light is a function of the distance from it.
+_NEAR_LIMB = 6.0
+
+
+def spans_of(lines: Outlines, top: int, height: int, per_side: int) -> Spans:
+    """Spans of all objects, spheres first, in rows of samples from one above to one below."""
+    y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
+    spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
+    boxes = boxes._replace(owner=boxes.owner + len(lines.radius))
+    return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
+
+
+def crossed(
+    spans: Spans, left: int, height: int, width: int, per_side: int
+) -> tuple[Ints, Ints, Ints]:
+    """Row, column and object: pixels that an outline may cross.
+
+    Seen in rows of samples: between the leftmost and the rightmost place at which
+    an object begins (or ends) in a pixel's rows and the next ones its outline
+    crosses; one that misses some of them crosses wherever it is.
+    """
+    owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
+    # The first row of a pixel is that below the pixel above, too.
+    above, below = (np.flatnonzero(line % per_side == k) for k in (0, per_side - 1))
+    span = np.concatenate([np.arange(line.size), above, below])
+    row = line // per_side
+    row = np.concatenate([row, row[above] - 1, row[below] + 1])
+    keep = np.flatnonzero((row >= 0) & (row < height))
+    span, row = span[keep], row[keep]
+    order = np.lexsort((row, owner[span]))
+    span, row = span[order], row[order]
+    first = np.flatnonzero(
+        (np.diff(row, prepend=-1) != 0) | (np.diff(owner[span], prepend=-1) != 0)
+    )
+    if not first.size:
+        return first, first, first
+    (left_min, left_max), (right_min, right_max) = (
+        (np.minimum.reduceat(m[span], first), np.maximum.reduceat(m[span], first))
+        for m in (begin, end)
+    )
+    whole = (np.diff(first, append=row.size) < per_side + 2) | (left_max + 1 >= right_min)
+    apart = np.flatnonzero(~whole)
+    start = np.concatenate([left_min, right_min[apart]])
+    stop = np.concatenate([np.where(whole, right_max, left_max), right_max[apart]])
+    row, owner = (np.concatenate([m, m[apart]]) for m in (row[first], owner[span][first]))
+    start, stop = (np.floor(m).astype(np.intp) - left for m in (start, stop))
+    start = np.maximum(start, 0)
+    each_one, column = expand(np.maximum(np.minimum(stop + 1, width) - start, 0), start)
+    return row[each_one], column, owner[each_one]
+
+
+def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Iterator[Lines]:
+    """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
+
+    Cells that are only `rough` for they see a sphere beside its limb have its line as well, and
+    are rough no more.
+    """
+    lines, spheres = view.outlines, len(view.outlines.radius)
+    at = np.flatnonzero(cells.owner < spheres)
+    beside, own = seen.spheres(rough, spheres)
+    cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
+    if cell.size:
+        pencil = _pencil(view, cells, cell, Kind.LIMB)
+        discs, turn, near = pencil.discs(pick(lines.center, ball), lines.radius[ball])
+        straight = turn <= min(BEND, _TURN * cells.tolerance)
+        seen.several[cell[near & ~straight]] = True
+        explained = straight & (np.abs(discs.c) < _NEAR_LIMB * discs.reach())
+        explained[: at.size] = False
+        rough[cell[explained]] = False
+        yield discs.take(np.flatnonzero((turn <= BEND) & (discs.crosses() | explained)))
+    at = np.flatnonzero(cells.owner >= spheres)
+    if at.size:
+        pencil = _pencil(view, cells, cells.cell[at], Kind.OUTLINE)
+        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), lines.edges)
+        edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
+        seen.several[pencil.cell[unknown]] = True
+        yield edges
+
+
+def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:
+    """Rays through the middles of some cells, in the camera's axes."""
+    raster = view.raster
+    s, g = raster.across(cells.x[cell]), raster.down(cells.y[cell])
+    zero, one = np.zeros(s.size), np.ones(s.size)
+    return Pencil(
+        kind,
+        cell,
+        (s, g, raster.depth * one),
+        (raster.step_u * cells.size * one, zero, zero),
+        (zero, raster.step_v * cells.size * one, zero),
+    )

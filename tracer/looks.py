@@ -1,0 +1,218 @@
+"""Looks: what the sample in a cell's middle tells of all of the cell.
+
+A cell is a square of the picture: a pixel, or a part of one.  Besides what its sample sees, a look
+finds the straight lines that divide the surface there, whether there may be more than such lines,
+and what may keep lights from any of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from tracer.arrays import Bools
+from tracer.boundaries import Surface, footprint_of, meetings
+from tracer.edges import Lines
+from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
+from tracer.sampling import Samples
+from tracer.scene import Floats, Ints
+from tracer.surroundings import Look
+from tracer.visibility import View, visible
+
+__all__ = ["Cells", "Lights", "Seen", "look", "looked", "radiance_in"]
+
+Lights: TypeAlias = Callable[[Ints], Lighting]
+"""The lights as they are known of samples, given the cell of each."""
+
+
+class Cells(NamedTuple):
+    """Squares of the picture: pixels, or parts of them.
+
+    Attributes
+    ----------
+    size : float
+        In pixels.
+    tolerance : float
+        What a sample may be off, in radiance.
+    x, y : (n,)
+        Their centres.
+    rough : (n,)
+        How far the sample at the centre may be off.
+    cell, owner : (m,)
+        Pairs of a cell and an object whose outline may cross it.
+    """
+
+    size: float
+    tolerance: float
+    x: Floats
+    y: Floats
+    rough: Floats
+    cell: Ints
+    owner: Ints
+
+    def places(self, index: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Points of some cells, one cell's after the other's; x and y from -1/2 to 1/2."""
+        return (
+            np.add.outer(self.x[index], self.size * x).ravel(),
+            np.add.outer(self.y[index], self.size * y).ravel(),
+        )
+
+    def at(self, cell: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """A point of each of some cells; x and y from -1/2 to 1/2."""
+        return self.x[cell] + self.size * x, self.y[cell] + self.size * y
+
+    def split(self, index: Ints) -> Cells:
+        """Quarters of some cells."""
+        quarter = np.array([-0.25, 0.25])
+        x, y = self.places(index, np.tile(quarter, 2), np.repeat(quarter, 2))
+        place = np.full(self.x.size, -1)
+        place[index] = np.arange(index.size)
+        cell = place[self.cell]
+        kept = np.flatnonzero(cell >= 0)
+        quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
+        rough = np.repeat(self.rough[index] / 4, 4)
+        return Cells(
+            self.size / 2, self.tolerance, x, y, rough, quarters, np.repeat(self.owner[kept], 4)
+        )
+
+
+class Seen(NamedTuple):
+    """What samples see.
+
+    Attributes
+    ----------
+    radiance : (3, n)
+    key : (n,)
+        A number for the object, its face, and the lights that reach it; -1 where nothing is seen.
+    lines : list of Lines
+        Ridges and shadows near each sample, c being zero at the sample.
+    looks : list of (Look, (m,))
+        What keeps lights from what is seen, and the places of each look's samples.
+    several : (n,)
+        Whether there may be more than straight lines.
+    """
+
+    radiance: Floats
+    key: Ints
+    lines: list[Lines]
+    looks: list[tuple[Look, Ints]]
+    several: Bools
+
+    @classmethod
+    def of(cls, count: int) -> Seen:
+        """Nothing so far, of so many samples."""
+        none = np.zeros(count, dtype=np.bool_)
+        return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
+
+    def spheres(self, some: Bools, count: int) -> tuple[Ints, Ints]:
+        """Which of some samples see spheres, the first so many objects, and which spheres."""
+        samples, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+        for found, order in self.looks:
+            sample = order[found.hits.sample]
+            at = np.flatnonzero(some[sample] & (found.own < count))
+            samples.append(sample[at])
+            owners.append(found.own[at])
+        return np.concatenate(samples), np.concatenate(owners)
+
+    def lights(self, lighting: Lighting, some: Ints) -> Lights:
+        """The lights for samples in some cells: what has been found there holds for all of each."""
+        looks = [found for found, _ in self.looks]
+        sample = np.concatenate([order[found.hits.sample] for found, order in self.looks])
+        place = np.full(self.key.size, -1)
+        place[sample] = np.arange(sample.size)
+        near = np.empty(self.key.size, dtype=np.intp)
+        near[some] = np.arange(some.size)
+        remembered = lighting.shadows.remembering(looks, place[some])
+        return lambda cell: lighting._replace(shadows=remembered(near[cell]))
+
+
+def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
+    """Positions as samples, and which is which."""
+    order = np.lexsort((x, y))
+    y = y[order]
+    new = np.diff(y, prepend=-np.inf) != 0
+    return Samples(y[new], x[order], np.cumsum(new) - 1), order
+
+
+def radiance_in(view: View, lights: Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
+    """Radiance (3, n) at positions in any order, each in a cell."""
+    radiance = np.empty((3, x.size))
+    if not x.size:
+        return radiance
+    samples, order = _sorted(x, y)
+    radiance[:, order] = radiance_at(view, lights(cell[order]), samples)
+    return radiance
+
+
+def looked(
+    view: View,
+    lights: Lights,
+    x: Floats,
+    y: Floats,
+    cell: Ints,
+    size: float,
+    tolerance: float,
+) -> Seen:
+    """What positions in any order see, and the lines through cells of a size around them.
+
+    Each is in one of the cells that `lights` knows.
+    """
+    samples, order = _sorted(x, y)
+    seen = Seen.of(order.size)
+    look(view, lights(cell[order]), samples, size, tolerance, seen, order)
+    return seen
+
+
+def look(
+    view: View,
+    lighting: Lighting,
+    samples: Samples,
+    size: float,
+    tolerance: float,
+    seen: Seen,
+    order: Ints,
+) -> None:
+    """Put what samples see, and the lines through cells of a size around them, in their places.
+
+    `order`: those of the samples in `seen`.
+    """
+    hits, behind = visible(view, samples, size)
+    seen.lines.extend(meetings(hits, behind, view.surfaces, order, size, seen.several))
+    light = incoming(lighting, hits)
+    facing = light.falls > 0
+    sights = [hits.sights(group) for group in hits.groups]
+    footprint = np.empty(facing.shape[1])
+    for group, (_, slope) in zip(hits.groups, sights, strict=True):
+        footprint[group.part] = footprint_of(hits, group, slope, view.surfaces.radius, size)
+    blocked, found = lighting.shadows.edges(hits, facing, footprint)
+    lit = facing & ~blocked
+    seen.looks.append((found, order))
+    for group, sight in zip(hits.groups, sights, strict=True):
+        cell, part = order[group.sample], group.part
+        surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
+        here, reached = light.part(part), lit[:, part]
+        gloss = Gloss.of(lighting, hits, group, sight)
+        shaded = shade(gloss, here, reached)
+        for channel, values in zip(seen.radiance, shaded, strict=True):
+            channel[cell] = values
+        key = group.spread(group.owner * 4) + group.face
+        for bit in reached:
+            # Odd numbers lose nothing where there are more lights than bits.
+            key = key * 3 + bit
+        seen.key[cell] = key
+        for places in narrow(gloss, here, facing[:, part], footprint[part]):
+            seen.several[cell[places]] = True
+        for places in surface.wide(here, sight[1]):
+            seen.several[cell[places]] = True
+        at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
+        if at.size:
+            places = found.point[at] - part.start
+            lines = surface.shadows(found.light[at], places, found.other[at], seen.several)
+            seen.lines.append(lines)
+        if group.flat:
+            seen.lines.extend(surface.ridges())
+        else:
+            number, at = surface.turning(here)
+            seen.lines.extend(surface.terminators(here, number, at, tolerance, seen.several))

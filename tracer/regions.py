@@ -1,0 +1,194 @@
+"""Regions: what straight lines divide cells into, and the points that stand for each.
+
+Where one line divides a cell, both sides have points of their own.  Where there are more lines, or
+more than lines, many points are spread over the cell, and those in each region stand for its exact
+area together (stratified sampling: Cochran, Sampling Techniques, ch. 5).  Lines are taken to cross
+all of their cells: if one ends within, the region beyond its end is two, each with its points.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tracer.arrays import Bools
+from tracer.edges import Kind, Lines
+from tracer.scene import Floats, Ints
+
+__all__ = ["Points", "sides_of", "stratified"]
+
+# Shares of a cell that are left out.
+_NOTHING = 1e-9
+
+
+class Points(NamedTuple):
+    """Points that stand for parts of cells.
+
+    Attributes
+    ----------
+    cell : (n,)
+    share : (n,)
+        Of the cell.
+    x, y : (n,)
+        Where they are in their cells, from -1/2 to 1/2.
+    beyond : (n,)
+        Whether they may see another surface than the cell's middle.
+    """
+
+    cell: Ints
+    share: Floats
+    x: Floats
+    y: Floats
+    beyond: Bools
+
+    def take(self, index: Ints) -> Points:
+        """Some of them."""
+        fields: Any = (m[index] for m in self)
+        return Points(*fields)
+
+    def joined(self, other: Points) -> Points:
+        """These, then others."""
+        fields: Any = map(np.append, self, other)
+        return Points(*fields)
+
+
+def sides_of(lines: Lines) -> Points:
+    """Points on both sides of lines, each the only one in its cell.
+
+    One in the middle of each side; within a limb, where light falls off, two.
+    """
+    share, moment_x, moment_y = lines.halves()
+    shares, x, y = (
+        np.concatenate(m)
+        for m in ((share, 1 - share), (moment_x, -moment_x), (moment_y, -moment_y))
+    )
+    x /= np.maximum(shares, _NOTHING)
+    y /= np.maximum(shares, _NOTHING)
+    # The middle of the cell is on the side of c; a shadow's edge divides one surface.
+    side = np.repeat([1.0, -1.0], share.size)
+    other = np.tile(lines.kind != Kind.SHADOW, 2)
+    beyond = other & (side * np.tile(lines.c, 2) <= 0)
+    sides = Points(np.tile(lines.cell, 2), shares, x, y, beyond)
+    limb = np.flatnonzero(lines.kind == Kind.LIMB)
+    within = share.size + limb
+    sides.share[within] = 0
+    shares, x, y = lines.take(limb).roots()
+    roots = Points(
+        np.tile(lines.cell[limb], 2),
+        shares.ravel(),
+        x.ravel(),
+        y.ravel(),
+        np.tile(beyond[within], 2),
+    )
+    sides = sides.joined(roots)
+    return sides.take(np.flatnonzero(sides.share > _NOTHING))
+
+
+def stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats, Points]:
+    """Shares (cells, points) of the same points in all cells, given lines sorted by cell.
+
+    In each region its points have equal parts of its share.  Regions without any are returned,
+    each with a point in its middle.
+    """
+    first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
+    count = np.diff(first, append=lines.cell.size)
+    weights = np.full((cells.size, x.size), 1 / x.size)
+    bits = int(count.max(initial=0))
+    # Each line sets a bit on the side where c + a x + b y < 0.
+    code = np.repeat(np.arange(first.size)[:, None] << bits, x.size, axis=1)
+    polygons = _Polygons.squares(first.size)
+    for number in range(bits):
+        some = np.flatnonzero(count > number)
+        line = (first + number)[some, None]
+        z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
+        code[some] |= (z < 0) << number
+        polygons = polygons.divided(lines, first + number, count > number, number)
+    share, x, y = polygons.centroids()
+    region = polygons.code + (polygons.cell << bits)
+    held = np.bincount(code.ravel(), minlength=first.size << bits)
+    shares = np.bincount(region, share, minlength=held.size) / np.maximum(held, 1)
+    crossed = lines.cell[first]
+    weights[np.searchsorted(cells, crossed)] = shares[code]
+    empty = np.flatnonzero((held[region] == 0) & (share > _NOTHING))
+    beyond = np.ones(empty.size, dtype=np.bool_)
+    cell = crossed[polygons.cell[empty]]
+    return weights, Points(cell, share[empty], x[empty], y[empty], beyond)
+
+
+class _Polygons(NamedTuple):
+    """Convex polygons: regions of cells.
+
+    Attributes
+    ----------
+    cell : (n,)
+        Which of the cells.
+    code : (n,)
+        A bit for each line that divides the cell: set on the side where it is less than zero.
+    x, y : (n, vertices)
+        Around each; of one that has fewer the last is repeated.
+    """
+
+    cell: Ints
+    code: Ints
+    x: Floats
+    y: Floats
+
+    @classmethod
+    def squares(cls, count: int) -> _Polygons:
+        """So many whole cells."""
+        square = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5]])
+        x, y = np.repeat(square[:, None], count, axis=1)
+        return cls(np.arange(count), np.zeros(count, dtype=np.intp), x, y)
+
+    def take(self, index: Ints) -> _Polygons:
+        """Some of them."""
+        return _Polygons(self.cell[index], self.code[index], self.x[index], self.y[index])
+
+    def divided(self, lines: Lines, line: Ints, crossed: Bools, number: int) -> _Polygons:
+        """Those on either side of a line in each cell (cells,), where there is one."""
+        rest = self.take(np.flatnonzero(~crossed[self.cell]))
+        whole = self.take(np.flatnonzero(crossed[self.cell]))
+        a, b, c = (m[line[whole.cell], None] for m in (lines.a, lines.b, lines.c))
+        z = a * whole.x + b * whole.y + c
+        parts = [whole.clipped(z), whole._replace(code=whole.code | 1 << number).clipped(-z)]
+        # As many vertices as the parts have.
+        x, y = (np.append(m, m[:, -1:], axis=1) for m in (rest.x, rest.y))
+        parts.append(rest._replace(x=x, y=y))
+        fields: Any = map(np.concatenate, zip(*parts, strict=True))
+        return _Polygons(*fields)
+
+    def clipped(self, z: Floats) -> _Polygons:
+        """What is left where z (n, vertices), given at the vertices, is more than zero.
+
+        Sutherland and Hodgman, Reentrant polygon clipping, 1974: there is one vertex more.
+        """
+        inside, after = z > 0, np.roll(z, -1, axis=1)
+        crossing = inside != np.roll(inside, -1, axis=1)
+        part = np.where(crossing, z / (z - after), 0)
+        # Each vertex, and a crossing on the way to the next.
+        kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
+        count = kept.sum(axis=1)
+        some = np.flatnonzero(count)
+        last = np.minimum(np.arange(z.shape[1] + 1), count[some, None] - 1)
+        order = np.take_along_axis(np.argsort(~kept[some], axis=1, kind="stable"), last, axis=1)
+        corners = []
+        for m in (self.x, self.y):
+            new = m + part * (np.roll(m, -1, axis=1) - m)
+            both = np.stack([m, new], axis=2).reshape(len(z), -1)[some]
+            corners.append(np.take_along_axis(both, order, axis=1))
+        return _Polygons(self.cell[some], self.code[some], corners[0], corners[1])
+
+    def centroids(self) -> tuple[Floats, Floats, Floats]:
+        """Area (n,), and the middle's x and y: the shoelace formula, from the first vertex."""
+        # Vertices one after the other: a repeated one adds nothing, in whatever company.
+        x0, y0 = self.x[:, 0], self.y[:, 0]
+        x, y = (self.x - x0[:, None]).T, (self.y - y0[:, None]).T
+        double, moment_x, moment_y = np.zeros((3, x0.size))
+        for k in range(1, len(x) - 1):
+            cross = x[k] * y[k + 1] - x[k + 1] * y[k]
+            double += cross
+            moment_x += (x[k] + x[k + 1]) * cross
+            moment_y += (y[k] + y[k + 1]) * cross
+        triple = 3 * np.maximum(double, _NOTHING**2)
+        return double / 2, x0 + moment_x / triple, y0 + moment_y / triple
