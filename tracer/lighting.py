@@ -249,7 +249,7 @@ def radiance_at(
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; into zeros, if they are given."""
     radiance = np.zeros((3, samples.size)) if out is None else out
-    hits, _ = visible(view, samples)
+    hits = visible(view, samples)
     light = incoming(lighting, hits)
     lit = light.falls > 0
     lit &= ~lighting.shadows.blocked(hits, lit)

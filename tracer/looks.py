@@ -19,7 +19,7 @@ from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shad
 from tracer.sampling import Samples
 from tracer.scene import Floats, Ints
 from tracer.surroundings import Look
-from tracer.visibility import View, visible
+from tracer.visibility import View, visible_and_behind
 
 __all__ = ["Cells", "Lights", "Seen", "look", "looked", "radiance_in"]
 
@@ -178,7 +178,7 @@ def look(
 
     `order`: those of the samples in `seen`.
     """
-    hits, behind = visible(view, samples, size)
+    hits, behind = visible_and_behind(view, samples, size)
     seen.lines.extend(meetings(hits, behind, view.surfaces, order, size, seen.several))
     light = incoming(lighting, hits)
     facing = light.falls > 0

@@ -15,7 +15,7 @@ from tracer.outlines import Outlines, Spans, outlines_of
 from tracer.sampling import Samples
 from tracer.scene import Floats, Ints, Surfaces
 
-__all__ = ["Group", "Hits", "View", "view_of", "visible"]
+__all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
@@ -165,27 +165,19 @@ class Hits(NamedTuple):
         return self.raster.placed(rows(self.p, index))
 
 
-def visible(view: View, samples: Samples, size: float = 0.0) -> tuple[Hits, Hits]:
-    """Nearest surface at each sample; of exactly equal ones the first in the file.
+def visible(view: View, samples: Samples) -> Hits:
+    """Nearest surface at each sample; of exactly equal ones the first in the file."""
+    groups = _fragments(view, samples)
+    return _hits(view, samples, _seen(view, groups, _nearest(samples, groups)))
 
-    Returns
-    -------
-    hits : Hits
-    behind : Hits
-        Surfaces so near behind those that they may change places within `size` pixels.
-    """
-    s = samples.across(view.raster)
-    groups = [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
-    behind: list[_Fragments] = []
-    if len(groups) == 1 and isinstance(groups[0].owner, int):
-        # Nothing can hide a lone object.
-        groups = [groups[0].where(groups[0].t < np.inf)]
-    else:
-        nearest = _nearest(samples, groups)
-        if size > 0:
-            behind = _close_behind(view.raster, samples, groups, nearest, size)
-        groups = _seen(view, groups, nearest)
-    return _hits(view, samples, groups), _hits(view, samples, behind)
+
+def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits, Hits]:
+    """What is `visible`, and what is so near behind that it may come first `size` pixels away."""
+    groups = _fragments(view, samples)
+    nearest = _nearest(samples, groups)
+    behind = _close_behind(view.raster, samples, groups, nearest, size)
+    hits = _hits(view, samples, _seen(view, groups, nearest))
+    return hits, _hits(view, samples, behind)
 
 
 class _Fragments(NamedTuple):
@@ -239,8 +231,21 @@ class _Fragments(NamedTuple):
         return np.repeat(values[self.row], self.counts)
 
 
+def _fragments(view: View, samples: Samples) -> list[_Fragments]:
+    """All that rays may meet."""
+    s = samples.across(view.raster)
+    return [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
+
+
+def _lone(groups: list[_Fragments]) -> bool:
+    """Whether there is but one object."""
+    return len(groups) == 1 and isinstance(groups[0].owner, int)
+
+
 def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
     """The distance (n,) of the first fragment of each sample."""
+    if _lone(groups):
+        return np.zeros(0)
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for i, group in enumerate(groups):
@@ -254,8 +259,12 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
 
 
 def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragments]:
-    """Of all fragments those that are seen, given the distance of each sample's first."""
-    groups = [group.where(group.t == nearest[group.sample]) for group in groups]
+    """Of all fragments those that are seen, in place, given the distance of each sample's first."""
+    if _lone(groups):
+        # Nothing can hide a lone object.
+        return [groups[0].where(groups[0].t < np.inf)]
+    for i, group in enumerate(groups):
+        groups[i] = group.where(group.t == nearest[group.sample])
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     if sum(group.t.size for group in groups) > seen:
         groups = _first_of_equals(view, groups)
@@ -265,7 +274,9 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
 def _close_behind(
     raster: Raster, samples: Samples, groups: list[_Fragments], nearest: Floats, size: float
 ) -> list[_Fragments]:
-    """Fragments that lie so near behind the first of their samples as `visible` says."""
+    """Fragments that lie so near behind the first of their samples as `visible_and_behind` says."""
+    if _lone(groups):
+        return []
     step = _CLOSE * size * max(raster.step_u, raster.step_v)
     behind = []
     for group in groups:
