@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -26,11 +27,13 @@ from tracer import (
     shadow,
 )
 from tracer.arrays import Bools
+from tracer.intersection import INSIDE
+from tracer.occluders import Occluders, Pairs, pairs_with_objects
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
 from tracer.scene import Floats
 from tracer.shadow import Shadows
-from tracer.surroundings import InSurroundings
+from tracer.surroundings import InSurroundings, Look
 from tracer.visibility import Hits
 
 SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))
@@ -105,6 +108,29 @@ def test_a_small_object_beside_the_rim_before_a_wide_one() -> None:
     no_worse_than_the_uniform_grid(
         Scene(camera=Camera(), width=96, height=72, lights=lights, surfaces=[WALL, ball]), 2
     )
+
+
+def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Its edges are straight, but not on a ball of a few pixels.
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    ball = Sphere(center=(0, 0, 0), radius=0.55)
+    box = Box(min_pt=(0.933, 1.304, 0.797), max_pt=(1.35, 1.746, 1.072), shader=RED)
+    floor = Box(min_pt=(-9, -1.55, -9), max_pt=(9, -0.55, 9))
+    camera = Camera(
+        view_point=(0, 1.4, 8),
+        view_dir=(0, -0.1, -1),
+        proj_distance=4,
+        view_width=3,
+        view_height=2,
+    )
+    lights = [PointLight(position=(3.04, 4.625, 2.95))]
+    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[ball, box, floor])
+    no_worse_than_the_uniform_grid(scene, numbers=(64,))
+
+
+def test_surfaces_that_cross_within_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    no_worse_than_the_uniform_grid(random_scene("touching", 111, 36, 24), numbers=(64,))
 
 
 def test_a_lamp_behind_a_plate() -> None:
@@ -362,6 +388,66 @@ def test_what_is_looked_at_is_as_dark_as_what_is_not(
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
     for seed in range(6):
         render(random_scene(kind, seed, 60, 40), samples=16, threads=1)
+    assert looks
+
+
+class Everything(NamedTuple):
+    """Finds all pairs of points and objects."""
+
+    occluders: Occluders
+
+    def pairs(
+        self, hits: Hits, facing: Bools, _: Bools, footprint: Floats | None = None
+    ) -> Iterator[Pairs]:
+        """As in `InStretches.pairs`."""
+        own, points = hits.own, hits.points(slice(None))
+        others = own[:, None] != np.arange(self.occluders.size.size)
+        for light, asked in enumerate(facing):
+            point, other = np.nonzero(asked[:, None] & others)
+            yield from pairs_with_objects(
+                self.occluders, own, points, point, light, other, footprint
+            )
+
+
+def listed(look: Look) -> set[tuple[int, int, int]]:
+    """Points, lights and objects."""
+    return set(zip(look.point.tolist(), look.light.tolist(), look.other.tolist(), strict=True))
+
+
+def may_shade(finder: Any, light: int, own: int, other: int) -> bool:
+    """Whether an object may keep a light from some of another, as far as stretches know."""
+    key = light * len(finder.occluders.size) + own
+    return any(
+        other in lists.listed[lists.first[key] : lists.first[key + 1]] for lists in finder.lists
+    )
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "crowd"])
+def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks, edges = 0, Shadows.edges
+
+    def compared(self: Shadows, hits: Hits, facing: Bools, footprint: Floats) -> Any:
+        nonlocal looks
+        blocked, look = edges(self, hits, facing, footprint)
+        if hits.own.size:
+            looks += 1
+            every: Any = Everything(self.occluders)
+            all_blocked, expected = edges(self._replace(finder=every), hits, facing, footprint)
+            assert np.array_equal(blocked[facing], all_blocked[facing])
+            assert np.array_equal(look.dark[facing], expected.dark[facing])
+            assert listed(look) <= listed(expected)
+            for point, light, other in listed(expected) - listed(look):
+                # A ball or box around a light and all points shades none of them; and some objects
+                # cannot shade what is seen of others.
+                around = self.occluders.side[light, other] == INSIDE
+                assert around or not may_shade(self.finder, light, hits.own[point], other)
+        return blocked, look
+
+    monkeypatch.setattr(Shadows, "edges", compared)
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    monkeypatch.setattr(shadow, "_FEW", 10**9)
+    for seed in range(4):
+        render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
     assert looks
 
 

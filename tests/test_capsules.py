@@ -294,6 +294,13 @@ def test_halves(seed: int) -> None:
     assert other.halves()[0] == pytest.approx(1 - share, abs=1e-7)
 
 
+@pytest.mark.parametrize(("a", "b"), [(1, 0), (0, 1), (1, 1e-9), (-1, 0)])
+def test_the_share_beside_an_upright_line(a: float, b: float) -> None:
+    one = np.zeros(1, dtype=np.intp)
+    line = Lines(one, one, *(np.array([float(m)]) for m in (a, b, -0.48)))
+    assert line.halves()[0] == pytest.approx(0.02, abs=1e-3)
+
+
 def a_pencil(rng: np.random.Generator, targets: Floats, size: Floats) -> Pencil:
     """Rays to targets (n, 3) seen from the apex, through cells so wide, seen at a slant."""
     count = len(targets)

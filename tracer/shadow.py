@@ -88,8 +88,9 @@ class Shadows(NamedTuple):
             does = self._blocks(hits, pairs, point, light, other)
             # A point on a hollow sphere is outside of one that is smaller: that says nothing.
             must = does & self._blocks(hits, pairs, point, light, other, -reach)
-            # Nor does one with the light on its surface.
-            must &= entries(self.occluders.side, light, other) != ON
+            # Nor does one with the light on it.
+            on = entries(self.occluders.side, light, other) == ON
+            must &= ~(on & (other < len(self.occluders.surfaces.radius)))
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
             changes = does_larger[may] | does | (np.abs(to_light[may]) <= reach)
