@@ -177,7 +177,7 @@ def _beyond(
     cell, x, y = sides.cell, sides.x, sides.y
     # From anywhere in a cell, one of twice the size holds all of it.
     at = cells.at(cell, x, y)
-    seen = looked(view, lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance)
+    seen = looked(view, lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = joined(seen.lines)
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]

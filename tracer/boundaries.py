@@ -201,16 +201,14 @@ class Surface(NamedTuple):
         several[edges.cell[turn > BEND]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
 
-    def wide(self, light: Incoming, slope: Floats) -> Iterator[Ints]:
-        """Points around which a cell sees so much of the surface, as a light is near.
-
-        `slope`: cosines between the normal and the way to the eye.
-        """
-        width = self.hits.p[2, self.group.part] * (_half_angle(self.hits.raster, self.size) / _WIDE)
+    def wide(self, light: Incoming, share: float) -> Iterator[Ints]:
+        """Points around which so much of a cell sees so much of the surface, as a light is near."""
+        reach2 = (share / _WIDE * self.footprint) ** 2
+        most = reach2.max()
         for length2 in light.length2:
-            # Most points are told by the most that any of them needs.
-            at = np.flatnonzero(slope <= width.max() / np.sqrt(length2.min()))
-            yield at[width[at] ** 2 > slope[at] ** 2 * length2[at]]
+            # Nearly always there is none.
+            if length2.min() < most:
+                yield np.flatnonzero(length2 < reach2)
 
     def turning(self, light: Incoming) -> tuple[Ints, Ints]:
         """Lights, and points at which a sphere turns away from them."""

@@ -154,6 +154,7 @@ def looked(
     cell: Ints,
     size: float,
     tolerance: float,
+    share: float = 1.0,
 ) -> Seen:
     """What positions in any order see, and the lines through cells of a size around them.
 
@@ -161,7 +162,7 @@ def looked(
     """
     samples, order = _sorted(x, y)
     seen = Seen.of(order.size)
-    look(view, lights(cell[order]), samples, size, tolerance, seen, order)
+    look(view, lights(cell[order]), samples, size, tolerance, seen, order, share)
     return seen
 
 
@@ -173,10 +174,11 @@ def look(
     tolerance: float,
     seen: Seen,
     order: Ints,
+    share: float = 1.0,
 ) -> None:
     """Put what samples see, and the lines through cells of a size around them, in their places.
 
-    `order`: those of the samples in `seen`.
+    `order`: those of the samples in `seen`; `share`: how much of its cell, across, each stands for.
     """
     hits, behind = visible_and_behind(view, samples, size)
     seen.lines.extend(meetings(hits, behind, view.surfaces, order, size, seen.several))
@@ -202,9 +204,9 @@ def look(
             # Odd numbers lose nothing where there are more lights than bits.
             key = key * 3 + bit
         seen.key[cell] = key
-        for places in narrow(gloss, here, facing[:, part], footprint[part]):
+        for places in narrow(gloss, here, facing[:, part], share * footprint[part]):
             seen.several[cell[places]] = True
-        for places in surface.wide(here, sight[1]):
+        for places in surface.wide(here, share):
             seen.several[cell[places]] = True
         at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
         if at.size:
