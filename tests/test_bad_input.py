@@ -294,6 +294,10 @@ STRUCTURE = [
         "radius: unknown attribute 'unit'; remove it",
     ),
     (
+        EMPTY + '<shader name="a" type="Phong"/>' + SPHERE.format('<shader ref="a"><b/></shader>'),
+        "shader: no element may stand in it; remove <b>",
+    ),
+    (
         EMPTY + '<shader name="a" type="Phong"/>' + SPHERE.format('<shader ref="a" type="Phong"/>'),
         "shader: unknown attribute 'type'; known: ref",
     ),
@@ -325,6 +329,11 @@ VALUES = [
         SPHERE.format("<center>nan inf -Infinity</center>"),
         [f"center: 'nan' {DECIMAL}", f"center: 'inf' {DECIMAL}", f"center: '-Infinity' {DECIMAL}"],
     ),
+    (
+        SPHERE.format("<center>NAN INF Infinity</center>"),
+        [f"center: 'NAN' {DECIMAL}", f"center: 'INF' {DECIMAL}", f"center: 'Infinity' {DECIMAL}"],
+    ),
+    (SPHERE.format("<radius>-NaN</radius>"), [f"radius: '-NaN' {DECIMAL}"]),
     (SPHERE.format("<radius>1e</radius>"), [f"radius: '1e' {DECIMAL}"]),
     (SPHERE.format("<radius>--1</radius>"), [f"radius: '--1' {DECIMAL}"]),
     # Digits of another script, and a space that XML does not know.
@@ -420,6 +429,10 @@ CAMERAS = [
         "<viewUp>0 0 3</viewUp>",
         "viewUp: must not be parallel to viewDir; choose another viewUp",
     ),
+    (
+        "<viewUp>0 1e-15 1</viewUp>",
+        "viewUp: must not be parallel to viewDir; choose another viewUp",
+    ),
     # The default viewUp is not in the file: the camera is to blame.
     (
         "<viewDir>0 -2 0</viewDir>",
@@ -499,6 +512,23 @@ def test_a_long_stray_text_is_one_fault(faults):
     ]
 
 
+def test_stray_text_after_an_element_of_an_element(faults):
+    content = "<scene><image>4 3</image><camera><viewWidth>1</viewWidth>x</camera></scene>"
+    assert faults(content) == ["1: camera: stray text 'x'; remove it"]
+
+
+@pytest.mark.parametrize("start", [100, *range(16377, 16386)])
+def test_a_namespace_wherever_the_file_is_cut(faults, start):
+    """Into pieces of 16 KiB."""
+    content = f"<scene>{EMPTY}"
+    surface = '<surface type="Sphere" '
+    content += " " * (start - len(content) - len(surface)) + surface
+    assert len(content) == start
+    assert faults(f'{content}xmlns:a="b"/>{" " * 20_000}</scene>') == [
+        "1: surface: unknown attribute 'xmlns:a'; known: type"
+    ]
+
+
 def test_what_one_fault_leads_to_is_no_fault(faults):
     """A minPt that cannot be read does not exceed maxPt; a faulty shader is still defined."""
     content = f"""<scene>{EMPTY}
@@ -533,14 +563,30 @@ def test_the_number_of_faults_told_is_bounded(faults):
             "a tag or comment of more than 1048576 bytes; make it shorter",
         ),
         (
+            f"<scene>{EMPTY}<!--{'x' * 2_000_000}--></scene>",
+            "a tag or comment of more than 1048576 bytes; make it shorter",
+        ),
+        (
             f'<scene>{EMPTY}<shader name="' + "x" * 2_000_000,
             "a tag or comment of more than 1048576 bytes; make it shorter",
         ),
     ],
-    ids=["nesting", "children", "text", "comment", "attribute"],
+    ids=["nesting", "children", "text", "comment", "whole comment", "attribute"],
 )
 def test_what_would_eat_memory_or_time(faults, content, fault):
     assert faults(content) == [f"1: {fault}"]
+
+
+@pytest.mark.parametrize(
+    ("levels", "fault"),
+    [
+        (64, "a: unknown in scene; known: camera, image, light, shader, surface"),
+        (65, "a: more than 64 elements in another"),
+    ],
+)
+def test_deepest_nesting(faults, levels, fault):
+    inside = levels - 1
+    assert faults(f"<scene>{EMPTY}{'<a>' * inside}{'</a>' * inside}</scene>") == [f"1: {fault}"]
 
 
 BOMBS = {

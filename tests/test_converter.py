@@ -17,7 +17,7 @@ from PIL import Image
 from scene_files import ONE_SPHERE, overflowing, small_one
 
 from converters.check import check_scene, doubts, render_mitsuba
-from converters.flavours import exact, normalisation, stock
+from converters.flavours import exact, normalisation, square_height, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
@@ -425,6 +425,10 @@ def test_a_picture_of_too_many_square_pixels_is_told(
     assert error.startswith(f"{small}: cannot be converted: Mitsuba's pixels are square, and ")
     assert error.endswith(" too many; make viewWidth larger or viewHeight smaller\n")
     assert list(small.parent.iterdir()) == [small]
+
+
+def test_a_picture_of_square_pixels_has_a_row() -> None:
+    assert square_height(Scene(camera=Camera(view_height=1e-3), width=9, height=9)) == 1
 
 
 def scaled(size: float) -> Scene:

@@ -241,3 +241,14 @@ def test_in_one_direction() -> None:
     assert_same(scene(FLOOR, *row, light=(0, 1, 3)))
     assert_same(scene(FLOOR, *row, light=(-1, 1, 5)))
     assert_same(scene(*row, light=(0, 1, 6)))
+
+
+@pytest.mark.parametrize("large_first", [True, False])
+def test_the_first_of_equal_surfaces_is_seen_whatever_their_sizes(large_first: bool) -> None:
+    # One fills the picture, and is looked for in samples of its own.
+    floor = Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9), shader=Lambertian(diffuse=(1, 0, 0)))
+    plate = Box(min_pt=(-1, -0.5, -1), max_pt=(1, 0, 1), shader=Lambertian(diffuse=(0, 1, 0)))
+    camera = Camera(view_point=(0, 8, 0), view_dir=(0, -1, 0), view_up=(0, 0, -1))
+    both = [floor, plate] if large_first else [plate, floor]
+    seen = replace(scene(*both, light=(0, 8, 0), camera=camera), width=200, height=200)
+    assert render(seen)[100, 100].argmax() == (0 if large_first else 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+import struct
+import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -136,6 +138,26 @@ def test_bands_make_the_picture(tmp_path, rows):
         assert (np.asarray(picture) == quantise(image)).all()
 
 
+@pytest.mark.parametrize("rows", [1, 7, 300])
+def test_the_check_of_a_picture_in_parts(tmp_path, rows):
+    """Pillow does not look at it; zlib does."""
+    image = np.random.default_rng(rows).uniform(size=(300, 50, 3))
+    bands = (packed(image[row : row + rows]) for row in range(0, 300, rows))
+    write_bands(tmp_path / "picture.png", 50, 300, bands)
+    left, stream = (tmp_path / "picture.png").read_bytes()[8:], b""
+    while left:
+        size, kind = struct.unpack(">I4s", left[:8])
+        stream += left[8 : 8 + size] if kind == b"IDAT" else b""
+        left = left[12 + size :]
+    assert len(zlib.decompress(stream)) == 300 * (1 + 3 * 50)
+
+
+def test_a_row_too_few(tmp_path):
+    with pytest.raises(ValueError, match="the bands have 2 rows, not 3"):
+        write_bands(tmp_path / "picture.png", 4, 3, [packed(np.zeros((2, 4, 3)))])
+    assert list(tmp_path.iterdir()) == []
+
+
 class TestWhatIsThereAlready:
     """It is replaced by a whole picture, or not touched."""
 
@@ -185,6 +207,13 @@ class TestWhatIsThereAlready:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, old)
             signal.signal(signal.SIGXFSZ, handler)
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
+
+    def test_it_may_not_be_written(self, picture, monkeypatch):
+        """As for a user without privileges: root may write everything."""
+        monkeypatch.setattr(os, "access", lambda *_: False)
+        with pytest.raises(PermissionError):
+            write_png(picture, np.zeros((1, 1, 3)))
         assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
 
     def test_its_permissions_are_kept(self, picture):

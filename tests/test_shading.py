@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from probe import EPS, Vector, colored, look
 
 from tracer import Box, Lambertian, Phong, PointLight, Sphere
+from tracer.shading import highlight
 
 # The top of the floor is y = 0; the eye above the origin looks straight down: n = v = (0, 1, 0).
 FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
@@ -49,6 +51,37 @@ def test_half_vector_not_reflection() -> None:
     assert look((-s, 1, 0), (s, -1, 0), (2 * s, 2, 0), floor) == pytest.approx(1, abs=8 * EPS)
     seen = look((2 * s, 2, 0), (-2 * s, -2, 0), (2 * s, 2, 0), floor)
     assert seen == pytest.approx(0.125, rel=16 * EPS)
+
+
+@pytest.mark.parametrize("tilt", [0.5, 1.2, 1.5, math.pi / 2 - 0.03, math.pi / 2 - 1e-3])
+@pytest.mark.parametrize("exponent", [10, 250, 1e3, 6e4, 1e6])
+def test_highlights_at_all_angles(tilt: float, exponent: float) -> None:
+    assert_highlights(tilt, exponent)
+
+
+@pytest.mark.parametrize("exponent", [1e8, 1e9])
+def test_very_narrow_highlights(exponent: float) -> None:
+    assert_highlights(0.5, exponent)
+
+
+def assert_highlights(tilt: float, exponent: float) -> None:
+    """Light and eye on either side of the normal, both about so far from it."""
+    rng = np.random.default_rng(1)
+    for share in rng.uniform(-1, 1, 30):
+        off = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
+        angles = np.array([0, tilt + off, off - tilt])
+        plane = np.stack([np.sin(angles), np.cos(angles), np.zeros(3)], axis=1)
+        n, light, view = plane @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        power = highlight(
+            np.array([n @ light]),
+            np.array([n @ view]),
+            np.array([light @ view]),
+            np.array([float(exponent)]),
+            lambda _, vectors=(n, light, view): tuple(vector[:, None] for vector in vectors),
+        )
+        # h is `off` from the normal; its cosine is 1 - sin^2 under a root.
+        exact = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
+        assert power == pytest.approx(exact, abs=1e-10)
 
 
 def test_no_cosine_on_the_highlight() -> None:

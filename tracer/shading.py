@@ -56,7 +56,10 @@ def highlight(
     exponent: Floats,
     vectors: Callable[[Ints], tuple[Triple, Triple, Triple]],
 ) -> Floats:
-    """(n.h)^exponent, to 1e-13 whatever the exponent.
+    """(n.h)^exponent.
+
+    It is right to 1e-12 where |l + v| > 0.3, and to 1e-10 where that is more than 0.002, for
+    exponents up to 1e6.
 
     As n.h is (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v, cosines alone do
     for most points.  The others are those where a high exponent shows its rounding,
