@@ -84,6 +84,16 @@ NOT_XML = [
         "1: not XML: syntax error at column 1; a scene file holds <scene> ... </scene>",
     ),
     (
+        '{"a": 1}',
+        "1: not XML: not well-formed (invalid token) at column 1;"
+        " a scene file holds <scene> ... </scene>",
+    ),
+    (
+        '<scene version="1 & 2">',
+        "1: not XML: not well-formed (invalid token) at column 20;"
+        " in text, < is written &lt; and & is written &amp;",
+    ),
+    (
         " \n ",
         "2: not XML: no element found at column 2; a scene file holds <scene> ... </scene>",
     ),
@@ -167,6 +177,10 @@ NOT_XML = [
     (
         '<?xml version="1.0" encoding="shift-jis"?><scene/>',
         "1: not XML: unknown encoding; save the file as UTF-8",
+    ),
+    (
+        '<?xml version="1.0" encoding="cp037"?><scene/>',
+        "1: not XML: unknown encoding at column 31; save the file as UTF-8",
     ),
     # Where warnings are errors, as they are here, its codec raises one.
     (

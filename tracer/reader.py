@@ -58,6 +58,7 @@ _REMEDIES = {
     expat.errors.XML_ERROR_MISPLACED_XML_PI: "nothing may stand before <?xml ... ?>",
     expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION: "end it with ]]>",
     expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write out what the entity stands for",
+    expat.errors.XML_ERROR_UNKNOWN_ENCODING: "save the file as UTF-8",
     expat.errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
@@ -207,7 +208,11 @@ class _LineReader:
             return "save the file as UTF-8"
         if b"\0" < after[:1] < b" " and not after[:1].isspace():
             return "remove the control character"
-        if message in _REMEDIES:
+        # Neither in an element nor in a tag there is nothing to be written otherwise.
+        outside = not self.open and before.rfind(b"<") <= before.rfind(b">")
+        if message in _REMEDIES and not (
+            outside and message == expat.errors.XML_ERROR_INVALID_TOKEN
+        ):
             return _REMEDIES[message]
         if self.open:
             return f"close <{short(self.open[-1].tag)}> of line {self.open[-1].line}"
