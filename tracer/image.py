@@ -253,6 +253,8 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """
     target = os.path.realpath(path)
     mode = None
+    if os.path.islink(target):  # to itself, or it would have been followed
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), target)
     if os.path.exists(target):
         mode = os.stat(target).st_mode
         if not stat.S_ISREG(mode):
