@@ -151,6 +151,8 @@ def test_help():
             "argument --threads: must be a whole number from 0, is '-1'",
         ),
         (["ball.xml", "-o"], "argument -o/--output: expected one argument"),
+        (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
+        (["ball.xml", ""], "argument SCENE.xml: the name is empty; name a file"),
         (
             ["ball.xml", "-o", "ball.xml"],
             "ball.xml: the picture would replace a scene; choose another with -o",
@@ -201,6 +203,7 @@ def test_what_is_faulty_does_not_keep_the_others_from_being_rendered(scene):
         ("missing/ball.png", "No such file or directory"),
         ("/dev/null", "not a regular file"),
         ("ball.xml/ball.png", "Not a directory"),
+        (f"{'x' * 300}.png", "File name too long"),
     ],
 )
 def test_what_cannot_be_written(scene, output, reason):
@@ -229,6 +232,18 @@ def test_too_little_memory(scene, tmp_path):
     )
     assert done.returncode == 1
     assert names(tmp_path) == ["ball.xml"]
+
+
+def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
+    def fail(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(sys.modules["tracer.rendering"], "render_each", fail)
+    assert command_line.main([str(scene), "--samples", "999999999"]) == 1
+    assert capsys.readouterr().err == (
+        f"{scene}: not enough memory for 40 x 30 pixels of 999999999 samples;"
+        " make the image smaller or take fewer samples\n"
+    )
 
 
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):

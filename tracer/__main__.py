@@ -9,15 +9,14 @@ from __future__ import annotations
 import argparse
 import gc
 import os
-import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn, TextIO
+from typing import TYPE_CHECKING, NoReturn
 
 from tracer import __version__
+from tracer.command import at_least, begin, heed_signals, is_folder, named, say
 
 if TYPE_CHECKING:
     from tracer.image import Packed
@@ -73,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for scene, output in zip(arguments.scenes, outputs, strict=True):
             fault = _render(scene, output, arguments)
             if fault is not None:
-                _say(sys.stderr, fault)
+                say(sys.stderr, fault)
                 failures += 1
         return min(failures, 1)
     except KeyboardInterrupt:
@@ -88,24 +87,25 @@ def _parser() -> argparse.ArgumentParser:
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
-    parser.add_argument("scenes", nargs="+", metavar="SCENE.xml", help="a scene file")
+    parser.add_argument("scenes", nargs="+", type=named, metavar="SCENE.xml", help="a scene file")
     parser.add_argument(
         "-o",
         "--output",
+        type=named,
         metavar="PATH",
         help="the picture to write, or a folder for the pictures of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
     parser.add_argument(
         "--samples",
-        type=_at_least(1),
+        type=at_least(1),
         default=1,
         metavar="N",
         help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
     )
     parser.add_argument(
         "--threads",
-        type=_at_least(0),
+        type=at_least(0),
         default=0,
         metavar="N",
         help="processors to use, of those there are (default: 0, as many as pay)",
@@ -115,20 +115,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _at_least(least: int) -> Callable[[str], int]:
-    def whole_number(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"must be a whole number from {least}, is {text!r}")
-        return int(text)
-
-    return whole_number
-
-
 def _outputs(scenes: Sequence[str], output: str | None) -> list[str]:
     """Where each picture goes; a ValueError says why that is wrong usage."""
     if output is None:
         outputs = [f"{scene}.png" for scene in scenes]
-    elif _is_folder(output):
+    elif is_folder(output):
         outputs = [os.path.join(output, f"{os.path.basename(scene)}.png") for scene in scenes]
     elif len(scenes) == 1:
         outputs = [output]
@@ -151,16 +142,13 @@ def _outputs(scenes: Sequence[str], output: str | None) -> list[str]:
     return outputs
 
 
-def _is_folder(path: str) -> bool:
-    return path.endswith(("/", os.sep)) or os.path.isdir(path)
-
-
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
     from tracer.image import packed, write_bands
     from tracer.reader import SceneFileError, load_scene, printable
     from tracer.rendering import render_each
 
+    begin()
     start = perf_counter()
     shown = printable(output)
     try:
@@ -170,17 +158,18 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     except MemoryError:
         return f"{printable(scene_path)}: not enough memory to read it; split the scene"
     try:
-        if arguments.output is not None and _is_folder(arguments.output):
+        if arguments.output is not None and is_folder(arguments.output):
             os.makedirs(arguments.output, exist_ok=True)
         bands = render_each(scene, packed, arguments.samples, threads=arguments.threads or None)
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
             bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
     except MemoryError:
-        return (
-            f"{printable(scene_path)}: not enough memory for {scene.width} x {scene.height} pixels;"
-            " make the image smaller"
-        )
+        size, remedy = f"{scene.width} x {scene.height} pixels", "make the image smaller"
+        if arguments.samples > 1:
+            size += f" of {arguments.samples} samples"
+            remedy += " or take fewer samples"
+        return f"{printable(scene_path)}: not enough memory for {size}; {remedy}"
     except OSError as error:
         return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
     except ValueError as error:
@@ -189,7 +178,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
         )
     if not arguments.quiet:
         seconds = perf_counter() - start
-        _say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
+        say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
     return None
 
 
@@ -215,22 +204,9 @@ def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Pa
             bar.close()
 
 
-def _say(stream: TextIO | None, text: str) -> None:
-    """Print a line at once, if anyone listens: the pictures matter more."""
-    if stream is None:
-        return
-    encoding = stream.encoding or "utf-8"
-    with suppress(OSError):
-        print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
-
-
 def run() -> NoReturn:
     """`main` as a process of its own."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
-        number = getattr(signal, name, None)  # not all systems have the last three
-        # One that is ignored stays so: in the background of a script, or under nohup.
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, _interrupted)
+    heed_signals()
     # Nothing here multiplies matrices that are worth a thread; starting it would take as long as
     # rendering a small picture.  Read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -239,14 +215,6 @@ def run() -> NoReturn:
     # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
     # tenth to the time of a small picture.
     os._exit(main())
-
-
-def _interrupted(_number: int, _frame: object) -> None:
-    """Leave, with nothing half-written."""
-    # NumPy, while it is imported, takes an exception for a fault of its own.
-    if "tracer.rendering" not in sys.modules:
-        os._exit(130)
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -1,0 +1,73 @@
+"""What commands share: names in their arguments, what they print, and how they are interrupted.
+
+Nothing here takes long to import: a command is to heed signals before NumPy is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TextIO
+
+__all__ = ["at_least", "begin", "heed_signals", "is_folder", "named", "say"]
+
+
+def named(text: str) -> str:
+    """The type of an argument that names a file or a folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("the name is empty; name a file")
+    return text
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """The type of an argument that is a whole number."""
+
+    def whole_number(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
+            raise argparse.ArgumentTypeError(f"must be a whole number from {least}, is {text!r}")
+        return int(text)
+
+    return whole_number
+
+
+def is_folder(path: str) -> bool:
+    """Whether results are to be written to a folder of this name, there or not."""
+    return path.endswith(("/", os.sep)) or os.path.isdir(path)
+
+
+def say(stream: TextIO | None, text: str) -> None:
+    """Print a line at once, if anyone listens: the files that are written matter more."""
+    if stream is None:
+        return
+    encoding = stream.encoding or "utf-8"
+    with suppress(OSError):
+        print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
+
+
+_begun = False
+
+
+def heed_signals() -> None:
+    """Let the signals that end a process end it with status 130: from `begin` on as Ctrl-C does."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
+        number = getattr(signal, name, None)  # not all systems have the last three
+        # One that is ignored stays so: in the background of a script, or under nohup.
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _interrupted)
+
+
+def begin() -> None:
+    """All is imported, and files may be half-written: raise KeyboardInterrupt from here on."""
+    global _begun
+    _begun = True
+
+
+def _interrupted(_number: int, _frame: object) -> None:
+    """Leave, with nothing half-written."""
+    # NumPy, while it is imported, takes an exception for a fault of its own.
+    if not _begun:
+        os._exit(130)
+    raise KeyboardInterrupt
