@@ -13,20 +13,21 @@ and loads with mitsuba.load_file after "import converters.plugins".
 Converting needs no Mitsuba. --render and --check need it ("pip install .[reference]").
 """
 
+# What imports NumPy or Mitsuba is imported where it is used, so that `run` comes before it.
+
 from __future__ import annotations
 
 import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import NoReturn
 
-from converters.flavours import exact, stock
-from converters.trouble import TROUBLE, told
-from tracer.image import whole_file, write_png
-from tracer.reader import load_scene, printable
+from tracer.command import at_least, begin, heed_signals, is_folder, named, say
 
-__all__ = ["main"]
+__all__ = ["main", "run"]
 
 _RENDERED = ".mitsuba.png"
 
@@ -39,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 1 where a scene could not be read or written, or a tolerance is broken.
+        0; 1 where a scene could not be read or written, or a tolerance is broken; 130 if
+        interrupted.
 
     Raises
     ------
@@ -52,28 +54,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         targets = _targets(options.scenes, options.output, suffix)
     except ValueError as error:
+        from tracer.reader import printable
+
         parser.error(printable(str(error)))
     if options.check and options.samples is not None:
         parser.error("--check compares at the centres of the pixels; it takes no --samples")
-    if options.render or options.check:
-        try:
-            _say_variant(options.variant)
-        except ImportError as error:
-            print(printable(f"Mitsuba cannot run: {error}"), file=sys.stderr)
-            return 1
-    pairs = zip(options.scenes, targets, strict=True)
+    if options.variant is not None and not (options.render or options.check):
+        parser.error("--variant is for --render and --check; converting needs no Mitsuba")
     try:
+        if (options.render or options.check) and not _ready(options.variant):
+            return 1
+        pairs = zip(options.scenes, targets, strict=True)
         done = [_guarded(work, scene, target, options) for scene, target in pairs]
     except KeyboardInterrupt:
         return 130
     return 0 if all(done) else 1
 
 
-def _say_variant(variant: str | None) -> None:
-    from converters.variant import use
+def _ready(variant: str | None) -> bool:
+    """Choose Mitsuba's variant; say which it is, or why there is none."""
+    from tracer.reader import printable
 
-    choice = use(variant)
-    print(f"Mitsuba variant {choice.variant}: {choice.reason}")
+    try:
+        import_module("converters.check")  # and all that it needs
+        from converters.variant import use
+
+        begin()
+        choice = use(variant)
+    except ImportError as error:
+        say(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+        return False
+    say(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
+    return True
 
 
 def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Path]:
@@ -82,7 +94,7 @@ def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Pa
     beside = [scene.parent / f"{scene.stem}{suffix}" for scene in scenes]
     if output is None:
         targets = beside
-    elif output.endswith(("/", os.sep)) or Path(output).is_dir():
+    elif is_folder(output):
         targets = [Path(output, path.name) for path in beside]
     elif len(scenes) == 1:
         targets = [Path(output)]
@@ -115,10 +127,11 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=_path, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
+        type=named,
         metavar="PATH",
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
@@ -128,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--samples",
-        type=_at_least_one,
+        type=at_least(1),
         metavar="N",
         help="samples a pixel (default: 64 in the stock flavour, the pixel's centre in the exact)",
     )
@@ -143,10 +156,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _at_least_one(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= 1):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1, is {text!r}")
-    return int(text)
+def _path(text: str) -> Path:
+    return Path(named(text))
 
 
 def _work(options: argparse.Namespace) -> tuple[_Work, str]:
@@ -159,34 +170,44 @@ def _work(options: argparse.Namespace) -> tuple[_Work, str]:
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
     """Do one scene; what goes wrong with it is one line a fault, and spares the others."""
+    from converters.trouble import TROUBLE, told
+
     try:
         if options.output is not None and options.output.endswith(("/", os.sep)):
             target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
     except TROUBLE as error:
-        fault = told(scene, error)
+        say(sys.stderr, told(scene, error))
     except OSError as error:
-        fault = _unwritten(target, error)
-    print(fault, file=sys.stderr)
+        _say_unwritten(target, error)
     return False
 
 
-def _unwritten(path: Path, error: OSError) -> str:
-    return printable(f"{path}: cannot be written: {error.strerror or error}")
+def _say_unwritten(path: Path, error: OSError) -> None:
+    from tracer.reader import printable
+
+    say(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
+    from converters.flavours import exact, stock
+    from tracer.image import whole_file
+    from tracer.reader import load_scene, printable
+
+    begin()
     flavour = exact if options.exact else stock
     scene = load_scene(path)
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
     with whole_file(target) as file:
         file.write(text.encode())
-    print(printable(f"{target}: {'exact' if options.exact else 'stock'} flavour"))
+    say(sys.stdout, printable(f"{target}: {'exact' if options.exact else 'stock'} flavour"))
     return True
 
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.check import render_mitsuba, write_exr
+    from tracer.image import write_png
+    from tracer.reader import load_scene, printable
 
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
@@ -195,24 +216,32 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         try:
             write(path, image)
         except OSError as error:
-            print(_unwritten(path, error), file=sys.stderr)
+            _say_unwritten(path, error)
             return False
-    print(printable(f"{png} and .exr: {scene.width} x {scene.height}"))
+    say(sys.stdout, printable(f"{png} and .exr: {scene.width} x {scene.height}"))
     return True
 
 
 def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.check import check
     from reference.compare import write_comparison
+    from tracer.reader import printable
 
     result = check(path, options.variant)
     write_comparison(
         target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")
     )
-    print(result.report())
-    print(printable(f"  {target}"))
+    say(sys.stdout, result.report())
+    say(sys.stdout, printable(f"  {target}"))
     return not result.faults
 
 
+def run() -> NoReturn:
+    """`main` as a process of its own."""
+    heed_signals()
+    # All that can be written is flushed.
+    os._exit(main())
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -92,7 +92,9 @@ def use(variant: str | None = None) -> Choice:
     if variant is not None and variant != choice.variant:
         able = [name for name in mi.variants() if name.endswith("_rgb")]
         if variant not in able:
-            raise ImportError(f"{variant} is no RGB variant; choose one of {', '.join(able)}")
+            raise ImportError(
+                f"{variant or repr(variant)} is no RGB variant; choose one of {', '.join(able)}"
+            )
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")
         choice = Choice(variant, "asked for")

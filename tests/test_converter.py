@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -39,10 +40,14 @@ def scene_of(*surfaces: Sphere | Box, **camera: object) -> Scene:
     )
 
 
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "converters.to_mitsuba", *arguments]
+
+
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """The converter as a process of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "converters.to_mitsuba", *arguments],
+        command(*arguments),
         cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
@@ -102,20 +107,96 @@ def test_a_path_that_is_no_file_spares_the_others(
 
 
 @pytest.mark.parametrize(
-    ("what", "line"), [([], ".mitsuba.xml: stock flavour"), (["--check"], ": agrees")]
+    ("what", "line"),
+    [([], ".mitsuba.xml: stock flavour"), (["--check", "--variant", SCALAR], ": agrees")],
 )
 def test_names_that_are_not_text_are_escaped(small: Path, what: list[str], line: str) -> None:
     odd = small.rename(os.fsdecode(os.fsencode(small.parent) + b"/\xff\n.xml"))
-    done = run(*what, "--variant", SCALAR, str(odd), PYTHONIOENCODING="utf-8")
+    done = run(*what, str(odd), PYTHONIOENCODING="utf-8")
     # Dr.Jit says there if it has found no libLLVM.
     assert done.returncode == 0, done.stderr
     assert f"\\udcff\\n{line}\n" in done.stdout
 
 
-def test_what_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "missing" / "x.xml"
+def test_names_that_the_terminal_cannot_show(small: Path) -> None:
+    target = small.with_name("\u00e4.xml")
+    done = run(str(small), "-o", str(target), PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{small.parent}/\\xe4.xml: stock flavour\n"
+    assert target.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("missing/x.xml", "No such file or directory"), ("x" * 300, "File name too long")],
+)
+def test_what_cannot_be_written_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reason: str
+) -> None:
+    target = tmp_path / name
     assert main([str(ONE_SPHERE), "-o", str(target)]) == 1
-    assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
+    assert capsys.readouterr().err == f"{target}: cannot be written: {reason}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", [[], ["--check", "--variant", SCALAR]])
+def test_no_one_reads_the_output(small: Path, what: list[str]) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    target = small.with_name("written")
+    try:
+        done = subprocess.run(
+            command(*what, str(small), "-o", str(target)),
+            cwd=ROOT,
+            stdout=write,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=120,
+        )
+    finally:
+        os.close(write)
+    # Dr.Jit says there if it has found no libLLVM.
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "cannot be written" not in done.stderr
+    assert target.exists()
+
+
+def test_no_room_for_the_output(small: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command(str(small)), cwd=ROOT, stdout=full, stderr=subprocess.PIPE, timeout=120
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert small.with_name("small.mitsuba.xml").exists()
+
+
+def children(process: subprocess.Popen[str]) -> str:
+    """The processes that it has started."""
+    return Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("when", ["numpy is imported", "the variant is probed"])
+def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
+    process = subprocess.Popen(
+        command("--check", str(small)),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    loaded = Path(f"/proc/{process.pid}/maps")
+    while not (
+        "_multiarray_umath" in loaded.read_text()
+        if when == "numpy is imported"
+        else children(process)
+    ):
+        assert process.poll() is None
+    process.send_signal(kind)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (130, "", "")
+    assert list(small.parent.iterdir()) == [small]
 
 
 @pytest.mark.parametrize("what", [[], ["--render"], ["--check"]])
@@ -153,7 +234,8 @@ def test_links_are_followed(small: Path, what: list[str], written: str, magic: b
     (small.parent / "real").write_bytes(b"old")
     (small.parent / written).symlink_to("real")
     target = small.with_name("x.png" if what else "x.xml")
-    assert main([*what, "--variant", SCALAR, str(small), "-o", str(target)]) == 0
+    variant = ["--variant", SCALAR] if what else []
+    assert main([*what, *variant, str(small), "-o", str(target)]) == 0
     assert (small.parent / written).is_symlink()
     assert (small.parent / "real").read_bytes().startswith(magic)
     use()
@@ -169,6 +251,9 @@ def test_links_are_followed(small: Path, what: list[str], written: str, magic: b
         (["a.xml", "--samples", "0"], "must be a whole number from 1, is '0'"),
         (["a.xml", "--check", "--samples", "4"], "it takes no --samples"),
         (["a.xml", "--check", "--render"], "not allowed with"),
+        (["a.xml", "--variant", "nope"], "--variant is for --render and --check"),
+        (["a.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
+        (["a.xml", ""], "argument SCENE.xml: the name is empty; name a file"),
         ([], "the following arguments are required: SCENE.xml"),
     ],
 )
@@ -266,14 +351,15 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(
     assert capsys.readouterr().err == f"{small}: {line}\n"
 
 
-@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono"])
+@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono", ""])
 @pytest.mark.parametrize("what", ["--check", "--render"])
 def test_variants_without_rgb_are_refused(
     small: Path, capsys: pytest.CaptureFixture[str], what: str, variant: str
 ) -> None:
     assert main([what, "--variant", variant, str(small)]) == 1
     error = capsys.readouterr().err
-    assert error.startswith(f"Mitsuba cannot run: {variant} is no RGB variant; choose one of ")
+    shown = variant or "''"
+    assert error.startswith(f"Mitsuba cannot run: {shown} is no RGB variant; choose one of ")
     assert SCALAR in error
     assert "spectral" not in error.partition("choose")[2]
 
