@@ -25,7 +25,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from tracer.command import at_least, begin, heed_signals, is_folder, named, say
+from tracer.command import at_least, begin, end, heed_signals, is_folder, named, say
 
 __all__ = ["main", "run"]
 
@@ -239,8 +239,7 @@ def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
 def run() -> NoReturn:
     """`main` as a process of its own."""
     heed_signals()
-    # All that can be written is flushed.
-    os._exit(main())
+    end(main())
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TextIO
+from typing import NoReturn, TextIO
 
-__all__ = ["at_least", "begin", "heed_signals", "is_folder", "named", "say"]
+__all__ = ["at_least", "begin", "end", "heed_signals", "is_folder", "named", "say"]
 
 
 def named(text: str) -> str:
@@ -51,7 +52,7 @@ _begun = False
 
 
 def heed_signals() -> None:
-    """Let the signals that end a process end it with status 130: from `begin` on as Ctrl-C does."""
+    """Let signals that end a process do so with status 130; see `begin`."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         number = getattr(signal, name, None)  # not all systems have the last three
         # One that is ignored stays so: in the background of a script, or under nohup.
@@ -63,6 +64,18 @@ def begin() -> None:
     """All is imported, and files may be half-written: raise KeyboardInterrupt from here on."""
     global _begun
     _begun = True
+
+
+def end(status: int) -> NoReturn:
+    """End the process, and with it what it has started."""
+    global _begun
+    _begun = False
+    # What could not be said would be tried again.
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
+    sys.exit(status)
 
 
 def _interrupted(_number: int, _frame: object) -> None:
