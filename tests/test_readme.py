@@ -54,11 +54,21 @@ def test_the_scene_file_is_the_scene_in_python(
     assert f"\n```\n{told.value}\n```\n" in README
 
 
-def test_links_lead_somewhere() -> None:
-    links = re.findall(r"\]\(([^)]+)\)", README)
-    local = [link for link in links if not link.startswith("https://")]
-    assert local
-    assert [link for link in local if not (ROOT / link).exists()] == []
+def heading(line: str) -> str:
+    """How a link calls a heading."""
+    return re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", ["README.md", "reference/README.md", "reference/benchmark.md"])
+def test_links_lead_somewhere(page: str) -> None:
+    path = ROOT / page
+    links = re.findall(r"\]\(([^)]+)\)", path.read_text())
+    local = [link.partition("#") for link in links if not link.startswith("https://")]
+    for name, _, part in local:
+        target = path.parent / name if name else path
+        assert target.exists(), name
+        headings = re.findall(r"^#+ (.+)$", target.read_text(), re.M) if part else []
+        assert not part or part in map(heading, headings), part
 
 
 def test_commands_exist() -> None:
