@@ -35,7 +35,11 @@ __all__ = ["Surface", "footprint_of", "meetings"]
 
 # What a cell sees may reach so far from its middle, as a part of the way to a light.
 _WIDE = 0.1
+
+# The least cosine that a footprint is told for: what is more nearly edge-on may reach anywhere.
 _EDGE_ON = 1e-3
+
+# Surfaces are the same if their inverse distances differ by less of themselves across a cell.
 _ALIKE = 1e-9
 
 
@@ -45,7 +49,10 @@ def _half_angle(raster: Raster, size: float) -> float:
 
 
 def footprint_of(hits: Hits, group: Group, slope: Floats, radius: Floats, size: float) -> Floats:
-    """Radius (n,) on the surface, around each point, of what a cell of a size sees."""
+    """Radius (n,) on the surface, around each point, of what a cell of a size sees.
+
+    `slope` (n,): the cosine between the normal and the way to the eye; `radius`: of all objects.
+    """
     angle = _half_angle(hits.raster, size)
     half = hits.p[2, group.part] * angle
     if group.flat:
@@ -239,7 +246,8 @@ class Surface(NamedTuple):
         diffuse = select(group.of(materials.diffuse.max(axis=0)[shader]), at)
         diffuse = diffuse * lighting.intensities.max(axis=1)[light]
         glossy = np.broadcast_to(select(group.of(materials.glossy[shader]), at), at.shape)
-        # A ramp from the middle of a cell on is an eighth of what it changes across all of it.
+        # A ramp that begins in the middle of a cell adds to its mean an eighth of what it changes
+        # across the cell; where it begins along an arc, that is off by as much of its bow.
         change = self.footprint[at] / select(radius, at) * diffuse
         total = np.bincount(at, change, self.cell.size)[at]
         shown = np.flatnonzero(glossy | (total > 8 * tolerance))

@@ -15,8 +15,8 @@ from tracer.visibility import View
 
 __all__ = ["crossed", "outlines_across", "spans_of"]
 
-# A limb that turns by less (radians), for each unit of radiance that a sample may be off, passes
-# for straight.
+# A limb that turns by less in a cell (radians) passes for straight: for each unit of radiance that
+# a sample may be off.
 _TURN = 57.0
 
 # From a limb on, in halves of a cell, light is a function of the distance from it.

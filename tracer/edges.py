@@ -30,11 +30,13 @@ _TINY = 1e-12
 # Lines that are nowhere farther apart, in cells, count as one: a light near the eye
 # throws its shadows right behind the outlines.
 _SAME = 0.02
+
+# A line is compared with fewer than so many before it in its cell.
 _COMPARED = 6
 
 
 class Kind(IntEnum):
-    """What draws a line: beyond it there may be lines of a later kind."""
+    """What draws a line: beyond all but a shadow's edge there may be more than has been seen."""
 
     LIMB = 0
     OUTLINE = 1
