@@ -38,8 +38,7 @@ def visible_points(scene: Scene, grid: int = 12) -> Floats:
 
 def raster_direction(raster: Raster, column: float, row: float) -> Floats:
     """Unit direction (3,) of the ray through a point of the picture, in pixels."""
-    across = raster.shift_u + (column - raster.width / 2) * raster.step_u
-    down = raster.shift_v + (row - raster.height / 2) * raster.step_v
+    across, down = raster.across(np.asarray(column)), raster.down(np.asarray(row))
     direction: Floats = np.array([across, down, raster.depth]) @ raster.axes
     return direction / np.linalg.norm(direction)
 

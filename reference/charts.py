@@ -32,6 +32,9 @@ __all__ = [
 HALO = [withStroke(linewidth=3, foreground="white")]
 """Keeps text legible across lines."""
 
+# Of labels, in points.
+_SIZE = 9
+
 plt.rcParams.update(
     {
         "font.family": "DejaVu Sans",
@@ -98,30 +101,27 @@ def _spread(wanted: Sequence[float], spacing: float) -> list[float]:
     return [y + (i - (n - 1) / 2) * spacing for y, n in blocks for i in range(n)]
 
 
-def label_ends(axes: Any, ends: Iterable[End], size: float = 9, *, margin: bool = True) -> None:
-    """Name curves at the right of the axes, which must have their final limits.
-
-    Without `margin` the names stand close to where the curves end.
-    """
-    _label(axes, sorted(ends, key=lambda end: (end[1], end[2])), 1, size, margin)
+def label_ends(axes: Any, ends: Iterable[End]) -> None:
+    """Name curves at the right of the axes, which must have their final limits."""
+    _label(axes, sorted(ends, key=lambda end: (end[1], end[2])), 1)
 
 
-def label_losses(axes: Any, ends: Iterable[End], size: float = 9) -> None:
+def label_losses(axes: Any, ends: Iterable[End]) -> None:
     """Cross curves out where they leave through the top of the axes, and name them there."""
     ends = sorted(ends)
     for x, y, _, color in ends:
         axes.plot(x, y, "x", color=color, ms=11, mew=3, clip_on=False, zorder=6)
-    _label(axes, ends, 0, size, margin=True)
+    _label(axes, ends, 0)
 
 
-def _label(axes: Any, ends: Sequence[End], along: int, size: float, margin: bool) -> None:
+def _label(axes: Any, ends: Sequence[End], along: int) -> None:
     axes.figure.canvas.draw()
     points = 72 / axes.figure.dpi
     corner = axes.get_window_extent().max * points
     at = [axes.transData.transform(end[:2]) * points for end in ends]
-    places = _spread([float(xy[along]) for xy in at], (1.3 if along else 2.6) * size)
+    places = _spread([float(xy[along]) for xy in at], (1.3 if along else 2.6) * _SIZE)
     for (x, y, text, color), xy, place in zip(ends, at, places, strict=True):
-        away = (corner[0] + 14 - xy[0] if margin else 12, place - xy[1])
+        away = (corner[0] + 14 - xy[0], place - xy[1])
         if not along:
             away = (place - xy[0] + 3, corner[1] + 9 - xy[1])
         axes.annotate(
@@ -130,7 +130,7 @@ def _label(axes: Any, ends: Sequence[End], along: int, size: float, margin: bool
             xytext=away,
             textcoords="offset points",
             color=color,
-            fontsize=size,
+            fontsize=_SIZE,
             fontweight="bold" if "tracer" in text else "normal",
             va="center" if along else "bottom",
             rotation=0 if along else 28,
@@ -176,7 +176,7 @@ def write_csv(
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(
-            [f"{v:.4g}" if isinstance(v, (float, np.floating)) else v for v in row] for row in rows
+            [f"{v:.6g}" if isinstance(v, (float, np.floating)) else v for v in row] for row in rows
         )
 
 
