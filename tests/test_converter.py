@@ -195,7 +195,9 @@ def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
         assert process.poll() is None
     process.send_signal(kind)
     out, err = process.communicate(timeout=30)
-    assert (process.returncode, out, err) == (130, "", "")
+    assert (process.returncode, out) == (130, "")
+    # Dr.Jit says there if it has found no libLLVM.
+    assert [line for line in err.splitlines() if not line.startswith("jit")] == []
     assert list(small.parent.iterdir()) == [small]
 
 
