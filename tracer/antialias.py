@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Bools, runs
+from tracer.arrays import Bools, alike, runs
 from tracer.crossings import crossed, outlines_across, spans_of
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
@@ -155,7 +155,7 @@ def _refine(
         at = cells.at(near.cell, near.x, near.y)
         colors[:, beside] = radiance_in(view, lights, *at, near.cell)
     order = np.argsort(sides.cell, kind="stable")
-    first = np.flatnonzero(np.diff(sides.cell[order], prepend=-1))
+    first, _ = alike(sides.cell[order])
     if first.size:
         total = np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
         mean[:, sides.cell[order[first]]] = total
@@ -164,8 +164,7 @@ def _refine(
 def _few(lines: Lines, several: Bools) -> Lines:
     """Different lines, a few in each cell, sorted by cell; marks `several` where not just one."""
     lines = lines.distinct()
-    first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
-    count = np.diff(first, append=lines.cell.size)
+    first, count = alike(lines.cell)
     several[lines.cell[first[count > 1]]] = True
     return lines.take(np.flatnonzero(runs(0, count) < _LINES))
 

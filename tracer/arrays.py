@@ -22,6 +22,7 @@ __all__ = [
     "Bools",
     "Index",
     "Triple",
+    "alike",
     "batches",
     "columns",
     "cross",
@@ -111,6 +112,12 @@ def runs(start: Ints | int, counts: Ints) -> Ints:
     places: Ints = np.repeat(skip, counts)
     places += np.arange(places.size)
     return places
+
+
+def alike(values: Ints) -> tuple[Ints, Ints]:
+    """Where equal neighbours, none of them -1, begin; and how many there are each time."""
+    first = np.flatnonzero(np.diff(values, prepend=-1))
+    return first, np.diff(first, append=values.size)
 
 
 def batches(sizes: Ints) -> Iterator[slice]:

@@ -90,7 +90,7 @@ def meetings(
     reach, off = lines.reach(), off_first + off_second
     # Of surfaces that coincide, nothing but rounding says which is seen.
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
-    straight = ~alike & (4 * off <= BEND * reach)
+    straight = ~alike & (lines.turn(off) <= BEND)
     several[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
     yield lines.take(np.flatnonzero(straight & lines.crosses()))
 
@@ -261,8 +261,8 @@ class Surface(NamedTuple):
         kind = np.where(c > 0, Kind.SHADOW, Kind.RIDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
         gradient = each(lambda d, n: d / r + n, ray, self.hits.raster.turned(pick(group.n, at)))
-        off, turn = bowed(lines, gradient, self.bow(at))
-        bent = glossy & (turn > BEND)
+        off = bowed(gradient, self.bow(at))
+        bent = glossy & (lines.turn(off) > BEND)
         bent |= diffuse * off > 8 * tolerance * np.sqrt(incoming.length2[light, at])
         several[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
         yield lines.take(np.flatnonzero(~bent & lines.crosses()))

@@ -78,7 +78,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
     """
     lines, spheres = view.outlines, len(view.outlines.radius)
     at = np.flatnonzero(cells.owner < spheres)
-    beside, own = seen.spheres(rough, spheres)
+    beside, own = seen.spheres(rough)
     cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
     if cell.size:
         pencil = _pencil(view, cells, cell, Kind.LIMB)

@@ -50,6 +50,8 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
     """`curvature` of quarters of cells, from what the cells' centres and theirs see.
 
+    Of the cells radiance (3, n) and key (n,); of their quarters fine (3, 4 n) and keys (4 n,).
+
     Where all see the same, the mean lies beyond that of the quarters' centres by a third of the
     way there from the cell's (Richardson's extrapolation).
     """

@@ -100,6 +100,12 @@ class Lines(NamedTuple):
         reach: Floats = 0.5 * (np.abs(self.a) + np.abs(self.b))
         return reach
 
+    def turn(self, off: Floats) -> Floats:
+        """How far each turns in its cell (radians), if c is `off` so far in the corners."""
+        # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
+        turn: Floats = 4 * off / self.reach()
+        return turn
+
     def halves(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
 
@@ -165,17 +171,13 @@ def joined(lines: Iterable[Lines]) -> Lines:
     return Lines(cell, kind, a, b, c)
 
 
-def bowed(lines: Lines, gradient: Triple, bow: Triple | None) -> tuple[Floats, Floats]:
-    """How far c is off in the corners because the surface is curved, and how far lines turn.
+def bowed(gradient: Triple, bow: Triple | None) -> Floats:
+    """How far c is off in the corners because the surface is curved.
 
     `gradient`: of c, by where the point lies; `bow`: how far the surface leaves its tangent plane
-    in the corners, or None.  Turns are in radians.
+    in the corners, or None.
     """
-    if bow is None:
-        return np.zeros(lines.cell.size), np.zeros(lines.cell.size)
-    # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
-    off: Floats = np.abs(dot(gradient, bow))
-    return off, 4 * off / lines.reach()
+    return np.zeros(gradient[0].size) if bow is None else np.abs(dot(gradient, bow))
 
 
 class Pencil(NamedTuple):
@@ -241,7 +243,7 @@ class Pencil(NamedTuple):
         lines = self._lines(a, b, c)
         # With both sides of the disc in the cell there is another line.
         both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
-        turn = np.where(both, np.inf, np.abs(bend) / size + bowed(lines, out, self.bow)[1])
+        turn = np.where(both, np.inf, np.abs(bend) / size + lines.turn(bowed(out, self.bow)))
         return lines, turn, lines.crosses() | (within & (turn > BEND))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
@@ -259,7 +261,7 @@ class Pencil(NamedTuple):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [
-            bowed(edge, normal, self.bow)[1] for edge, normal in zip(edges, normals, strict=True)
+            edge.turn(bowed(normal, self.bow)) for edge, normal in zip(edges, normals, strict=True)
         ]
         at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))

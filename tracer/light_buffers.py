@@ -465,7 +465,7 @@ def _listed(
     buffer: LightBuffer, own: Ints, cell: Ints, distance: Floats, within: Bounds
 ) -> tuple[Ints, Ints]:
     """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
-    # Most buffer hold nothing, or the object itself.
+    # Most cells hold nothing, or the object itself.
     sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
     none = np.zeros(0, dtype=np.intp)

@@ -153,8 +153,10 @@ def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
     return radiance
 
 
-def narrow(gloss: Gloss, light: Incoming, lit: Bools, footprint: Floats) -> Iterator[Ints]:
+def narrow(gloss: Gloss, light: Incoming, facing: Bools, footprint: Floats) -> Iterator[Ints]:
     """Points where there may be a highlight too narrow for one sample of so large a footprint.
+
+    Light that they face may reach some of it, even where it does not reach them.
 
     Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
     between normal and half vector, which bends with the surface and with the
@@ -168,12 +170,12 @@ def narrow(gloss: Gloss, light: Incoming, lit: Bools, footprint: Floats) -> Iter
         bending += 1 / group.of(gloss.lighting.shadows.occluders.radius)
     scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
     most = footprint.max(), bending.max(), scale.max()
-    for number, reached in enumerate(lit):
+    for number, faces in enumerate(facing):
         length = np.sqrt(light.length2[number])
         if most[0] * (most[1] + 1 / length.min()) * most[2] <= _SMOOTH:
             continue
         change = footprint * (bending + 1 / length) * scale
-        at = np.flatnonzero((change > _SMOOTH) & reached)
+        at = np.flatnonzero((change > _SMOOTH) & faces)
         if at.size:
             cosine = light.falls[number][at] / length[at]
             power = gloss.highlight(number, at, cosine, length[at], light.along[number][at])

@@ -106,18 +106,23 @@ class Seen(NamedTuple):
         none = np.zeros(count, dtype=np.bool_)
         return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
 
-    def spheres(self, some: Bools, count: int) -> tuple[Ints, Ints]:
-        """Which of some samples see spheres, the first so many objects, and which spheres."""
+    def spheres(self, some: Bools) -> tuple[Ints, Ints]:
+        """Which of some samples see spheres, and which spheres."""
         samples, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for found, order in self.looks:
-            sample = order[found.hits.sample]
-            at = np.flatnonzero(some[sample] & (found.own < count))
-            samples.append(sample[at])
-            owners.append(found.own[at])
+            for group in found.hits.groups:
+                if group.flat:
+                    continue
+                sample = order[group.sample]
+                at = np.flatnonzero(some[sample])
+                samples.append(sample[at])
+                owners.append(found.own[group.part][at])
         return np.concatenate(samples), np.concatenate(owners)
 
     def lights(self, lighting: Lighting, some: Ints) -> Lights:
         """The lights for samples in some cells: what has been found there holds for all of each."""
+        if not lighting.shadows.remembers:
+            return lambda _: lighting
         looks = [found for found, _ in self.looks]
         sample = np.concatenate([order[found.hits.sample] for found, order in self.looks])
         place = np.full(self.key.size, -1)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools
+from tracer.arrays import Bools, alike
 from tracer.edges import Kind, Lines
 from tracer.scene import Floats, Ints
 
@@ -91,8 +91,7 @@ def stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats,
     In each region its points have equal parts of its share.  Regions without any are returned,
     each with a point in its middle.
     """
-    first = np.flatnonzero(np.diff(lines.cell, prepend=-1))
-    count = np.diff(first, append=lines.cell.size)
+    first, count = alike(lines.cell)
     weights = np.full((cells.size, x.size), 1 / x.size)
     bits = int(count.max(initial=0))
     # Each line sets a bit on the side where c + a x + b y < 0.

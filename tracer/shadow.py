@@ -103,14 +103,17 @@ class Shadows(NamedTuple):
         found_there = point[seen], light[seen], other[seen]
         return blocked, Look(hits, own, footprint, facing, dark, *found_there)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether it pays to remember looks: stretches take neighbours together, not apart."""
+        return isinstance(self.finder, InLightBuffers)
+
     def remembering(self, looks: Sequence[Look], place: Ints) -> Callable[[Ints], Shadows]:
         """What looks have found holds for samples near their points: these, given that of each.
 
         `place` (points,): where the points are in all looks, or -1 where nothing is seen.
         """
-        if not isinstance(self.finder, InLightBuffers):
-            # Stretches take neighbours together, which would be taken apart.
-            return lambda _: self
+        assert isinstance(self.finder, InLightBuffers)
         known = InSurroundings.of(self.finder, looks, place)
         return lambda near: self._replace(finder=known._replace(near=near))
 

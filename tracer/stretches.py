@@ -16,6 +16,7 @@ import numpy as np
 from tracer.arrays import (
     Bools,
     Triple,
+    alike,
     batches,
     columns,
     dot,
@@ -269,12 +270,11 @@ class _Tiles(NamedTuple):
     @classmethod
     def around(cls, owner: Ints, key: Ints, middle: Triple, radius: Floats) -> _Tiles:
         """Put what lies next to each other and has the same key in one ball."""
-        first = np.flatnonzero(np.diff(key, prepend=-1))
+        first, length = alike(key)
         low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
         high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
         half = each(lambda a, b: 0.5 * (b - a), low, high)
         middle = each(lambda a, b: 0.5 * (a + b), low, high)
-        length = np.diff(first, append=key.size)
         return cls(owner[first], first, length, middle, np.sqrt(dot(half, half)))
 
 
