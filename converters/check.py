@@ -9,15 +9,13 @@ Every other pixel has to agree.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +24,7 @@ from converters.flavours import exact, normalisation, square_height, stock
 from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
+from reference.oracle import Oracle
 from tracer.image import whole_file
 from tracer.reader import load_scene, printable
 from tracer.rendering import render
@@ -335,23 +334,11 @@ def _judge(scene: Scene, image: Floats, mitsuba: Floats, mask: Bools) -> tuple[F
     differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > MAX_DIFFERENCE) & ~mask)
     if not 0 < len(differ) <= _MOST_JUDGED:
         return mitsuba, 0
-    oracle = _oracle_module().Oracle(scene)
+    oracle = Oracle(scene)
     reference = mitsuba.copy()
     for row, column in differ.tolist():
         reference[row, column] = oracle.judge(column + 0.5, row + 0.5).radiance
     return reference, len(differ)
-
-
-def _oracle_module() -> Any:
-    """The tests' oracle: it comes with a checkout, not with the installed package."""
-    name, path = "tests.oracle", Path(__file__).resolve().parent.parent / "tests" / "oracle.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise ImportError(f"{path} is missing: Mitsuba errs here, and there is no oracle to judge")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its dataclasses look for it
-    spec.loader.exec_module(module)
-    return module
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:

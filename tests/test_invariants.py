@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracle import Oracle
 from probe import EPS, moved
 from random_scenes import KINDS, random_scene
 
+from reference.oracle import Oracle
 from tracer import (
     Box,
     Lambertian,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import Oracle, Verdict, radiance
 from random_scenes import KINDS, random_scene
 
+from reference.oracle import Oracle, Verdict, radiance
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 
 # Far more than the tracer's rounding, of a few hundred epsilon in the same

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracle import Oracle, Verdict
 from probe import Vector, colored, moved
 from random_scenes import random_scene
 
+from reference.oracle import Oracle, Verdict
 from tracer import Camera, Scene, Sphere, Surfaces, render
 
 
