@@ -15,20 +15,19 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from converters.flavours import exact, normalisation, square_height, stock
 from converters.variant import LLVM, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
 from reference.oracle import Oracle
+from tracer.arrays import Bools, Floats
 from tracer.image import whole_file
 from tracer.reader import load_scene, printable
 from tracer.rendering import render
-from tracer.scene import Floats, Scene
+from tracer.scene import Scene
 
 __all__ = [
     "EDGE_CHANGE",
@@ -49,8 +48,6 @@ __all__ = [
     "stock_ssim",
     "write_exr",
 ]
-
-Bools: TypeAlias = NDArray[np.bool_]
 
 EDGE_SHIFT = 0.003
 """How far a sample moves, in pixels and both ways, to see whether an edge is near."""

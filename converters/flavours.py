@@ -10,8 +10,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from converters.visible import bounds, visible_points
+from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import MAX_PIXELS, Floats, Phong, PointLight, Scene, Shader
+from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader
 
 __all__ = ["Normalisation", "exact", "normalisation", "square_height", "stock"]
 

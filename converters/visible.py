@@ -10,8 +10,9 @@ from itertools import product
 
 import numpy as np
 
+from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
-from tracer.scene import Floats, Scene, Surfaces
+from tracer.scene import Scene, Surfaces
 
 __all__ = ["bounds", "nearest", "raster_direction", "visible_points"]
 

@@ -36,12 +36,12 @@ from tracer import (
     stretches,
     visibility,
 )
+from tracer.arrays import Floats, Ints
 from tracer.edges import Lines
 from tracer.lighting import Lighting
 from tracer.looks import Lights, Seen
 from tracer.regions import Points
 from tracer.sampling import Lattice
-from tracer.scene import Floats, Ints
 
 __all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
 

@@ -18,7 +18,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.scene import Floats, Phong, Scene
+from tracer.arrays import Floats
+from tracer.scene import Phong, Scene
 
 __all__ = [
     "SHADOW_STARTS",

@@ -12,20 +12,20 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from reference.command import spare_inputs
-from reference.diagnosis import GAMMA, Floats, diagnose, linear
+from reference.diagnosis import GAMMA, diagnose, linear
+from tracer.arrays import Bools, Floats
 from tracer.image import quantise, whole_file
 from tracer.reader import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
-_Mask: TypeAlias = NDArray[np.bool_]
 
 # SSIM's window (Z. Wang et al., Image quality assessment, IEEE TIP 13(4), 2004).
 _WINDOW = 7
@@ -76,7 +76,7 @@ class Figures:
         return text + (f"   masked: {self.masked}" if self.masked else "")
 
 
-def figures(a: Floats, b: Floats, mask: _Mask | None = None) -> Figures:
+def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     """Measure how far apart two pictures are.
 
     Parameters

@@ -16,11 +16,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.arrays import Bools, Floats
+
 __all__ = ["Diagnosis", "diagnose", "linear"]
 
-Floats: TypeAlias = NDArray[np.float64]
 Codes: TypeAlias = NDArray[np.int16]
-_Bools: TypeAlias = NDArray[np.bool_]
 
 GAMMA = 2.2
 
@@ -260,12 +260,12 @@ def _between(shift: float) -> set[int]:
 def _regional(a: Codes, b: Codes) -> Diagnosis:
     """By where the difference lies, its sign, and how it ends."""
     change = a - b
-    differs: _Bools = np.abs(change).max(axis=2) > 2
+    differs: Bools = np.abs(change).max(axis=2) > 2
     if not differs.any():
         return Diagnosis("rounding", "Two levels at most: rounding, or noise.")
     light = (linear(a) - linear(b)).mean(axis=2)
     brighter = float((light[differs] > 0).mean())
-    empty: _Bools = b.max(axis=2) == 0
+    empty: Bools = b.max(axis=2) == 0
     share = np.count_nonzero(differs) / differs.size
     if empty[differs].mean() > 0.9 and np.ptp(a[differs & empty], axis=0).max() <= 2:
         return Diagnosis("background", "A's background is not black.")
@@ -308,15 +308,15 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
     )
 
 
-def _edges(image: Codes) -> _Bools:
+def _edges(image: Codes) -> Bools:
     """Pixels (h, w) with an edge between them and one of their eight neighbours."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
-    edges: _Bools = (np.ptp(windows, axis=(3, 4)) > _EDGE).any(axis=2)
+    edges: Bools = (np.ptp(windows, axis=(3, 4)) > _EDGE).any(axis=2)
     return edges
 
 
-def _sharpness(a: Codes, b: Codes, differs: _Bools, size: Floats) -> float:
+def _sharpness(a: Codes, b: Codes, differs: Bools, size: Floats) -> float:
     """How large the difference is where it ends, relative to what it is at most.
 
     Ends at a silhouette, where both pictures have an edge, do not count.

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reference.command import built
+from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import Floats, Scene
+from tracer.scene import Scene
 
 __all__ = ["Minimal", "compiler"]
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import Floats, Phong, Scene, Shader
+from tracer.scene import Phong, Scene, Shader
 
 __all__ = ["to_pov"]
 

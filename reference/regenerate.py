@@ -25,8 +25,9 @@ import numpy as np
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
 from reference.command import HERE, SCENES
+from tracer.arrays import Floats
 from tracer.reader import load_scene
-from tracer.scene import Floats, Scene
+from tracer.scene import Scene
 
 __all__ = ["FOLDER", "SCENES", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 

@@ -18,7 +18,8 @@ from converters.flavours import exact, normalisation, stock
 from converters.variant import use
 from reference.command import built
 from reference.povray import to_pov
-from tracer.scene import Floats, Scene
+from tracer.arrays import Floats
+from tracer.scene import Scene
 
 __all__ = [
     "mitsuba_command",

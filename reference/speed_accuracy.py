@@ -35,9 +35,10 @@ from reference.command import SCENES, built, parser
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
+from tracer.arrays import Floats
 from tracer.image import quantise
 from tracer.rendering import render_bands
-from tracer.scene import MAX_PIXELS, Floats
+from tracer.scene import MAX_PIXELS
 
 __all__ = ["Point", "Truth", "main", "measure", "supersampled"]
 

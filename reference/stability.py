@@ -38,7 +38,7 @@ from reference.charts import (
 )
 from reference.command import parser
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 __all__ = ["PANELS", "Panel", "measure", "methods_of"]
 

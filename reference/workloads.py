@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 __all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "to_xml"]
 

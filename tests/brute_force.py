@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from probe import Surface, Vector
 
-from tracer.arrays import Bools, Triple, dot
+from tracer.arrays import Bools, Floats, Ints, Triple, dot
 from tracer.camera import Raster, raster_of
 from tracer.intersection import (
     INSIDE,
@@ -25,7 +25,7 @@ from tracer.intersection import (
     sphere_hit,
     sphere_side,
 )
-from tracer.scene import Box, Floats, Ints, Phong, Scene, Sphere
+from tracer.scene import Box, Phong, Scene, Sphere
 from tracer.shading import highlight
 
 __all__ = ["blocks", "brute_force", "light_side", "size_of"]

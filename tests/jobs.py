@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tracer.scene import Floats
+from tracer.arrays import Floats
 from tracer.workers import AHEAD, Work
 
 SHAPE = (AHEAD, 2, 3)

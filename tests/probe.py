@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 __all__ = ["EPS", "Surface", "Vector", "colored", "look", "moved"]
 

@@ -26,12 +26,11 @@ from tracer import (
     render,
     shadow,
 )
-from tracer.arrays import Bools
+from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
 from tracer.occluders import Occluders, Pairs, pairs_with_objects
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
-from tracer.scene import Floats
 from tracer.shadow import Shadows
 from tracer.surroundings import InSurroundings, Look
 from tracer.visibility import Hits

@@ -15,7 +15,7 @@ import pytest
 from probe import EPS, Vector, colored
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 WALL = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))
 LIGHTS = tuple(colored((0, 0, -7), (1, 0, -7), (0, 1, -7)))

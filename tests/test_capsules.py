@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from probe import Surface, Vector
 
 from tracer import Box, Camera, Lambertian, Sphere, Surfaces
-from tracer.arrays import Bools, Triple
+from tracer.arrays import Bools, Floats, Triple
 from tracer.camera import raster_of
 from tracer.edges import Kind, Lines, Pencil
 from tracer.intersection import (
@@ -27,7 +27,6 @@ from tracer.intersection import (
 from tracer.light_buffers import LightBuffer, in_light_buffers
 from tracer.occluders import occluders_of
 from tracer.outlines import box_corners, outlines_of, silhouette_planes
-from tracer.scene import Floats
 from tracer.visibility import View
 
 SLACK = 1e-9

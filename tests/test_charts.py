@@ -24,7 +24,7 @@ from reference.tables import Table
 from reference.timing import Task, Timing, interleaved
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

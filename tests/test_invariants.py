@@ -20,8 +20,8 @@ from tracer import (
     render,
     rendering,
 )
+from tracer.arrays import Floats
 from tracer.rendering import render_bands
-from tracer.scene import Floats
 
 
 def picture(kind: str, seed: int) -> tuple[Scene, Floats]:

@@ -18,8 +18,9 @@ from converters.visible import nearest, raster_direction
 from reference.compare import figures
 from reference.regenerate import SCENES, load_small, stored
 from tracer import Box, Lambertian, Scene, render
+from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import Floats, Surfaces
+from tracer.scene import Surfaces
 
 pytestmark = pytest.mark.cross_validation
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tracer.arrays import Floats, Ints
 from tracer.edges import Kind, Lines
 from tracer.regions import sides_of, stratified
 from tracer.sampling import Lattice
-from tracer.scene import Floats, Ints
 
 FINE = (np.arange(400) + 0.5) / 400 - 0.5
 

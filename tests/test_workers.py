@@ -18,7 +18,7 @@ import pytest
 from jobs import SHAPE, add
 
 import tracer.helpers
-from tracer.scene import Floats
+from tracer.arrays import Floats
 from tracer.workers import Job, Numbers, forked, keep_apart
 
 COUNT = 11

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Bools, alike, runs
+from tracer.arrays import Bools, Floats, Ints, alike, runs
 from tracer.crossings import crossed, outlines_across, spans_of
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
@@ -23,7 +23,6 @@ from tracer.looks import Cells, Lights, Seen, look, looked, radiance_in
 from tracer.outlines import Outlines
 from tracer.regions import Points, sides_of, stratified
 from tracer.sampling import CENTRES, Lattice
-from tracer.scene import Floats, Ints
 from tracer.visibility import View
 
 __all__ = ["antialiased", "dense", "splittings"]

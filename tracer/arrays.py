@@ -16,11 +16,11 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.scene import Floats, Ints
-
 __all__ = [
     "Bools",
+    "Floats",
     "Index",
+    "Ints",
     "Triple",
     "alike",
     "batches",
@@ -40,6 +40,8 @@ __all__ = [
     "where",
 ]
 
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
 Index: TypeAlias = int | Ints

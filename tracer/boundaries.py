@@ -13,6 +13,8 @@ import numpy as np
 
 from tracer.arrays import (
     Bools,
+    Floats,
+    Ints,
     Triple,
     columns,
     dot,
@@ -28,7 +30,7 @@ from tracer.edges import BEND, Kind, Lines, Pencil, bowed, joined
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
-from tracer.scene import Floats, Ints, Surfaces
+from tracer.scene import Surfaces
 from tracer.visibility import Group, Hits, View
 
 __all__ = ["Surface", "footprint_of", "meetings"]

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Triple
-from tracer.scene import Camera, Floats, unit
+from tracer.arrays import Floats, Triple
+from tracer.scene import Camera, unit
 
 __all__ = ["Raster", "raster_of"]
 

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.arrays import Bools, each, expand, pick
+from tracer.arrays import Bools, Ints, each, expand, pick
 from tracer.edges import BEND, Kind, Lines, Pencil
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines, Spans
-from tracer.scene import Ints
 from tracer.visibility import View
 
 __all__ = ["crossed", "outlines_across", "spans_of"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.scene import Floats, Ints
+from tracer.arrays import Floats, Ints
 
 __all__ = ["curvature", "extrapolated"]
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Triple, cross, dot, each, pick, scaled
-from tracer.scene import Floats, Ints
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
 __all__ = ["BEND", "Kind", "Lines", "Pencil", "bowed", "joined"]
 

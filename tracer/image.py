@@ -21,7 +21,7 @@ from typing import IO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.scene import Floats
+from tracer.arrays import Floats
 
 __all__ = ["Packed", "packed", "quantise", "whole_file", "write_bands", "write_png"]
 

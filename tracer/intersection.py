@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Triple, dot, each, pick
-from tracer.scene import Floats
+from tracer.arrays import Bools, Floats, Triple, dot, each, pick
 
 __all__ = [
     "INSIDE",

@@ -19,10 +19,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Triple, batches, dot, each, expand, pick, scaled
+from tracer.arrays import Bools, Floats, Ints, Triple, batches, dot, each, expand, pick, scaled
 from tracer.occluders import SLACK, Occluders, Pairs, pairs_with_objects
 from tracer.outlines import box_corners, silhouette_planes
-from tracer.scene import Floats, Ints, Surfaces
+from tracer.scene import Surfaces
 from tracer.visibility import Hits
 
 __all__ = ["InLightBuffers", "LightBuffer", "in_light_buffers"]

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Triple, dot, each, pick, rows, scaled, select, where
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, pick, rows, scaled, select, where
 from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.sampling import Samples
-from tracer.scene import Floats, Ints, Scene
+from tracer.scene import Scene
 from tracer.shading import Materials, highlight
 from tracer.shadow import Shadows, shadows_of
 from tracer.visibility import Group, Hits, View, visible

@@ -12,12 +12,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Bools
+from tracer.arrays import Bools, Floats, Ints
 from tracer.boundaries import Surface, footprint_of, meetings
 from tracer.edges import Lines
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
 from tracer.sampling import Samples
-from tracer.scene import Floats, Ints
 from tracer.surroundings import Look
 from tracer.visibility import View, visible_and_behind
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Triple, columns, pick, runs
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, runs
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
-from tracer.scene import Floats, Ints, Surfaces
+from tracer.scene import Surfaces
 from tracer.visibility import View
 
 __all__ = [

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Triple, cross, dot, each, expand, pick
+from tracer.arrays import Floats, Ints, Triple, cross, dot, each, expand, pick
 from tracer.camera import Raster
 from tracer.intersection import disc_in_row
-from tracer.scene import Floats, Ints, Surfaces
+from tracer.scene import Surfaces
 
 __all__ = [
     "Outlines",

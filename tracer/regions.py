@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, alike
+from tracer.arrays import Bools, Floats, Ints, alike
 from tracer.edges import Kind, Lines
-from tracer.scene import Floats, Ints
 
 __all__ = ["Points", "sides_of", "stratified"]
 

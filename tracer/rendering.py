@@ -17,13 +17,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from tracer.antialias import antialiased, dense, splittings
+from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.outlines import outlines_of
 from tracer.sampling import CENTRES, Lattice
-from tracer.scene import Floats, Scene
+from tracer.scene import Scene
 from tracer.visibility import View, view_of
 from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
 

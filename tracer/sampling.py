@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.arrays import Floats, Ints
 from tracer.camera import Raster
 from tracer.outlines import Spans
-from tracer.scene import Floats, Ints
 
 __all__ = ["CENTRES", "Lattice", "Samples"]
 

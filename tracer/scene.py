@@ -19,13 +19,13 @@ from typing import Any, NamedTuple, TypeAlias, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tracer.arrays import Floats, Ints
+
 __all__ = [
     "MAX_PIXELS",
     "Box",
     "Camera",
     "Fault",
-    "Floats",
-    "Ints",
     "Lambertian",
     "Phong",
     "PointLight",
@@ -39,8 +39,6 @@ __all__ = [
     "unit",
 ]
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.intp]
 Vector: TypeAlias = tuple[float, float, float]
 
 MAX_PIXELS = 1 << 28

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tracer.arrays import Bools, Triple, dot, each, scaled, select
-from tracer.scene import Floats, Ints, Phong, Shader
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, scaled, select
+from tracer.scene import Phong, Shader
 
 __all__ = ["Materials", "highlight"]
 

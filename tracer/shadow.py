@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Triple, columns, dot, each, entries, pick, put
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, dot, each, entries, pick, put
 from tracer.camera import Raster
 from tracer.intersection import (
     ON,
@@ -27,7 +27,6 @@ from tracer.intersection import (
 )
 from tracer.light_buffers import InLightBuffers, in_light_buffers
 from tracer.occluders import SLACK, Occluders, Pairs, pairs_of_points
-from tracer.scene import Floats, Ints
 from tracer.stretches import InStretches, in_stretches
 from tracer.surroundings import InSurroundings, Look
 from tracer.visibility import Hits

@@ -15,6 +15,8 @@ import numpy as np
 
 from tracer.arrays import (
     Bools,
+    Floats,
+    Ints,
     Triple,
     alike,
     batches,
@@ -36,7 +38,6 @@ from tracer.intersection import (
     sphere_around_capsule,
 )
 from tracer.occluders import SLACK, Balls, Occluders, Pairs
-from tracer.scene import Floats, Ints
 from tracer.visibility import Hits
 
 __all__ = ["InStretches", "in_stretches"]

@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, batches, dot, each, expand, rows
+from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
 from tracer.light_buffers import InLightBuffers
 from tracer.occluders import Pairs, pairs_with_objects
-from tracer.scene import Floats, Ints
 from tracer.visibility import Hits
 
 __all__ = ["InSurroundings", "Look"]

@@ -8,12 +8,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Index, Triple, dot, entries, pick, rows, runs, select, spread
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Index,
+    Ints,
+    Triple,
+    dot,
+    entries,
+    pick,
+    rows,
+    runs,
+    select,
+    spread,
+)
 from tracer.camera import Raster
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.outlines import Outlines, Spans, outlines_of
 from tracer.sampling import Samples
-from tracer.scene import Floats, Ints, Surfaces
+from tracer.scene import Surfaces
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 

@@ -26,8 +26,8 @@ from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 
+from tracer.arrays import Floats
 from tracer.memory import renew_heap
-from tracer.scene import Floats
 
 __all__ = [
     "AHEAD",
