@@ -270,6 +270,6 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
             os.chmod(beside, stat.S_IMODE(mode))
         os.replace(beside, target)
     except BaseException:
-        with suppress(FileNotFoundError):
+        with suppress(OSError):
             os.unlink(beside)
         raise

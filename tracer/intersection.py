@@ -225,8 +225,7 @@ def sphere_blocks(
     """
     blocked = sphere_crosses(to_light, to_center, radius)
     side = sphere_side(np.sqrt(dot(to_center, to_center)), radius, tolerance)
-    differ = side * light_side
-    odd = np.flatnonzero(((side & light_side) != OUTSIDE) | (differ <= 0))
+    odd = np.flatnonzero((side != OUTSIDE) | (light_side != OUTSIDE))
     if odd.size:
         side, light = side[odd], light_side[odd]
         inner = eye_inside[odd]

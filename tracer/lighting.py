@@ -64,7 +64,7 @@ class Incoming(NamedTuple):
     Attributes
     ----------
     falls
-        n . l; zero where the object itself keeps the light out.
+        n . l; minus infinity where the object is seen from inside and keeps the light outside.
     length2
         l . l.
     along
@@ -114,7 +114,8 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
                 dot(to_light, (p[0], p[1], p[2]), along)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
-                falls[np.broadcast_to(group.of(kept_out), falls.shape)] = 0
+                # Nowhere is that light about to begin, as it is where n . l is zero.
+                falls[np.broadcast_to(group.of(kept_out), falls.shape)] = -np.inf
     return result
 
 

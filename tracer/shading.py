@@ -97,10 +97,7 @@ def _highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floa
     square = dot(h, h)
     e = each(np.subtract, n, scaled(h, 1 / np.sqrt(square)))
     loss = -0.5 * dot(e, e)
-    # log1p by way of log (Kahan): log(u) (u - 1)^-1 is smooth where u - 1 is inexact.
-    u = 1 + loss
-    log1p = np.where(u == 1, loss, np.log(u) * (loss / (u - 1)))
     # A zero exponent is a highlight everywhere, whatever the logarithm.
-    power = np.where(exponent == 0, 1.0, np.exp(exponent * log1p))
+    power = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(loss)))
     # Light straight from behind touches the surface at most: h is only rounding there.
     return np.where(square > _OPPOSITE, power, 0.0)
