@@ -28,11 +28,11 @@ from tracer import (
 )
 from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
-from tracer.occluders import Occluders, Pairs, pairs_with_objects
+from tracer.occluders import Candidates, Occluders, candidates_by_kind
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
 from tracer.shadow import Shadows
-from tracer.surroundings import InSurroundings, Look
+from tracer.shadow_cache import ShadowCache, ShadowEdges
 from tracer.visibility import Hits
 
 SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))
@@ -391,26 +391,26 @@ def test_what_is_looked_at_is_as_dark_as_what_is_not(
 
 
 class Everything(NamedTuple):
-    """Finds all pairs of points and objects."""
+    """A `Finder` of all pairs of points and objects."""
 
     occluders: Occluders
 
-    def pairs(
+    def candidates(
         self, hits: Hits, facing: Bools, _: Bools, footprint: Floats | None = None
-    ) -> Iterator[Pairs]:
-        """As in `InStretches.pairs`."""
+    ) -> Iterator[Candidates]:
+        """See `Finder.candidates`."""
         own, points = hits.own, hits.points(slice(None))
         others = own[:, None] != np.arange(self.occluders.size.size)
         for light, asked in enumerate(facing):
             point, other = np.nonzero(asked[:, None] & others)
-            yield from pairs_with_objects(
+            yield from candidates_by_kind(
                 self.occluders, own, points, point, light, other, footprint
             )
 
 
-def listed(look: Look) -> set[tuple[int, int, int]]:
+def listed(look: ShadowEdges) -> set[tuple[int, int, int]]:
     """Points, lights and objects."""
-    return set(zip(look.point.tolist(), look.light.tolist(), look.other.tolist(), strict=True))
+    return set(zip(look.point.tolist(), look.light.tolist(), look.occluder.tolist(), strict=True))
 
 
 def may_shade(finder: Any, light: int, own: int, other: int) -> bool:
@@ -459,7 +459,7 @@ def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
     def compared(self: Shadows, hits: Hits, facing: Bools) -> Bools:
         nonlocal known
         found = blocked(self, hits, facing)
-        if isinstance(self.finder, InSurroundings):
+        if isinstance(self.finder, ShadowCache):
             known += hits.own.size
             afresh = blocked(self._replace(finder=self.finder.finder), hits, facing)
             assert np.array_equal(found[facing], afresh[facing])

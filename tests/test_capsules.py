@@ -24,7 +24,7 @@ from tracer.intersection import (
     sphere_and_capsule,
     sphere_around_capsule,
 )
-from tracer.light_buffers import LightBuffer, in_light_buffers
+from tracer.light_buffers import LightBuffer, light_buffer_finder
 from tracer.occluders import occluders_of
 from tracer.outlines import box_corners, outlines_of, silhouette_planes
 from tracer.visibility import View
@@ -237,7 +237,7 @@ def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
         raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none, np.arange(every)
     )
     light = point(rng)
-    return light, in_light_buffers(occluders_of(view, light[None, :])).buffers[0]
+    return light, light_buffer_finder(occluders_of(view, light[None, :])).buffers[0]
 
 
 @np.errstate(all="ignore")
@@ -269,7 +269,7 @@ def some_lines(rng: np.random.Generator, count: int) -> Lines:
     b = np.where(rng.random(count) < 0.1, a * rng.choice([1, -1, 1e-4, 1e-7]), b)
     b = np.where((a == 0) & (b == 0), 1, b)
     c = 0.5 * (np.abs(a) + np.abs(b)) * rng.uniform(-1.2, 1.2, count)
-    return Lines(np.arange(count), np.full(count, Kind.OUTLINE), a, b, c)
+    return Lines(np.arange(count), np.full(count, Kind.EDGE), a, b, c)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -309,7 +309,7 @@ def a_pencil(rng: np.random.Generator, targets: Floats, size: Floats) -> Pencil:
     across = unit(np.cross(normal, unit_vectors(rng, count)))
     down = np.cross(normal, across)
     across, down = (v * length * size[:, None] for v in (across, down))
-    return Pencil(Kind.OUTLINE, np.arange(count), columns(ray), columns(across), columns(down))
+    return Pencil(Kind.EDGE, np.arange(count), columns(ray), columns(across), columns(down))
 
 
 def rays(pencil: Pencil, x: Floats, y: Floats) -> Triple:

@@ -13,7 +13,7 @@ from tracer.sampling import Lattice
 FINE = (np.arange(400) + 0.5) / 400 - 0.5
 
 
-def lines_in(rng: np.random.Generator, counts: Ints, kind: Kind = Kind.OUTLINE) -> Lines:
+def lines_in(rng: np.random.Generator, counts: Ints, kind: Kind = Kind.EDGE) -> Lines:
     """So many lines in each cell, sorted by cell: at all slopes, upright, level, and alike."""
     cell = np.repeat(np.arange(counts.size), counts)
     angle = rng.uniform(0, 2 * np.pi, cell.size)

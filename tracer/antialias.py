@@ -19,7 +19,7 @@ from tracer.crossings import crossed, outlines_across, spans_of
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
-from tracer.looks import Cells, Lights, Seen, look, looked, radiance_in
+from tracer.looks import Cells, Lights, Seen, look, look_at, radiance_in
 from tracer.outlines import Outlines
 from tracer.regions import Points, sides_of, stratified
 from tracer.sampling import CENTRES, Lattice
@@ -175,7 +175,7 @@ def _beyond(
     cell, x, y = sides.cell, sides.x, sides.y
     # From anywhere in a cell, one of twice the size holds all of it.
     at = cells.at(cell, x, y)
-    seen = looked(view, lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
+    seen = look_at(view, lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = joined(seen.lines)
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
@@ -240,7 +240,7 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = looked(view, lights, x, y, inside, size, cells.tolerance)
+        closer = look_at(view, lights, x, y, inside, size, cells.tolerance)
         bend, rough = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

@@ -48,7 +48,7 @@ Index: TypeAlias = int | Ints
 
 T = TypeVar("T")
 
-# Pairs at a time that stay in cache.
+# Candidates at a time that stay in cache.
 _BATCH = 1 << 15
 
 

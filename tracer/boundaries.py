@@ -88,7 +88,7 @@ def meetings(
     d = scaled(rows(behind.p, slice(None)), raster.depth / behind.p[2])
     u, v, w = each(np.subtract, first, second)
     a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
-    lines = Lines(cell[sample], np.full(sample.size, Kind.RIDGE), a, b, c)
+    lines = Lines(cell[sample], np.full(sample.size, Kind.EDGE), a, b, c)
     reach, off = lines.reach(), off_first + off_second
     # Of surfaces that coincide, nothing but rounding says which is seen.
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
@@ -179,14 +179,14 @@ class Surface(NamedTuple):
         p = self.hits.points(self.group.part.start + at)
         return p[0] - x, p[1] - y, p[2] - z
 
-    def shadows(self, light: Ints, at: Ints, other: Ints, several: Bools) -> Lines:
+    def shadows(self, light: Ints, at: Ints, occluder: Ints, several: Bools) -> Lines:
         """Edges of shadows; marks `several` where they are not straight."""
         surfaces, lights = self.view.surfaces, self.lighting.positions
         spheres = len(surfaces.radius)
         rays = self.from_light(light, at)
         pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at, rays), self.bow(at))
-        on = np.flatnonzero(other < spheres)
-        ball = other[on]
+        on = np.flatnonzero(occluder < spheres)
+        ball = occluder[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
         radius = surfaces.radius[ball]
         discs, turn, near = pencil.take(on).discs(center, radius)
@@ -195,11 +195,11 @@ class Surface(NamedTuple):
         odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
         several[discs.cell[odd & near]] = True
         discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
-        on = np.flatnonzero(other >= spheres)
+        on = np.flatnonzero(occluder >= spheres)
         if not on.size:
             return discs
         # Every box and light once.
-        pair, place = np.unique(light[on] * len(surfaces) + other[on], return_inverse=True)
+        pair, place = np.unique(light[on] * len(surfaces) + occluder[on], return_inverse=True)
         number, box = np.divmod(pair, len(surfaces))
         box, apex = box - spheres, lights[number]
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
@@ -260,7 +260,7 @@ class Surface(NamedTuple):
         across, down = self.steps(at)
         a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.falls[light, at]
         # What may shade the other side has been sought only if light falls on this one.
-        kind = np.where(c > 0, Kind.SHADOW, Kind.RIDGE)
+        kind = np.where(c > 0, Kind.SHADOW, Kind.EDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
         gradient = each(lambda d, n: d / r + n, ray, self.hits.raster.turned(pick(group.n, at)))
         off = bowed(gradient, self.bow(at))
@@ -285,6 +285,6 @@ class Surface(NamedTuple):
                 offset = eye[k] + self.hits.raster.component(p, k) - group.spread(corner[box, k])
                 near = (np.abs(offset) < self.footprint) & across_face
                 at = np.flatnonzero(near & group.spread(shown))
-                offset, kind = offset[at], np.full(at.size, Kind.RIDGE)
+                offset, kind = offset[at], np.full(at.size, Kind.EDGE)
                 across, down = self.steps(at, (offset, offset, offset))
                 yield Lines(self.cell[at], kind, across[k], down[k], offset).crossing()

@@ -90,7 +90,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
         yield discs.take(np.flatnonzero((turn <= BEND) & (discs.crosses() | explained)))
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
-        pencil = _pencil(view, cells, cells.cell[at], Kind.OUTLINE)
+        pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
         a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), lines.edges)
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.several[pencil.cell[unknown]] = True

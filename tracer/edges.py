@@ -35,12 +35,16 @@ _COMPARED = 6
 
 
 class Kind(IntEnum):
-    """What draws a line: beyond all but a shadow's edge there may be more than has been seen."""
+    """What a line divides, from the side of its cell's middle."""
 
     LIMB = 0
-    OUTLINE = 1
-    RIDGE = 2
-    SHADOW = 3
+    """A sphere from what is behind it; towards it the light on the sphere falls off as a root."""
+
+    EDGE = 1
+    """A surface from what has not been looked at yet: another surface, or what light it gets."""
+
+    SHADOW = 2
+    """A surface in one light from the same in another."""
 
 
 class Lines(NamedTuple):

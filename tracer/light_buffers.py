@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, Triple, batches, dot, each, expand, pick, scaled
-from tracer.occluders import SLACK, Occluders, Pairs, pairs_with_objects
+from tracer.occluders import SLACK, Candidates, Occluders, candidates_by_kind
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Surfaces
 from tracer.visibility import Hits
 
-__all__ = ["InLightBuffers", "LightBuffer", "in_light_buffers"]
+__all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 
 # A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
 _LEAST_ANGLE = 1e-5
@@ -424,7 +424,7 @@ def _beyond(plane: Triple, column: Ints, row: Ints) -> Bools:
     return beyond
 
 
-class InLightBuffers(NamedTuple):
+class LightBufferFinder(NamedTuple):
     """Finds what may shade points by the cells they lie in.
 
     Attributes
@@ -437,10 +437,10 @@ class InLightBuffers(NamedTuple):
     occluders: Occluders
     buffers: tuple[LightBuffer, ...]
 
-    def pairs(
+    def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
-    ) -> Iterator[Pairs]:
-        """Points and what may shade them, as in `InStretches.pairs`; nothing is certain here."""
+    ) -> Iterator[Candidates]:
+        """See `Finder.candidates`; no shadow is certain here."""
         own = hits.own
         points = hits.points(slice(None))
         for number, buffer in enumerate(self.buffers):
@@ -450,14 +450,14 @@ class InLightBuffers(NamedTuple):
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
                 distance, cell, within = buffer.locate(to_light)
-                at, other = _listed(buffer, own[asked], cell, distance, within)
+                at, occluder = _listed(buffer, own[asked], cell, distance, within)
                 point = asked[at]
             else:
                 distance, ball, cell, within = buffer.around(to_light, footprint[asked])
-                at, other = _listed(buffer, own[asked[ball]], cell, distance[ball], within)
-                point, other = _once(asked[ball[at]], other, len(buffer.near))
-            yield from pairs_with_objects(
-                self.occluders, own, points, point, number, other, footprint
+                at, occluder = _listed(buffer, own[asked[ball]], cell, distance[ball], within)
+                point, occluder = _once(asked[ball[at]], occluder, len(buffer.near))
+            yield from candidates_by_kind(
+                self.occluders, own, points, point, number, occluder, footprint
             )
 
 
@@ -469,26 +469,26 @@ def _listed(
     sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
     none = np.zeros(0, dtype=np.intp)
-    points, others = [none], [none]
+    points, occluders = [none], [none]
     for batch in batches(buffer.lengths(cell[asked])):
         some = asked[batch]
-        owner, other = buffer.objects(cell[some], within[some])
+        owner, occluder = buffer.objects(cell[some], within[some])
         point = some[owner]
-        keep = np.flatnonzero((other != own[point]) & (buffer.near[other] <= distance[point]))
+        keep = np.flatnonzero((occluder != own[point]) & (buffer.near[occluder] <= distance[point]))
         points.append(point[keep])
-        others.append(other[keep])
-    return np.concatenate(points), np.concatenate(others)
+        occluders.append(occluder[keep])
+    return np.concatenate(points), np.concatenate(occluders)
 
 
-def _once(point: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
+def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
     """Each pair once, though it shares several cells; `count` objects there are."""
-    pair = np.sort(point * count + other)
+    pair = np.sort(point * count + occluder)
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 
 
-def in_light_buffers(occluders: Occluders) -> InLightBuffers:
+def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
     extents = _Extents.of(surfaces, occluders.seen)
     buffers = (_buffer_around(light, surfaces, extents) for light in occluders.lights)
-    return InLightBuffers(occluders, tuple(buffers))
+    return LightBufferFinder(occluders, tuple(buffers))

@@ -17,10 +17,10 @@ from tracer.boundaries import Surface, footprint_of, meetings
 from tracer.edges import Lines
 from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
 from tracer.sampling import Samples
-from tracer.surroundings import Look
+from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import View, visible_and_behind
 
-__all__ = ["Cells", "Lights", "Seen", "look", "looked", "radiance_in"]
+__all__ = ["Cells", "Lights", "Seen", "look", "look_at", "radiance_in"]
 
 Lights: TypeAlias = Callable[[Ints], Lighting]
 """The lights as they are known of samples, given the cell of each."""
@@ -87,8 +87,8 @@ class Seen(NamedTuple):
         A number for the object, its face, and the lights that reach it; -1 where nothing is seen.
     lines : list of Lines
         Ridges and shadows near each sample, c being zero at the sample.
-    looks : list of (Look, (m,))
-        What keeps lights from what is seen, and the places of each look's samples.
+    shadow_edges : list of (ShadowEdges, (m,))
+        Those near samples, and each sample's place.
     several : (n,)
         Whether there may be more than straight lines.
     """
@@ -96,7 +96,7 @@ class Seen(NamedTuple):
     radiance: Floats
     key: Ints
     lines: list[Lines]
-    looks: list[tuple[Look, Ints]]
+    shadow_edges: list[tuple[ShadowEdges, Ints]]
     several: Bools
 
     @classmethod
@@ -108,7 +108,7 @@ class Seen(NamedTuple):
     def spheres(self, some: Bools) -> tuple[Ints, Ints]:
         """Which of some samples see spheres, and which spheres."""
         samples, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
-        for found, order in self.looks:
+        for found, order in self.shadow_edges:
             for group in found.hits.groups:
                 if group.flat:
                     continue
@@ -120,16 +120,15 @@ class Seen(NamedTuple):
 
     def lights(self, lighting: Lighting, some: Ints) -> Lights:
         """The lights for samples in some cells: what has been found there holds for all of each."""
-        if not lighting.shadows.remembers:
+        if not lighting.shadows.caches:
             return lambda _: lighting
-        looks = [found for found, _ in self.looks]
-        sample = np.concatenate([order[found.hits.sample] for found, order in self.looks])
+        sample = np.concatenate([order[found.hits.sample] for found, order in self.shadow_edges])
         place = np.full(self.key.size, -1)
         place[sample] = np.arange(sample.size)
         near = np.empty(self.key.size, dtype=np.intp)
         near[some] = np.arange(some.size)
-        remembered = lighting.shadows.remembering(looks, place[some])
-        return lambda cell: lighting._replace(shadows=remembered(near[cell]))
+        cached = lighting.shadows.cached([found for found, _ in self.shadow_edges], place[some])
+        return lambda cell: lighting._replace(shadows=cached(near[cell]))
 
 
 def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
@@ -150,7 +149,7 @@ def radiance_in(view: View, lights: Lights, x: Floats, y: Floats, cell: Ints) ->
     return radiance
 
 
-def looked(
+def look_at(
     view: View,
     lights: Lights,
     x: Floats,
@@ -194,7 +193,7 @@ def look(
         footprint[group.part] = footprint_of(hits, group, slope, view.surfaces.radius, size)
     blocked, found = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
-    seen.looks.append((found, order))
+    seen.shadow_edges.append((found, order))
     for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
         surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
@@ -215,7 +214,7 @@ def look(
         at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
         if at.size:
             places = found.point[at] - part.start
-            lines = surface.shadows(found.light[at], places, found.other[at], seen.several)
+            lines = surface.shadows(found.light[at], places, found.occluder[at], seen.several)
             seen.lines.append(lines)
         if group.flat:
             seen.lines.extend(surface.ridges())

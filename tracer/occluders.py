@@ -1,9 +1,12 @@
-"""What stands between lights and points: the data that all of the shadow test shares."""
+"""What stands between lights and points: the data that all of the shadow test shares.
+
+Objects have one number each, spheres first, then boxes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +14,17 @@ from numpy.typing import NDArray
 from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, runs
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
-from tracer.visibility import View
+from tracer.visibility import Hits, View
 
 __all__ = [
     "SLACK",
     "Balls",
+    "Candidates",
+    "Finder",
     "Occluders",
-    "Pairs",
+    "candidates_by_kind",
     "occluders_of",
-    "pairs_of_points",
-    "pairs_with_objects",
+    "point_candidates",
 ]
 
 Array = TypeVar("Array", bound=NDArray[Any])
@@ -30,7 +34,7 @@ SLACK = 1e-9
 
 
 class Occluders(NamedTuple):
-    """All surfaces, spheres first, as whatever may cast a shadow, and the lights.
+    """All surfaces, as whatever may cast a shadow, and the lights.
 
     Attributes
     ----------
@@ -94,21 +98,26 @@ class Balls(NamedTuple):
         )
 
 
-class Pairs(NamedTuple):
-    """Balls, each with a light and an object that may come between: all spheres, or all boxes.
+class Candidates(NamedTuple):
+    """What may keep lights from points, not yet tried: there is at least one.
 
-    They are never empty.
+    Attributes
+    ----------
+    balls : Balls
+        The points (m,).
+    light, occluder : (m,)
+        A light, and an object that may come between: all spheres, or all boxes.
     """
 
     balls: Balls
     light: Ints
-    other: Ints
+    occluder: Ints
 
     def points(self) -> tuple[Ints, Ints, Ints]:
         """All points of all balls, with their light and object."""
         start = self.balls.start
         point = start if self.single else runs(start, self.balls.length)
-        return point, self.spread(self.light), self.spread(self.other)
+        return point, self.spread(self.light), self.spread(self.occluder)
 
     @property
     def single(self) -> bool:
@@ -123,40 +132,61 @@ class Pairs(NamedTuple):
         return repeated  # type: ignore[no-any-return]
 
 
-def pairs_of_points(
+class Finder(Protocol):
+    """Finds what may keep lights from points."""
+
+    def candidates(
+        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
+    ) -> Iterator[Candidates]:
+        """All that may keep a light from a point that faces it.
+
+        Parameters
+        ----------
+        hits : Hits
+        facing : (lights, n)
+            Which points face which light.
+        dark : (lights, n)
+            Set where a shadow is certain; what is found may leave that out.
+        footprint : (n,), optional
+            What may shade anything so near to a point is of interest.
+        """
+        ...
+
+
+def point_candidates(
     occluders: Occluders,
     own: Ints,
     p: Triple,
     point: Ints,
     light: Ints,
-    other: Ints,
+    occluder: Ints,
     footprint: Floats | None,
-) -> Pairs:
-    """Stretches of one point, each at `p`; `own` are those of all hits."""
+) -> Candidates:
+    """Candidates for single points, each at `p`; `own` (n,): the object of all hits."""
     owner = own[point]
     radius = occluders.slack[owner]
     if footprint is not None:
         radius = radius + footprint[point]
-    return Pairs(Balls(owner, point, np.ones_like(point), p, radius), light, other)
+    return Candidates(Balls(owner, point, np.ones_like(point), p, radius), light, occluder)
 
 
-def pairs_with_objects(
+def candidates_by_kind(
     occluders: Occluders,
     own: Ints,
     points: Triple,
     point: Ints,
     light: int,
-    other: Ints,
+    occluder: Ints,
     footprint: Floats | None,
-) -> Iterator[Pairs]:
-    """`pairs_of_points` of one light: with spheres, then with boxes; `points` are all hits."""
+) -> Iterator[Candidates]:
+    """`point_candidates` of one light: spheres, then boxes; `points`, `own`: of all hits."""
     spheres = len(occluders.surfaces.radius)
-    for of_kind in (other < spheres, other >= spheres):
+    for of_kind in (occluder < spheres, occluder >= spheres):
         at = np.flatnonzero(of_kind)
         if at.size:
             which, lights = point[at], np.full(at.size, light)
             p = pick(points, which)
-            yield pairs_of_points(occluders, own, p, which, lights, other[at], footprint)
+            yield point_candidates(occluders, own, p, which, lights, occluder[at], footprint)
 
 
 def occluders_of(view: View, lights: Floats) -> Occluders:

@@ -25,10 +25,10 @@ from tracer.intersection import (
     sphere_blocks,
     sphere_crosses,
 )
-from tracer.light_buffers import InLightBuffers, in_light_buffers
-from tracer.occluders import SLACK, Occluders, Pairs, pairs_of_points
-from tracer.stretches import InStretches, in_stretches
-from tracer.surroundings import InSurroundings, Look
+from tracer.light_buffers import LightBufferFinder, light_buffer_finder
+from tracer.occluders import SLACK, Candidates, Finder, Occluders, point_candidates
+from tracer.shadow_cache import ShadowCache, ShadowEdges
+from tracer.stretches import stretch_finder
 from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
@@ -44,11 +44,11 @@ class Shadows(NamedTuple):
     Attributes
     ----------
     occluders : Occluders
-    finder : InStretches, InLightBuffers or InSurroundings
+    finder : Finder
     """
 
     occluders: Occluders
-    finder: InStretches | InLightBuffers | InSurroundings
+    finder: Finder
 
     def blocked(self, hits: Hits, facing: Bools) -> Bools:
         """Whether other objects than their own keep lights from points that face them.
@@ -57,13 +57,13 @@ class Shadows(NamedTuple):
         """
         dark = np.zeros(facing.shape, dtype=np.bool_)
         blocked = np.zeros(facing.shape, dtype=np.bool_)
-        for pairs in self.finder.pairs(hits, facing, dark):
-            point, light, other = pairs.points()
-            blocks = np.flatnonzero(self._blocks(hits, pairs, point, light, other))
+        for candidates in self.finder.candidates(hits, facing, dark):
+            point, light, occluder = candidates.points()
+            blocks = np.flatnonzero(self._blocks(hits, candidates, point, light, occluder))
             put(blocked, light[blocks], point[blocks], True)
         return blocked | dark
 
-    def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, Look]:
+    def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, ShadowEdges]:
         """`blocked`, and where it may change within a distance `footprint` (n,) of a point.
 
         Listed are the objects whose shadow's edge may be so near: they block, as they are or when
@@ -73,98 +73,98 @@ class Shadows(NamedTuple):
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)
         found = [(none, none, none)]
-        for pairs in self.finder.pairs(hits, facing, dark, footprint):
-            point, light, other = pairs.points()
+        for candidates in self.finder.candidates(hits, facing, dark, footprint):
+            point, light, occluder = candidates.points()
             reach = footprint[point]
-            does_larger = self._blocks(hits, pairs, point, light, other, reach)
-            to_light = self._to_light(pairs)
+            does_larger = self._blocks(hits, candidates, point, light, occluder, reach)
+            to_light = self._to_light(candidates)
             may = np.flatnonzero(does_larger | (to_light <= reach))
             if not may.size:
                 continue
-            point, light, other, reach = point[may], light[may], other[may], reach[may]
+            point, light, occluder, reach = point[may], light[may], occluder[may], reach[may]
             p = hits.points(point)
-            pairs = pairs_of_points(self.occluders, own, p, point, light, other, footprint)
-            does = self._blocks(hits, pairs, point, light, other)
+            candidates = point_candidates(self.occluders, own, p, point, light, occluder, footprint)
+            does = self._blocks(hits, candidates, point, light, occluder)
             # A point on a hollow sphere is outside of one that is smaller: that says nothing.
-            must = does & self._blocks(hits, pairs, point, light, other, -reach)
+            must = does & self._blocks(hits, candidates, point, light, occluder, -reach)
             # Nor does one with the light on it.
-            on = entries(self.occluders.side, light, other) == ON
-            must &= ~(on & (other < len(self.occluders.surfaces.radius)))
+            on = entries(self.occluders.side, light, occluder) == ON
+            must &= ~(on & (occluder < len(self.occluders.surfaces.radius)))
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
             changes = does_larger[may] | does | (np.abs(to_light[may]) <= reach)
             edge = ~must & changes & entries(facing, light, point)
-            found.append((point[edge], light[edge], other[edge]))
-        point, light, other = (np.concatenate(m) for m in zip(*found, strict=True))
+            found.append((point[edge], light[edge], occluder[edge]))
+        point, light, occluder = (np.concatenate(m) for m in zip(*found, strict=True))
         blocked |= dark
         dark |= solid
         seen = np.flatnonzero(~entries(dark, light, point))
-        found_there = point[seen], light[seen], other[seen]
-        return blocked, Look(hits, own, footprint, facing, dark, *found_there)
+        found_there = point[seen], light[seen], occluder[seen]
+        return blocked, ShadowEdges(hits, own, footprint, facing, dark, *found_there)
 
     @property
-    def remembers(self) -> bool:
-        """Whether it pays to remember looks: stretches take neighbours together, not apart."""
-        return isinstance(self.finder, InLightBuffers)
+    def caches(self) -> bool:
+        """Whether it pays to cache shadow edges: stretches take neighbours together, not apart."""
+        return isinstance(self.finder, LightBufferFinder)
 
-    def remembering(self, looks: Sequence[Look], place: Ints) -> Callable[[Ints], Shadows]:
-        """What looks have found holds for samples near their points: these, given that of each.
+    def cached(self, found: Sequence[ShadowEdges], place: Ints) -> Callable[[Ints], Shadows]:
+        """For samples near points whose shadow edges were found: these, given the point of each.
 
-        `place` (points,): where the points are in all looks, or -1 where nothing is seen.
+        `place` (points,): where the points are among all found, or -1 where nothing is seen.
         """
-        assert isinstance(self.finder, InLightBuffers)
-        known = InSurroundings.of(self.finder, looks, place)
+        assert isinstance(self.finder, LightBufferFinder)
+        known = ShadowCache.of(self.finder, found, place)
         return lambda near: self._replace(finder=known._replace(near=near))
 
     def _blocks(
         self,
         hits: Hits,
-        pairs: Pairs,
+        candidates: Candidates,
         point: Ints,
         light: Ints,
-        other: Ints,
+        occluder: Ints,
         larger: Floats | None = None,
     ) -> Bools:
-        """Whether objects keep lights from points: those of `pairs`, one by one.
+        """Whether objects keep lights from points: those of `candidates`, one by one.
 
         `larger` (n,) is added to the objects' sizes on all sides.
         """
         # A ball around one point has it for its middle.
-        p = pairs.balls.middle if pairs.single else hits.points(point)
-        end = each(pairs.spread, columns(self.occluders.lights, pairs.light))
-        block = self._boxes_block if self._of_boxes(pairs) else self._spheres_block
-        return block(pairs, p, end, light, other, larger)
+        p = candidates.balls.middle if candidates.single else hits.points(point)
+        end = each(candidates.spread, columns(self.occluders.lights, candidates.light))
+        block = self._boxes_block if self._of_boxes(candidates) else self._spheres_block
+        return block(candidates, p, end, light, occluder, larger)
 
-    def _of_boxes(self, pairs: Pairs) -> bool:
+    def _of_boxes(self, candidates: Candidates) -> bool:
         """Whether the objects are boxes."""
-        return bool(pairs.other[0] >= len(self.occluders.surfaces.radius))
+        return bool(candidates.occluder[0] >= len(self.occluders.surfaces.radius))
 
     def _boxes_block(
         self,
-        pairs: Pairs,
+        candidates: Candidates,
         p: Triple,
         end: Triple,
         light: Ints,
-        other: Ints,
+        occluder: Ints,
         larger: Floats | None,
     ) -> Bools:
         """`_blocks`, from points `p` to the lights at `end`, of boxes."""
         surfaces = self.occluders.surfaces
-        box = pairs.other - len(surfaces.radius)
+        box = candidates.occluder - len(surfaces.radius)
         corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-        low, high = (each(pairs.spread, corner) for corner in corners)
+        low, high = (each(candidates.spread, corner) for corner in corners)
         if larger is not None:
             low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
         blocks = box_blocks(p, end, low, high)
         # Ends that may be on a face's plane are looked at more closely.
-        at = np.flatnonzero(pairs.spread(self._on_planes(pairs, *corners)))
+        at = np.flatnonzero(candidates.spread(self._on_planes(candidates, *corners)))
         if at.size:
             blocks[at] = box_blocks(
                 pick(p, at),
                 pick(end, at),
                 pick(low, at),
                 pick(high, at),
-                self._tolerance(pick(p, at), light[at], other[at]),
+                self._tolerance(pick(p, at), light[at], occluder[at]),
             )
         if larger is not None:
             # A box smaller than nothing is none.
@@ -173,34 +173,35 @@ class Shadows(NamedTuple):
 
     def _spheres_block(
         self,
-        pairs: Pairs,
+        candidates: Candidates,
         p: Triple,
         end: Triple,
         light: Ints,
-        other: Ints,
+        occluder: Ints,
         larger: Floats | None,
     ) -> Bools:
         """`_blocks`, from points `p` to the lights at `end`, of spheres."""
         occluders, surfaces = self.occluders, self.occluders.surfaces
         to_light = each(np.subtract, end, p)
-        center = columns(surfaces.center, pairs.other)
-        to_center = each(lambda c, p: pairs.spread(c) - p, center, p)
-        radius = pairs.spread(surfaces.radius[pairs.other])
+        center = columns(surfaces.center, candidates.occluder)
+        to_center = each(lambda c, p: candidates.spread(c) - p, center, p)
+        radius_of = surfaces.radius[candidates.occluder]
+        radius = candidates.spread(radius_of)
         if larger is not None:
             radius = np.maximum(radius + larger, 0)
         blocks = sphere_crosses(to_light, to_center, radius)
         # Ends that may be in or on a sphere are looked at more closely.
-        aside = each(np.subtract, pairs.balls.middle, center)
-        reach = surfaces.radius[pairs.other] + pairs.balls.radius + occluders.slack[pairs.other]
-        closely = entries(occluders.side, pairs.light, pairs.other) != OUTSIDE
+        aside = each(np.subtract, candidates.balls.middle, center)
+        reach = radius_of + candidates.balls.radius + occluders.slack[candidates.occluder]
+        closely = entries(occluders.side, candidates.light, candidates.occluder) != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
-        at = np.flatnonzero(pairs.spread(closely))
+        at = np.flatnonzero(candidates.spread(closely))
         if at.size:
-            ball = other[at]
+            ball = occluder[at]
             distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))
             closely = distance <= radius[at] * (1 + SLACK) + occluders.slack[ball]
             at = at[closely | (entries(occluders.side, light[at], ball) != OUTSIDE)]
-            ball = other[at]
+            ball = occluder[at]
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
                 pick(to_center, at),
@@ -211,26 +212,27 @@ class Shadows(NamedTuple):
             )
         return blocks
 
-    def _to_light(self, pairs: Pairs) -> Floats:
-        """How far the lights of `pairs` are from their objects, along some axis; for each point.
+    def _to_light(self, candidates: Candidates) -> Floats:
+        """How far lights are from the objects, along some axis; for each point.
 
         An object that is larger by as much has the light inside.  It may then hold the whole of a
         segment, and block nothing, where the object itself blocks it.
         """
-        surfaces, light = self.occluders.surfaces, columns(self.occluders.lights, pairs.light)
-        if not self._of_boxes(pairs):
-            away = each(np.subtract, columns(surfaces.center, pairs.other), light)
-            return pairs.spread(np.sqrt(dot(away, away)) - surfaces.radius[pairs.other])
-        box = pairs.other - len(surfaces.radius)
+        surfaces, light = self.occluders.surfaces, columns(self.occluders.lights, candidates.light)
+        if not self._of_boxes(candidates):
+            away = each(np.subtract, columns(surfaces.center, candidates.occluder), light)
+            radius = surfaces.radius[candidates.occluder]
+            return candidates.spread(np.sqrt(dot(away, away)) - radius)
+        box = candidates.occluder - len(surfaces.radius)
         low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
         sides = (*each(np.subtract, low, light), *each(np.subtract, light, high))
-        return pairs.spread(np.max(sides, axis=0))
+        return candidates.spread(np.max(sides, axis=0))
 
-    def _on_planes(self, pairs: Pairs, low: Triple, high: Triple) -> Bools:
+    def _on_planes(self, candidates: Candidates, low: Triple, high: Triple) -> Bools:
         """Whether balls, or their lights, touch the plane of a face of their boxes."""
-        occluders, balls = self.occluders, pairs.balls
-        reach = balls.radius + occluders.slack[pairs.other]
-        result = entries(occluders.on_plane, pairs.light, pairs.other)
+        occluders, balls = self.occluders, candidates.balls
+        reach = balls.radius + occluders.slack[candidates.occluder]
+        result = entries(occluders.on_plane, candidates.light, candidates.occluder)
         for middle, a, b in zip(balls.middle, low, high, strict=True):
             # From the nearer of two planes.
             offset = np.abs(middle - 0.5 * (a + b))
@@ -238,16 +240,16 @@ class Shadows(NamedTuple):
             result |= np.abs(offset, out=offset) <= reach
         return result
 
-    def _tolerance(self, p: Triple, light: Ints, other: Ints) -> Floats:
+    def _tolerance(self, p: Triple, light: Ints, occluder: Ints) -> Floats:
         """How near to an object the ends of a segment count as on it, pair by pair."""
         occluders = self.occluders
         x, y, z = occluders.eye.tolist()
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
         at_light = np.abs(occluders.lights).sum(axis=1)[light]
-        on = entries(occluders.side, light, other) == ON
+        on = entries(occluders.side, light, occluder) == ON
         reach = np.where(on, np.maximum(reach, at_light), reach)
-        return SURFACE_TOLERANCE * (reach + occluders.size[other])
+        return SURFACE_TOLERANCE * (reach + occluders.size[occluder])
 
 
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
@@ -256,4 +258,4 @@ def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
     # Neighbours in a row make stretches; more rows of as many make only more of them.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
-    return Shadows(occluders, in_stretches(occluders) if few else in_light_buffers(occluders))
+    return Shadows(occluders, stretch_finder(occluders) if few else light_buffer_finder(occluders))

@@ -37,10 +37,10 @@ from tracer.intersection import (
     sphere_and_capsule,
     sphere_around_capsule,
 )
-from tracer.occluders import SLACK, Balls, Occluders, Pairs
+from tracer.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.visibility import Hits
 
-__all__ = ["InStretches", "in_stretches"]
+__all__ = ["StretchFinder", "stretch_finder"]
 
 # Points in a stretch at most, long and short; pixels along the sides of a tile, and tiles along
 # those of a block.
@@ -50,7 +50,7 @@ _LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 _OBJECT_PAIRS = 1 << 17
 
 
-class _Candidates(NamedTuple):
+class _OccluderLists(NamedTuple):
     """Which spheres, or which boxes, may keep each light from each object.
 
     Attributes
@@ -68,33 +68,23 @@ class _Candidates(NamedTuple):
     listed: Ints
 
 
-class InStretches(NamedTuple):
+class StretchFinder(NamedTuple):
     """Finds what may shade points, from coarse to fine.
 
     Attributes
     ----------
     occluders : Occluders
-    lists : tuple of _Candidates
+    lists : tuple of _OccluderLists
         For the spheres and for the boxes, if there are any.
     """
 
     occluders: Occluders
-    lists: tuple[_Candidates, ...]
+    lists: tuple[_OccluderLists, ...]
 
-    def pairs(
+    def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
-    ) -> Iterator[Pairs]:
-        """Stretches of points and what may shade them.
-
-        Parameters
-        ----------
-        facing : (lights, n)
-            Which points face which light.
-        dark : (lights, n)
-            Set where a shadow is certain; the rest of the answer leaves that out.
-        footprint : (n,), optional
-            What may shade anything so near to a point is of interest.
-        """
+    ) -> Iterator[Candidates]:
+        """See `Finder.candidates`."""
         if not (hits.owner.size and self.lists):
             return
         start, length, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
@@ -106,16 +96,16 @@ class InStretches(NamedTuple):
         asked = np.logical_or.reduceat(facing, start, axis=1)
         search = _Search(self.occluders, hits, balls, margin, asked, dark)
         blocks, tiles, order = _tiles(hits, balls, run)
-        for candidates in self.lists:
-            light, tile, other = search.of_tiles(candidates, blocks, tiles)
+        for lists in self.lists:
+            light, tile, occluder = search.of_tiles(lists, blocks, tiles)
             for batch in batches(tiles.length[tile]):
                 part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
                 stretch = order[place]
-                pairs = search.of_stretches(
-                    candidates, light[batch][part], stretch, other[batch][part]
+                candidates = search.of_stretches(
+                    lists, light[batch][part], stretch, occluder[batch][part]
                 )
-                if pairs.other.size:
-                    yield pairs
+                if candidates.occluder.size:
+                    yield candidates
 
 
 class _Search(NamedTuple):
@@ -141,54 +131,50 @@ class _Search(NamedTuple):
     dark: Bools
 
     def of_tiles(
-        self, candidates: _Candidates, blocks: _Tiles, tiles: _Tiles
+        self, lists: _OccluderLists, blocks: _Tiles, tiles: _Tiles
     ) -> tuple[Ints, Ints, Ints]:
         """Light, tile and object that may come between: for blocks first, then for their tiles."""
         lights, objects = self.occluders.side.shape
         # Every block for every light.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
-        place, listed = expand(
-            candidates.first[key + 1] - candidates.first[key], candidates.first[key]
-        )
+        place, listed = expand(lists.first[key + 1] - lists.first[key], lists.first[key])
         light, block = np.divmod(place, blocks.owner.size)
-        light, block, other = self._in_tiles(
-            candidates, blocks, light, block, candidates.listed[listed]
-        )
+        light, block, occluder = self._in_tiles(lists, blocks, light, block, lists.listed[listed])
         part, tile = expand(blocks.length[block], blocks.first[block])
-        return self._in_tiles(candidates, tiles, light[part], tile, other[part])
+        return self._in_tiles(lists, tiles, light[part], tile, occluder[part])
 
     def _in_tiles(
-        self, candidates: _Candidates, tiles: _Tiles, light: Ints, tile: Ints, other: Ints
+        self, lists: _OccluderLists, tiles: _Tiles, light: Ints, tile: Ints, occluder: Ints
     ) -> tuple[Ints, Ints, Ints]:
         """Of these, the ones whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
-        meets, _ = _near(self.occluders, candidates, middle, radius, light, other)
+        meets, _ = _near(self.occluders, lists, middle, radius, light, occluder)
         near = np.flatnonzero(meets)
-        return light[near], tile[near], other[near]
+        return light[near], tile[near], occluder[near]
 
     def of_stretches(
-        self, candidates: _Candidates, light: Ints, stretch: Ints, other: Ints
-    ) -> Pairs:
+        self, lists: _OccluderLists, light: Ints, stretch: Ints, occluder: Ints
+    ) -> Candidates:
         """Cut the stretches that may be shaded into short ones, and keep those that still may.
 
         Sets `dark` where shadow is certain.
         """
         some = np.flatnonzero(entries(self.asked, light, stretch))
-        light, stretch, other = light[some], stretch[some], other[some]
+        light, stretch, occluder = light[some], stretch[some], occluder[some]
         balls = self.balls.take(stretch)
-        meets, cuts = _near(self.occluders, candidates, balls.middle, balls.radius, light, other)
+        meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
         near = np.flatnonzero(meets & entries(self.asked, light, stretch))
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
         at = near[parent]
-        light, stretch, other = light[at], stretch[at], other[at]
+        light, stretch, occluder = light[at], stretch[at], occluder[at]
         balls = _balls(self.occluders, self.hits, self.balls.owner[stretch], start, length)
         balls.radius[:] += self.margin[stretch]
-        meets, cuts = _near(self.occluders, candidates, balls.middle, balls.radius, light, other)
+        meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
         self._darken(light, balls, cuts)
         near = np.flatnonzero(meets & ~entries(self.dark, light, start))
-        return Pairs(balls.take(near), light[near], other[near])
+        return Candidates(balls.take(near), light[near], occluder[near])
 
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
         """All points of some stretches are in shadow."""
@@ -215,37 +201,37 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
 
 def _near(
     occluders: Occluders,
-    candidates: _Candidates,
+    lists: _OccluderLists,
     middle: Triple,
     radius: Floats,
     light: Ints,
-    other: Ints,
+    occluder: Ints,
 ) -> tuple[Bools, Bools]:
     """Whether objects may come between balls and lights, and whether they surely do."""
-    met_or_cut = sphere_and_capsule if candidates.spheres else box_and_capsule
-    meets, cuts = met_or_cut(*_capsules(occluders, candidates, middle, radius, light, other))
-    if candidates.light_inside:
-        at = np.flatnonzero(entries(occluders.side, light, other) == INSIDE)
-        around = sphere_around_capsule if candidates.spheres else box_around_capsule
-        some = pick(middle, at), radius[at], light[at], other[at]
-        meets[at] &= ~around(*_capsules(occluders, candidates, *some))
+    met_or_cut = sphere_and_capsule if lists.spheres else box_and_capsule
+    meets, cuts = met_or_cut(*_capsules(occluders, lists, middle, radius, light, occluder))
+    if lists.light_inside:
+        at = np.flatnonzero(entries(occluders.side, light, occluder) == INSIDE)
+        around = sphere_around_capsule if lists.spheres else box_around_capsule
+        some = pick(middle, at), radius[at], light[at], occluder[at]
+        meets[at] &= ~around(*_capsules(occluders, lists, *some))
     return meets, cuts
 
 
 def _capsules(
     occluders: Occluders,
-    candidates: _Candidates,
+    lists: _OccluderLists,
     middle: Triple,
     radius: Floats,
     light: Ints,
-    other: Ints,
+    occluder: Ints,
 ) -> tuple[Triple, Triple, Floats, Triple, Any]:
     """Capsules from balls to lights, and bounds of objects."""
     surfaces = occluders.surfaces
     end = columns(occluders.lights, light)
-    if candidates.spheres:
-        return middle, end, radius, columns(surfaces.center, other), surfaces.radius[other]
-    box = other - len(surfaces.radius)
+    if lists.spheres:
+        return middle, end, radius, columns(surfaces.center, occluder), surfaces.radius[occluder]
+    box = occluder - len(surfaces.radius)
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
     return middle, end, radius, low, high
 
@@ -301,12 +287,12 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
     return start[run] + offset, np.minimum(count[run] - offset, longest), run
 
 
-def in_stretches(occluders: Occluders) -> InStretches:
+def stretch_finder(occluders: Occluders) -> StretchFinder:
     """Prepare the coarsest step: all objects tried against each other."""
     lights = occluders.lights
     surfaces, count = occluders.surfaces, len(occluders.surfaces)
     if count < 2:
-        return InStretches(occluders, ())
+        return StretchFinder(occluders, ())
     # A row for each light and each object it may light, a column for each that may shade it.
     light, own = (m.ravel() for m in np.indices((len(lights), count)))
     step = max(1, _OBJECT_PAIRS // count)
@@ -332,7 +318,7 @@ def in_stretches(occluders: Occluders) -> InStretches:
             many[kind].append(np.count_nonzero(may[:, place], axis=1))
             listed[kind].append(np.nonzero(may[:, place])[1] + place.start)
     lists = (
-        _Candidates(
+        _OccluderLists(
             kind == 0,
             bool((occluders.side[:, place] == INSIDE).any()),
             np.cumsum([0, *np.concatenate(many[kind])]),
@@ -341,4 +327,4 @@ def in_stretches(occluders: Occluders) -> InStretches:
         for kind, place in enumerate(kinds)
         if any(part.size for part in listed[kind])
     )
-    return InStretches(occluders, tuple(lists))
+    return StretchFinder(occluders, tuple(lists))

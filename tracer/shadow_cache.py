@@ -1,4 +1,4 @@
-"""What may shade samples near points that have been looked at.
+"""Shadow caches: what may shade samples near points whose shadows have been sought.
 
 A look at a cell of the picture finds which objects keep which lights from all
 that it sees of a surface, and which may keep them from some of it.  For samples
@@ -14,19 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
-from tracer.light_buffers import InLightBuffers
-from tracer.occluders import Pairs, pairs_with_objects
+from tracer.light_buffers import LightBufferFinder
+from tracer.occluders import Candidates, candidates_by_kind
 from tracer.visibility import Hits
 
-__all__ = ["InSurroundings", "Look"]
+__all__ = ["ShadowCache", "ShadowEdges"]
 
-# What is known of a light at a point: nothing where that does not face it; that it reaches all, or
-# nothing, that is near; or else objects are listed.
+# What is known of a light at a point that faces it: that it reaches all, or nothing, that is near;
+# or else objects are listed.
 _UNKNOWN, _LIT, _DARK, _LISTED = range(4)
 
 
-class Look(NamedTuple):
-    """What keeps lights from all that is near some points, on the same objects.
+class ShadowEdges(NamedTuple):
+    """What may keep lights from what is near some points, on the same objects.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Look(NamedTuple):
         How near.
     facing, dark : (lights, n)
         Which points face which light, and where it reaches nothing that is near.
-    point, light, other : (m,)
+    point, light, occluder : (m,)
         Objects that may keep a light from some of what is near a point.
     """
 
@@ -49,96 +49,99 @@ class Look(NamedTuple):
     dark: Bools
     point: Ints
     light: Ints
-    other: Ints
+    occluder: Ints
 
 
-class InSurroundings(NamedTuple):
+class ShadowCache(NamedTuple):
     """Finds what may shade samples by what is known of points that they are near.
 
     Attributes
     ----------
-    finder : InLightBuffers
+    finder : LightBufferFinder
         For samples of which nothing is known.
     near : (samples,)
         Each sample's point, of those that follow.
     own, p, footprint : (points,), (3, points), (points,)
-        See `Look`.
-    state, first, listed : (lights, points)
-        What is known of a light, where the objects for it begin in `others`, and how many are
-        listed.
-    others : (m,)
+        See `ShadowEdges`.
+    state : (lights, points)
+        What is known of a light.
+    first, length : (lights, points)
+        Where the objects that may keep it away begin in `listed`, and how many they are.
+    listed : (m,)
     """
 
-    finder: InLightBuffers
+    finder: LightBufferFinder
     near: Ints
     own: Ints
     p: Floats
     footprint: Floats
     state: NDArray[np.int8]
     first: Ints
+    length: Ints
     listed: Ints
-    others: Ints
 
     @classmethod
-    def of(cls, finder: InLightBuffers, looks: Sequence[Look], place: Ints) -> InSurroundings:
-        """Gather points, given their `place` (points,) in all looks, or -1 where nothing is seen.
+    def of(
+        cls, finder: LightBufferFinder, found: Sequence[ShadowEdges], place: Ints
+    ) -> ShadowCache:
+        """Gather points, given their `place` (points,) among all found, or -1 for those unseen.
 
         Samples are near none so far.
         """
-        shape = len(looks[0].dark), place.size
+        shape = len(found[0].dark), place.size
         known = cls(
-            finder,
-            np.zeros(0, dtype=np.intp),
-            np.full(place.size, -1),
-            np.zeros((3, place.size)),
-            np.zeros(place.size),
-            np.zeros(shape, dtype=np.int8),
-            np.zeros(shape, dtype=np.intp),
-            np.zeros(shape, dtype=np.intp),
-            np.zeros(sum(look.other.size for look in looks), dtype=np.intp),
+            finder=finder,
+            near=np.zeros(0, dtype=np.intp),
+            own=np.full(place.size, -1),
+            p=np.zeros((3, place.size)),
+            footprint=np.zeros(place.size),
+            state=np.zeros(shape, dtype=np.int8),
+            first=np.zeros(shape, dtype=np.intp),
+            length=np.zeros(shape, dtype=np.intp),
+            listed=np.zeros(sum(edges.occluder.size for edges in found), dtype=np.intp),
         )
         start = before = 0
-        for look in looks:
-            count = look.own.size
-            at = np.flatnonzero((place >= start) & (place < start + count))
+        for edges in found:
+            size = edges.own.size
+            at = np.flatnonzero((place >= start) & (place < start + size))
             point = place[at] - start
-            known.own[at], known.footprint[at] = look.own[point], look.footprint[point]
-            known.p[:, at] = rows(look.hits.p, point)
-            key = look.light * count + look.point
+            known.own[at], known.footprint[at] = edges.own[point], edges.footprint[point]
+            known.p[:, at] = rows(edges.hits.p, point)
+            key = edges.light * size + edges.point
             order = np.argsort(key)
-            known.others[before : before + key.size] = look.other[order]
-            asked = np.add.outer(np.arange(shape[0]) * count, point)
+            known.listed[before : before + key.size] = edges.occluder[order]
+            asked = np.add.outer(np.arange(shape[0]) * size, point)
             first, end = (np.searchsorted(key, asked, side, order) for side in ("left", "right"))
-            known.first[:, at], known.listed[:, at] = first + before, end - first
-            state = np.where(first < end, _LISTED, np.where(look.dark[:, point], _DARK, _LIT))
-            known.state[:, at] = np.where(look.facing[:, point], state, _UNKNOWN)
-            start, before = start + count, before + key.size
+            known.first[:, at], known.length[:, at] = first + before, end - first
+            state = np.where(first < end, _LISTED, np.where(edges.dark[:, point], _DARK, _LIT))
+            known.state[:, at] = np.where(edges.facing[:, point], state, _UNKNOWN)
+            start, before = start + size, before + key.size
         return known
 
-    def pairs(
+    def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
-    ) -> Iterator[Pairs]:
-        """Points and what may shade them, as in `InStretches.pairs`."""
+    ) -> Iterator[Candidates]:
+        """See `Finder.candidates`."""
         near, own = self.near[hits.sample], hits.own
         state = self.state.take(near, axis=1)
         state *= self._inside(hits.p, own, near, footprint)
         unknown = facing & (state == _UNKNOWN)
         if unknown.any():
-            yield from self.finder.pairs(hits, unknown, dark, footprint)
+            yield from self.finder.candidates(hits, unknown, dark, footprint)
         dark |= state == _DARK
         points = hits.points(slice(None))
         for number, asked in enumerate(facing & (state == _LISTED)):
             which = np.flatnonzero(asked)
-            first, listed = (m[number][near[which]] for m in (self.first, self.listed))
-            for batch in batches(listed):
-                at, place = expand(listed[batch], first[batch])
-                yield from pairs_with_objects(
+            first, length = (m[number][near[which]] for m in (self.first, self.length))
+            for batch in batches(length):
+                at, place = expand(length[batch], first[batch])
+                yield from candidates_by_kind(
                     self.finder.occluders,
                     own,
                     points,
                     which[batch][at],
                     number,
-                    self.others[place],
+                    self.listed[place],
                     footprint,
                 )
 
