@@ -63,4 +63,4 @@ def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[floa
     if not len(t):
         return np.inf, 0
     first = int(t.argmin())
-    return float(t[first]), int(np.concatenate([surfaces.sphere_index, surfaces.box_index])[first])
+    return float(t[first]), int(surfaces.file_index[first])

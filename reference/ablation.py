@@ -97,7 +97,7 @@ def _alike(_: Lines, cells: Ints, x: Floats, __: Floats) -> tuple[Floats, Points
 
 def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:
     """One point within limbs, in the middle, in place of two; with half of the share each."""
-    share, x, y = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c).halves()
+    share, x, y = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c).areas_and_moments()
     share, x, y = np.repeat([[share / 2, x, y]], 2, axis=0).swapaxes(0, 1)
     return share, x / np.maximum(2 * share, 1e-9), y / np.maximum(2 * share, 1e-9)
 
@@ -133,8 +133,8 @@ ANTIALIASING = [
     Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
     Part("no samples in the last cells: looks to the end", [(antialias, "_AT_ONCE", 1)]),
     Part("samples in cells twice as large", [(antialias, "_AT_ONCE", 4)]),
-    Part("no regions: all samples in a cell weigh the same", [(antialias, "stratified", _alike)]),
-    Part("one sample within limbs, not two", [(Lines, "roots", _in_the_middle)]),
+    Part("no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]),
+    Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
     Part("no memory of looks: shadows sought anew", [(Seen, "lights", _forgotten)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
     Part("no turn: upright grids, 16 samples for 20", [(Lattice, "of", _upright)]),

@@ -182,7 +182,7 @@ def _render(
     offset: tuple[float, float],
 ) -> Floats:
     surfaces, count = scene.surfaces, scene.width * scene.height
-    spheres = len(surfaces.radius)
+    spheres = surfaces.sphere_count
     center, radius = cast(surfaces.center)[:, :, None], cast(surfaces.radius)
     low, high = cast(surfaces.min_pt)[:, :, None], cast(surfaces.max_pt)[:, :, None]
 
@@ -195,7 +195,7 @@ def _render(
     d = _directions(scene, cast, offset)
     nearest = np.broadcast_to(cast(np.inf), count).copy()
     owner = np.full(count, -1)
-    for k in np.argsort(np.concatenate([surfaces.sphere_index, surfaces.box_index])).tolist():
+    for k in np.argsort(surfaces.file_index).tolist():
         t, far = intersect(k, o, d)
         closer = (t > 0) & (t < nearest) & (t <= far)
         nearest = np.where(closer, t, nearest)
@@ -213,7 +213,7 @@ def _render(
         else:
             n[:, mine] = _entered(o, d[:, mine], low[k - spheres], high[k - spheres])
 
-    shader = np.concatenate([surfaces.sphere_shader, surfaces.box_shader])[owner]
+    shader = surfaces.shader_index[owner]
     radiance = np.zeros((count, 3))
     for light in scene.lights:
         to_light = cast(light.position)[:, None] - p

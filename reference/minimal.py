@@ -60,7 +60,7 @@ class Minimal:
         surfaces = scene.surfaces
         raster = raster_of(scene.camera, scene.width, scene.height)
         u, v, w = raster.axes
-        shader = np.concatenate([surfaces.sphere_shader, surfaces.box_shader])
+        shader = surfaces.shader_index
         # Kept, for the pointers below are to them.
         self._arrays = {
             "sphere": np.column_stack([surfaces.center, surfaces.radius]),
@@ -84,7 +84,7 @@ class Minimal:
             down=tuple(raster.step_v * v),
             width=scene.width,
             height=scene.height,
-            spheres=len(surfaces.radius),
+            spheres=surfaces.sphere_count,
             boxes=len(surfaces.min_pt),
             lights=len(scene.lights),
             **{name: array.ctypes.data for name, array in self._arrays.items()},

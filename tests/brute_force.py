@@ -54,16 +54,16 @@ def brute_force(scene: Scene) -> Floats:
     own, face, t, s, g = owner[at], face[at], nearest[at], s[at], g[at]
     seen = _triple([t * s, t * g, t * raster.depth])
     distance = np.sqrt(dot(seen, seen))
-    n, slope, sign, level = np.zeros((3, at.size)), *np.zeros((3, at.size))
+    n, n_dot_v, sign, level = np.zeros((3, at.size)), *np.zeros((3, at.size))
     for i in np.unique(own).tolist():
         surface, mine = surfaces[i], np.flatnonzero(own == i)
         if isinstance(surface, Sphere):
-            center, inverse = raster.local(np.array([surface.center])), 1 / surface.radius
+            center, inverse = raster.to_camera(np.array([surface.center])), 1 / surface.radius
             for k in range(3):
                 outward = (seen[k][mine] - center[k]) * inverse
                 n[k, mine] = -outward if inside[i] else outward
             lift = rise[at[mine]] * inverse
-            slope[mine] = lift * seen[2][mine] / (distance[mine] * raster.depth)
+            n_dot_v[mine] = lift * seen[2][mine] / (distance[mine] * raster.depth)
             continue
         for axis in range(3):
             on = np.flatnonzero((own == i) & (face == axis))
@@ -74,15 +74,15 @@ def brute_force(scene: Scene) -> Floats:
                 np.where(forward == inside[i], high, low),
             )
             n[:, on] = sign[on] * raster.axes[:, axis, None]
-            slope[on] = sign[on] * (raster.eye[axis] - level[on]) / distance[on]
+            n_dot_v[on] = sign[on] * (raster.eye[axis] - level[on]) / distance[on]
 
-    eye, turned = raster.eye.tolist(), raster.turned(seen)
+    eye, turned = raster.eye.tolist(), raster.vector_to_scene(seen)
     p = _triple([eye[k] + turned[k] for k in range(3)])
     ray = _triple([p[k] - eye[k] for k in range(3)])
     reach = np.sqrt(dot(ray, ray)) + sum(np.abs(c) for c in p)
     fallen, mirrored = np.zeros((2, at.size, 3))
     for light in scene.lights:
-        x, y, z = (float(c[0]) for c in raster.local(np.array([light.position])))
+        x, y, z = (float(c[0]) for c in raster.to_camera(np.array([light.position])))
         to_light = _triple([x - seen[0], y - seen[1], z - seen[2]])
         falls = dot(_triple([*n]), to_light)
         for axis in range(3):
@@ -96,7 +96,7 @@ def brute_force(scene: Scene) -> Floats:
                 other, bool(inside[i]), int(sides[i]), _part(p, open_), light.position, reach[open_]
             )
         far = np.sqrt(dot(to_light, to_light))
-        cosine, between = falls / far, dot(to_light, seen) / (-distance * far)
+        cosine, l_dot_v = falls / far, dot(to_light, seen) / (-distance * far)
         for i in np.unique(own[lit]).tolist():
             mine, shader = np.flatnonzero(lit & (own == i)), surfaces[i].shader
             for k in range(3):
@@ -106,7 +106,7 @@ def brute_force(scene: Scene) -> Floats:
                 v = _triple([c[mine] * (-1 / distance[mine]) for c in seen])
                 vectors = partial(_vectors, _part(_triple([*n]), mine), wi, v)
                 exponent = np.asarray(shader.exponent)
-                power = highlight(cosine[mine], slope[mine], between[mine], exponent, vectors)
+                power = highlight(cosine[mine], n_dot_v[mine], l_dot_v[mine], exponent, vectors)
                 for k in range(3):
                     mirrored[mine, k] += light.intensity[k] * power
     image = np.zeros((scene.width * scene.height, 3))
@@ -133,7 +133,7 @@ def _part(vector: Triple, index: Ints) -> Triple:
 
 def _power(raster: Raster, sphere: Sphere) -> Floats:
     """|centre - eye|^2 - radius^2 (1,)."""
-    u, v, w = raster.local(np.array([sphere.center]))
+    u, v, w = raster.to_camera(np.array([sphere.center]))
     distance = np.sqrt(u * u + v * v + w * w)
     power: Floats = (distance - sphere.radius) * (distance + sphere.radius)
     return power
@@ -154,7 +154,7 @@ def _hit(
         low = np.array(surface.min_pt) - raster.eye
         high = np.array(surface.max_pt) - raster.eye
         return *box_hit(d, _triple([*low]), _triple([*high])), np.zeros(s.size)
-    center, radius = raster.local(np.array([surface.center])), np.array([surface.radius])
+    center, radius = raster.to_camera(np.array([surface.center])), np.array([surface.radius])
     disc = disc_in_row(g, raster.depth, center, radius, _power(raster, surface))
     t, rise = sphere_hit(s, disc)
     return t, np.full(s.size, 3), rise

@@ -231,11 +231,8 @@ def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
     surfaces = Surfaces.of([*(a_sphere(rng) for _ in range(9)), *(a_box(rng) for _ in range(9))])
     camera = Camera(view_point=vector(point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
     raster = raster_of(camera, 32, 32)
-    every = len(surfaces)
-    inside_none = np.zeros(every, dtype=np.bool_)
-    view = View(
-        raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none, np.arange(every)
-    )
+    inside_none = np.zeros(len(surfaces), dtype=np.bool_)
+    view = View(raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none)
     light = point(rng)
     return light, light_buffer_finder(occluders_of(view, light[None, :])).buffers[0]
 
@@ -284,20 +281,20 @@ def test_halves(seed: int) -> None:
     root = np.where(level, np.where(rest > 0, -0.5, 0.5), root)
     west = np.where(lines.a[:, None] < 0, -0.5, root)
     east = np.where(lines.a[:, None] < 0, root, 0.5)
-    share, moment_x, moment_y = lines.halves()
+    share, moment_x, moment_y = lines.areas_and_moments()
     # Level and upright lines are tilted by a ten-thousandth.
     assert share == pytest.approx((east - west).mean(axis=1), abs=1.5e-4)
     assert moment_x == pytest.approx((east**2 - west**2).mean(axis=1) / 2, abs=1.5e-4)
     assert moment_y == pytest.approx((y * (east - west)).mean(axis=1), abs=1.5e-4)
     other = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c)
-    assert other.halves()[0] == pytest.approx(1 - share, abs=1e-7)
+    assert other.areas_and_moments()[0] == pytest.approx(1 - share, abs=1e-7)
 
 
 @pytest.mark.parametrize(("a", "b"), [(1, 0), (0, 1), (1, 1e-9), (-1, 0)])
 def test_the_share_beside_an_upright_line(a: float, b: float) -> None:
     one = np.zeros(1, dtype=np.intp)
     line = Lines(one, one, *(np.array([float(m)]) for m in (a, b, -0.48)))
-    assert line.halves()[0] == pytest.approx(0.02, abs=1e-3)
+    assert line.areas_and_moments()[0] == pytest.approx(0.02, abs=1e-3)
 
 
 def a_pencil(rng: np.random.Generator, targets: Floats, size: Floats) -> Pencil:
@@ -353,7 +350,7 @@ def test_outlines_of_spheres(seed: int, size: float) -> None:
     assert -lines.c / steep == pytest.approx(low, abs=0.6 * size)
     x, y = spread(1500)
     share = 1 - met(pencil, x, y, center, radius).mean(axis=1)
-    assert lines.halves()[0] == pytest.approx(share, abs=0.01)
+    assert lines.areas_and_moments()[0] == pytest.approx(share, abs=0.01)
 
 
 def met(pencil: Pencil, x: Floats, y: Floats, center: Floats, radius: Floats) -> Bools:

@@ -7,7 +7,7 @@ import pytest
 
 from tracer.arrays import Floats, Ints
 from tracer.edges import Kind, Lines
-from tracer.regions import sides_of, stratified
+from tracer.regions import post_stratified, sides_of
 from tracer.sampling import Lattice
 
 FINE = (np.arange(400) + 0.5) / 400 - 0.5
@@ -41,7 +41,7 @@ def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> 
     counts = rng.integers(0, 5, 60)
     lines = lines_in(rng, counts)
     x, y = Lattice.of(per_side).points()
-    shares, lone = stratified(lines, np.arange(counts.size), x, y)
+    shares, lone = post_stratified(lines, np.arange(counts.size), x, y)
     fine_x, fine_y = (m.ravel() for m in np.meshgrid(FINE, FINE))
     for cell, count in enumerate(counts.tolist()):
         whole = np.bincount(codes(lines, cell, fine_x, fine_y), minlength=1 << count) / fine_x.size

@@ -13,7 +13,7 @@ SIDES = range(2, 17)
 
 
 def test_the_centres() -> None:
-    samples = CENTRES.samples(2, 4, 5, 8)
+    samples = CENTRES.samples(slice(2, 4), slice(5, 8))
     for x, y in (samples.positions(), samples.at(np.arange(samples.size))):
         assert x.tolist() == [5.5, 6.5, 7.5] * 2
         assert y.tolist() == [2.5] * 3 + [3.5] * 3
@@ -50,7 +50,7 @@ def test_a_quarter_turn_leaves_a_lattice_as_it_is(per_side: int) -> None:
 @pytest.mark.parametrize("per_side", [1, *SIDES])
 def test_all_pixels_hold_the_same_points(per_side: int) -> None:
     lattice = Lattice.of(per_side) if per_side > 1 else CENTRES
-    samples = lattice.samples(3, 6, 2, 4)
+    samples = lattice.samples(slice(3, 6), slice(2, 4))
     x, y = samples.positions()
     x, y = x / lattice.columns, y / lattice.rows
     own = sorted(zip(*(place + 0.5 for place in lattice.points()), strict=True))
@@ -63,7 +63,7 @@ def test_all_pixels_hold_the_same_points(per_side: int) -> None:
 
 def test_the_mean_is_that_of_each_pixel() -> None:
     lattice = Lattice.of(4)
-    samples = lattice.samples(3, 6, 2, 4)
+    samples = lattice.samples(slice(3, 6), slice(2, 4))
     x, y = samples.positions()
     pixel = np.floor(x / lattice.columns) + 10 * np.floor(y / lattice.rows)
     mean = lattice.mean(np.stack([pixel, 2 * pixel, np.ones_like(pixel)]), 2)

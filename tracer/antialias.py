@@ -14,16 +14,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, alike, runs
+from tracer.arrays import Bools, Floats, Ints, equal_runs, ranges
 from tracer.crossings import crossed, outlines_across, spans_of
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
 from tracer.looks import Cells, Lights, Seen, look, look_at, radiance_in
 from tracer.outlines import Outlines
-from tracer.regions import Points, sides_of, stratified
+from tracer.regions import Points, post_stratified, sides_of
 from tracer.sampling import CENTRES, Lattice
-from tracer.visibility import View
 
 __all__ = ["antialiased", "dense", "splittings"]
 
@@ -63,61 +62,52 @@ def splittings(per_side: int) -> int:
 
 
 def antialiased(
-    view: View,
-    lighting: Lighting,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-    per_side: int,
-    out: Floats,
+    lighting: Lighting, rows: slice, columns: slice, per_side: int, out: Floats
 ) -> None:
     """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
-    At least as accurate as per_side x per_side samples in every pixel.
+    To be as accurate as per_side x per_side samples in every pixel.
     """
     # A pixel more on every side: the curvature is that between neighbours.
-    top, height = top - 1, bottom + 2 - top
-    spans = spans_of(view.outlines, top, height, per_side)
+    top, height = rows.start - 1, rows.stop + 2 - rows.start
+    spans = spans_of(lighting.view.outlines, top, height, per_side)
     if not spans.owner.size:
         return
     # Nothing is seen to the left and to the right of all objects.
-    start = max(left, int(spans.left.min()) - 1)
-    right = min(right, int(spans.right.max()) + 2)
-    if start >= right:
+    begin = max(columns.start, int(spans.left.min()) - 1)
+    end = min(columns.stop, int(spans.right.max()) + 2)
+    if begin >= end:
         return
-    out = out[:, start - left : right - left]
-    left, width = start - 1, right + 2 - start
+    out = out[:, begin - columns.start : end - columns.start]
+    left, width = begin - 1, end + 2 - begin
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
     seen = Seen.of(height * width)
     # As much at a time as the processor's cache holds.
-    step = max(1, _STRIP // width)
-    for begin in range(0, height, step):
-        end = min(begin + step, height)
-        strip = CENTRES.samples(top + begin, top + end, left, left + width)
-        places = np.arange(begin * width, begin * width + strip.size)
-        look(view, lighting, strip, 1.0, tolerance, seen, places)
-    bend, rough = curvature(seen.radiance, seen.key, width)
+    step, across = max(1, _STRIP // width), slice(left, left + width)
+    for first in range(0, height, step):
+        strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
+        places = np.arange(first * width, first * width + strip.size)
+        look(lighting, strip, 1.0, tolerance, seen, places)
+    bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(spans, left, height, width, per_side)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = Cells(
         1.0,
         tolerance,
-        *CENTRES.samples(top, top + height, left, left + width).positions(),
-        rough,
+        *CENTRES.samples(slice(top, top + height), across).positions(),
+        error,
         (row * width + column)[inner],
         owner[inner],
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    _refine(view, lighting, pixels, seen, mean, per_side, inside.ravel())
+    _refine(lighting, pixels, seen, mean, per_side, inside.ravel())
     out[:] = np.moveaxis(mean.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
 
 
 def _refine(
-    view: View,
     lighting: Lighting,
     cells: Cells,
     seen: Seen,
@@ -129,62 +119,59 @@ def _refine(
 
     `seen` is what their centres see.
     """
-    rough = cells.rough > cells.tolerance
-    lines = joined([*outlines_across(view, cells, seen, rough), *seen.lines])
-    several = seen.several | rough
-    lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), several)
-    sides = sides_of(lines.take(np.flatnonzero(~several[lines.cell])))
+    rough = cells.error > cells.tolerance
+    lines = joined([*outlines_across(lighting.view, cells, seen, rough), *seen.lines])
+    unresolved = seen.unresolved | rough
+    lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
+    sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
     colors = np.empty((3, sides.cell.size))
     beyond = np.flatnonzero(sides.beyond)
     if beyond.size:
-        colors[:, beyond], found, more = _beyond(view, lighting, cells, sides.take(beyond))
-        several[more] = True
-        lines = _few(joined([lines, found]), several)
-        kept = np.flatnonzero(~several[sides.cell])
+        colors[:, beyond], found, more = _beyond(lighting, cells, sides.take(beyond))
+        unresolved[more] = True
+        lines = _few(joined([lines, found]), unresolved)
+        kept = np.flatnonzero(~unresolved[sides.cell])
         sides, colors = sides.take(kept), colors[:, kept]
-    rest = np.flatnonzero(several & wanted)
+    rest = np.flatnonzero(unresolved & wanted)
     lights = seen.lights(lighting, np.append(rest, sides.cell))
     # All of the surface that the middle of a cell sees has been looked at.
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _AT_ONCE:
-        colors[:, beside] = _sample(view, lights, cells, lines, rest, per_side, mean, near)
+        colors[:, beside] = _sample(lights, cells, lines, rest, per_side, mean, near)
     else:
-        _split(view, lighting, lights, cells, seen, rest, per_side, mean)
+        _split(lighting, lights, cells, seen, rest, per_side, mean)
         at = cells.at(near.cell, near.x, near.y)
-        colors[:, beside] = radiance_in(view, lights, *at, near.cell)
+        colors[:, beside] = radiance_in(lights, *at, near.cell)
     order = np.argsort(sides.cell, kind="stable")
-    first, _ = alike(sides.cell[order])
+    first, _ = equal_runs(sides.cell[order])
     if first.size:
         total = np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
         mean[:, sides.cell[order[first]]] = total
 
 
-def _few(lines: Lines, several: Bools) -> Lines:
-    """Different lines, a few in each cell, sorted by cell; marks `several` where not just one."""
+def _few(lines: Lines, unresolved: Bools) -> Lines:
+    """Different lines, a few in each cell, sorted by cell; marks cells with more than one."""
     lines = lines.distinct()
-    first, count = alike(lines.cell)
-    several[lines.cell[first[count > 1]]] = True
-    return lines.take(np.flatnonzero(runs(0, count) < _LINES))
+    first, count = equal_runs(lines.cell)
+    unresolved[lines.cell[first[count > 1]]] = True
+    return lines.take(np.flatnonzero(ranges(0, count) < _LINES))
 
 
-def _beyond(
-    view: View, lighting: Lighting, cells: Cells, sides: Points
-) -> tuple[Floats, Lines, Ints]:
+def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Lines, Ints]:
     """Radiance (3, n) of points, lines in their cells there, and cells that hold more."""
     cell, x, y = sides.cell, sides.x, sides.y
     # From anywhere in a cell, one of twice the size holds all of it.
     at = cells.at(cell, x, y)
-    seen = look_at(view, lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
+    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = joined(seen.lines)
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
     lines = Lines(cell[found.cell], found.kind, a, b, c).crossing()
-    return seen.radiance, lines, cell[seen.several]
+    return seen.radiance, lines, cell[seen.unresolved]
 
 
 def _sample(
-    view: View,
     lights: Lights,
     cells: Cells,
     lines: Lines,
@@ -203,7 +190,7 @@ def _sample(
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
         held = np.flatnonzero(np.isin(lines.cell, part))
-        weights, empty = stratified(lines.take(held), part, x, y)
+        weights, empty = post_stratified(lines.take(held), part, x, y)
         points = empty.joined(near)
         (every_x, every_y), (own_x, own_y) = (
             cells.places(part, x, y),
@@ -212,7 +199,7 @@ def _sample(
         inside = np.append(np.repeat(part, lattice.size), points.cell)
         at = np.append(every_x, own_x), np.append(every_y, own_y)
         radiance, lone, other = np.split(
-            radiance_in(view, lights, *at, inside),
+            radiance_in(lights, *at, inside),
             [weights.size, weights.size + empty.cell.size],
             axis=1,
         )
@@ -225,7 +212,6 @@ def _sample(
 
 
 def _split(
-    view: View,
     lighting: Lighting,
     lights: Lights,
     cells: Cells,
@@ -240,12 +226,12 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = look_at(view, lights, x, y, inside, size, cells.tolerance)
-        bend, rough = extrapolated(
+        closer = look_at(lights, x, y, inside, size, cells.tolerance)
+        bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )
-        quarters = quarters._replace(rough=np.fmax(quarters.rough, rough))
+        quarters = quarters._replace(error=np.fmax(quarters.error, error))
         radiance = np.add(closer.radiance, bend, out=bend)
         every = np.ones(x.size, dtype=np.bool_)
-        _refine(view, lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
+        _refine(lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)

@@ -22,22 +22,22 @@ __all__ = [
     "Index",
     "Ints",
     "Triple",
-    "alike",
     "batches",
     "columns",
     "cross",
     "dot",
     "each",
     "entries",
+    "equal_runs",
     "expand",
+    "index_where",
     "pick",
     "put",
+    "ranges",
     "rows",
-    "runs",
     "scaled",
     "select",
     "spread",
-    "where",
 ]
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -97,7 +97,7 @@ def spread(value: T, counts: Ints) -> T:
     return value
 
 
-def where(mask: Bools) -> Ints | slice:
+def index_where(mask: Bools) -> Ints | slice:
     """Index of the elements where the mask holds: a slice, if that is everywhere."""
     index = np.flatnonzero(mask)
     return slice(None) if index.size == mask.size else index
@@ -105,10 +105,10 @@ def where(mask: Bools) -> Ints | slice:
 
 def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
     """For each i, counts[i] elements: their i, and their place start[i], start[i] + 1, ..."""
-    return np.repeat(np.arange(counts.size), counts), runs(start, counts)
+    return np.repeat(np.arange(counts.size), counts), ranges(start, counts)
 
 
-def runs(start: Ints | int, counts: Ints) -> Ints:
+def ranges(start: Ints | int, counts: Ints) -> Ints:
     """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
     skip = start - (np.cumsum(counts) - counts)
     places: Ints = np.repeat(skip, counts)
@@ -116,7 +116,7 @@ def runs(start: Ints | int, counts: Ints) -> Ints:
     return places
 
 
-def alike(values: Ints) -> tuple[Ints, Ints]:
+def equal_runs(values: Ints) -> tuple[Ints, Ints]:
     """Where equal neighbours, none of them -1, begin; and how many there are each time."""
     first = np.flatnonzero(np.diff(values, prepend=-1))
     return first, np.diff(first, append=values.size)

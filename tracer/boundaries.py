@@ -26,14 +26,14 @@ from tracer.arrays import (
     select,
 )
 from tracer.camera import Raster
-from tracer.edges import BEND, Kind, Lines, Pencil, bowed, joined
+from tracer.edges import BEND, Kind, Lines, Pencil, joined, sagitta_error
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Surfaces
-from tracer.visibility import Group, Hits, View
+from tracer.visibility import Group, Hits
 
-__all__ = ["Surface", "footprint_of", "meetings"]
+__all__ = ["Patches", "footprint_of", "intersections"]
 
 # What a cell sees may reach so far from its middle, as a part of the way to a light.
 _WIDE = 0.1
@@ -50,29 +50,29 @@ def _half_angle(raster: Raster, size: float) -> float:
     return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
 
 
-def footprint_of(hits: Hits, group: Group, slope: Floats, radius: Floats, size: float) -> Floats:
+def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size: float) -> Floats:
     """Radius (n,) on the surface, around each point, of what a cell of a size sees.
 
-    `slope` (n,): the cosine between the normal and the way to the eye; `radius`: of all objects.
+    `n_dot_v` (n,): the cosine between the normal and the way to the eye; `radius`: of all objects.
     """
     angle = _half_angle(hits.raster, size)
     half = hits.p[2, group.part] * angle
     if group.flat:
         # Towards a horizon, what the far end of a cell sees is farther away by more.
-        slope = np.maximum(slope, _EDGE_ON)
-        return half / slope / np.maximum(1 - angle / slope, _EDGE_ON)
-    footprint = half / slope
+        n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
+        return half / n_dot_v / np.maximum(1 - angle / n_dot_v, _EDGE_ON)
+    footprint = half / n_dot_v
     # A sphere turns away no faster than its limb is near: that is for the few points next to it.
     of_sphere = group.of(radius)
-    at = np.flatnonzero(slope <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
+    at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
     footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
     return footprint
 
 
-def meetings(
-    hits: Hits, behind: Hits, surfaces: Surfaces, cell: Ints, size: float, several: Bools
+def intersections(
+    hits: Hits, behind: Hits, surfaces: Surfaces, cell: Ints, size: float, unresolved: Bools
 ) -> Iterator[Lines]:
-    """Where surfaces meet those close `behind`; marks `several` where that is no straight line.
+    """Where surfaces meet those close `behind`; marks `unresolved` where that is no straight line.
 
     In units of the ray's direction d, the distance t of a plane is n.p / n.d: 1 / t is linear in
     the picture.  What it is on one surface less what it is on the other is a line.
@@ -93,7 +93,7 @@ def meetings(
     # Of surfaces that coincide, nothing but rounding says which is seen.
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
     straight = ~alike & (lines.turn(off) <= BEND)
-    several[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
+    unresolved[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
     yield lines.take(np.flatnonzero(straight & lines.crosses()))
 
 
@@ -114,12 +114,12 @@ def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Tri
     return (vectors[0], vectors[1], vectors[2]), off
 
 
-class Surface(NamedTuple):
+class Patches(NamedTuple):
     """What the centres of cells see, of one group.
 
     Attributes
     ----------
-    view, lighting, hits, group
+    lighting, hits, group
     cell : (n,)
         The cell of each point.
     footprint : (n,)
@@ -128,7 +128,6 @@ class Surface(NamedTuple):
         Of the cells, in pixels.
     """
 
-    view: View
     lighting: Lighting
     hits: Hits
     group: Group
@@ -157,21 +156,21 @@ class Surface(NamedTuple):
             aside = p[2] / raster.depth * (step * self.size)
             ahead = aside * n[k] / height
             x, y, z = scaled(p, ahead)
-            move = raster.turned((x + aside, y, z) if k == 0 else (x, y + aside, z))
+            move = raster.vector_to_scene((x + aside, y, z) if k == 0 else (x, y + aside, z))
             # At x across the cell the point is (p + x aside) / (1 - x ahead): times that divisor,
             # a ray to it is linear in x.
             steps.append(each(np.subtract, move, scaled(rays, ahead)) if rays else move)
         return steps[0], steps[1]
 
-    def bow(self, at: Ints) -> Triple | None:
+    def sagitta(self, at: Ints) -> Triple | None:
         """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
         if self.group.flat:
             return None
         p = rows(self.hits.p, self.group.part.start + at)
-        radius = select(self.group.of(self.view.surfaces.radius), at)
+        radius = select(self.group.of(self.lighting.view.surfaces.radius), at)
         # As far as the surface has turned from its tangent plane, along the ray.
         along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
-        return self.hits.raster.turned(scaled(p, along))
+        return self.hits.raster.vector_to_scene(scaled(p, along))
 
     def from_light(self, light: Ints | int, at: Ints) -> Triple:
         """Rays from lights to some points."""
@@ -179,12 +178,12 @@ class Surface(NamedTuple):
         p = self.hits.points(self.group.part.start + at)
         return p[0] - x, p[1] - y, p[2] - z
 
-    def shadows(self, light: Ints, at: Ints, occluder: Ints, several: Bools) -> Lines:
-        """Edges of shadows; marks `several` where they are not straight."""
-        surfaces, lights = self.view.surfaces, self.lighting.positions
-        spheres = len(surfaces.radius)
+    def shadows(self, light: Ints, at: Ints, occluder: Ints, unresolved: Bools) -> Lines:
+        """Edges of shadows; marks `unresolved` where they are not straight."""
+        surfaces, lights = self.lighting.view.surfaces, self.lighting.positions
+        spheres = surfaces.sphere_count
         rays = self.from_light(light, at)
-        pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at, rays), self.bow(at))
+        pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at, rays), self.sagitta(at))
         on = np.flatnonzero(occluder < spheres)
         ball = occluder[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
@@ -193,7 +192,7 @@ class Surface(NamedTuple):
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         # A cell that sees more than the sphere is large may hold all of its shadow.
         odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
-        several[discs.cell[odd & near]] = True
+        unresolved[discs.cell[odd & near]] = True
         discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
         on = np.flatnonzero(occluder >= spheres)
         if not on.size:
@@ -206,11 +205,11 @@ class Surface(NamedTuple):
         planes = silhouette_planes(box_corners(low, high, apex), apex, low, high)
         planes = each(lambda m: m.take(place, axis=1), planes)
         edges, turn, unknown = pencil.take(on).boxes(planes)
-        several[pencil.cell[on[unknown]]] = True
-        several[edges.cell[turn > BEND]] = True
+        unresolved[pencil.cell[on[unknown]]] = True
+        unresolved[edges.cell[turn > BEND]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
 
-    def wide(self, light: Incoming, share: float) -> Iterator[Ints]:
+    def near_lights(self, light: Incoming, share: float) -> Iterator[Ints]:
         """Points around which so much of a cell sees so much of the surface, as a light is near."""
         reach2 = (share / _WIDE * self.footprint) ** 2
         most = reach2.max()
@@ -219,14 +218,14 @@ class Surface(NamedTuple):
             if length2.min() < most:
                 yield np.flatnonzero(length2 < reach2)
 
-    def turning(self, light: Incoming) -> tuple[Ints, Ints]:
+    def near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
         """Lights, and points at which a sphere turns away from them."""
-        reach = self.footprint / self.group.of(self.view.surfaces.radius)
+        reach = self.footprint / self.group.of(self.lighting.view.surfaces.radius)
         # Most points are told by the least that any of them needs.
         most = reach.max() * np.sqrt(light.length2.max(initial=0))
-        number, at = np.divmod(np.flatnonzero(np.abs(light.falls) <= most), reach.size)
-        falls, length2 = light.falls[number, at], light.length2[number, at]
-        turns = np.flatnonzero(falls**2 < reach[at] ** 2 * length2)
+        number, at = np.divmod(np.flatnonzero(np.abs(light.n_dot_l) <= most), reach.size)
+        n_dot_l, length2 = light.n_dot_l[number, at], light.length2[number, at]
+        turns = np.flatnonzero(n_dot_l**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 
     def terminators(
@@ -235,21 +234,21 @@ class Surface(NamedTuple):
         light: Ints,
         at: Ints,
         tolerance: float,
-        several: Bools,
+        unresolved: Bools,
     ) -> Iterator[Lines]:
-        """Where light, and its highlight, begin, as spheres are `turning`.
+        """Where light, and its highlight, begin, as spheres are `near_terminator`.
 
-        Light that begins so slowly that one sample is off by less is left out. Marks `several`
+        Light that begins so slowly that one sample is off by less is left out. Marks `unresolved`
         where the line is not straight.
         """
         lighting, group = self.lighting, self.group
         materials, shader = lighting.materials, lighting.shader
-        radius = group.of(self.view.surfaces.radius)
+        radius = group.of(self.lighting.view.surfaces.radius)
         diffuse = select(group.of(materials.diffuse.max(axis=0)[shader]), at)
         diffuse = diffuse * lighting.intensities.max(axis=1)[light]
         glossy = np.broadcast_to(select(group.of(materials.glossy[shader]), at), at.shape)
         # A ramp that begins in the middle of a cell adds to its mean an eighth of what it changes
-        # across the cell; where it begins along an arc, that is off by as much of its bow.
+        # across the cell; where it begins along an arc, that is off by as much of its sagitta.
         change = self.footprint[at] / select(radius, at) * diffuse
         total = np.bincount(at, change, self.cell.size)[at]
         shown = np.flatnonzero(glossy | (total > 8 * tolerance))
@@ -258,31 +257,33 @@ class Surface(NamedTuple):
         light, at, glossy, diffuse = light[shown], at[shown], glossy[shown], diffuse[shown]
         ray, r = self.from_light(light, at), -select(radius, at)
         across, down = self.steps(at)
-        a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.falls[light, at]
+        a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.n_dot_l[light, at]
         # What may shade the other side has been sought only if light falls on this one.
         kind = np.where(c > 0, Kind.SHADOW, Kind.EDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
-        gradient = each(lambda d, n: d / r + n, ray, self.hits.raster.turned(pick(group.n, at)))
-        off = bowed(gradient, self.bow(at))
+        normal = self.hits.raster.vector_to_scene(pick(group.n, at))
+        gradient = each(lambda d, n: d / r + n, ray, normal)
+        off = sagitta_error(gradient, self.sagitta(at))
         bent = glossy & (lines.turn(off) > BEND)
         bent |= diffuse * off > 8 * tolerance * np.sqrt(incoming.length2[light, at])
-        several[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
+        unresolved[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
         yield lines.take(np.flatnonzero(~bent & lines.crosses()))
 
     def ridges(self) -> Iterator[Lines]:
         """Where a box's face meets another that is seen as well."""
-        surfaces, eye, group = self.view.surfaces, self.view.raster.eye, self.group
+        view, group = self.lighting.view, self.group
+        surfaces, eye = view.surfaces, view.raster.eye
         p = rows(self.hits.p, group.part)
-        box = group.owner - len(surfaces.radius)
+        box = group.owner - surfaces.sphere_count
         for k in range(3):
             across_face = group.face != k
             if not np.any(across_face):
                 continue
             for corner, sign in ((surfaces.min_pt, -1), (surfaces.max_pt, 1)):
-                shown = self.view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
+                shown = view.eye_inside[group.owner] | (sign * (eye[k] - corner[box, k]) > 0)
                 if not shown.any():
                     continue
-                offset = eye[k] + self.hits.raster.component(p, k) - group.spread(corner[box, k])
+                offset = eye[k] + view.raster.scene_component(p, k) - group.spread(corner[box, k])
                 near = (np.abs(offset) < self.footprint) & across_face
                 at = np.flatnonzero(near & group.spread(shown))
                 offset, kind = offset[at], np.full(at.size, Kind.EDGE)

@@ -46,7 +46,7 @@ class Raster(NamedTuple):
     width: int
     height: int
 
-    def local(self, points: Floats) -> Triple:
+    def to_camera(self, points: Floats) -> Triple:
         """Points (n, 3) of the scene in the camera's axes, as seen from the eye."""
         relative = points - self.eye
         u, v, w = (
@@ -55,18 +55,18 @@ class Raster(NamedTuple):
         )
         return u, v, w
 
-    def turned(self, vector: Triple) -> Triple:
+    def vector_to_scene(self, vector: Triple) -> Triple:
         """Turn a vector from the camera's axes into the scene's."""
-        x, y, z = (self.component(vector, axis) for axis in range(3))
+        x, y, z = (self.scene_component(vector, axis) for axis in range(3))
         return x, y, z
 
-    def placed(self, point: Triple) -> Triple:
-        """The place in the scene of a point that is given as `local` gives it."""
+    def point_to_scene(self, point: Triple) -> Triple:
+        """The place in the scene of a point that is given as `to_camera` gives it."""
         x, y, z = self.eye.tolist()
-        p = self.turned(point)
+        p = self.vector_to_scene(point)
         return x + p[0], y + p[1], z + p[2]
 
-    def component(self, vector: Triple, axis: int) -> Floats:
+    def scene_component(self, vector: Triple, axis: int) -> Floats:
         """One component, along an axis of the scene, of a vector in the camera's axes."""
         u, v, w = self.axes[:, axis].tolist()
         component: Floats = vector[0] * u + vector[1] * v + vector[2] * w

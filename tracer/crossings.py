@@ -18,15 +18,15 @@ __all__ = ["crossed", "outlines_across", "spans_of"]
 # a sample may be off.
 _TURN = 57.0
 
-# From a limb on, in halves of a cell, light is a function of the distance from it.
+# From a limb on, in areas_and_moments of a cell, light is a function of the distance from it.
 _NEAR_LIMB = 6.0
 
 
-def spans_of(lines: Outlines, top: int, height: int, per_side: int) -> Spans:
+def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
     """Spans of all objects, spheres first, in rows of samples from one above to one below."""
     y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
-    spheres, boxes = lines.sphere_spans(y), lines.box_spans(y)
-    boxes = boxes._replace(owner=boxes.owner + len(lines.radius))
+    spheres, boxes = outlines.sphere_spans(y), outlines.box_spans(y)
+    boxes = boxes._replace(owner=boxes.owner + len(outlines.radius))
     return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
 
 
@@ -75,15 +75,15 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
     Cells that are only `rough` for they see a sphere beside its limb have its line as well, and
     are rough no more.
     """
-    lines, spheres = view.outlines, len(view.outlines.radius)
+    outlines, spheres = view.outlines, len(view.outlines.radius)
     at = np.flatnonzero(cells.owner < spheres)
     beside, own = seen.spheres(rough)
     cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
     if cell.size:
         pencil = _pencil(view, cells, cell, Kind.LIMB)
-        discs, turn, near = pencil.discs(pick(lines.center, ball), lines.radius[ball])
+        discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
         straight = turn <= min(BEND, _TURN * cells.tolerance)
-        seen.several[cell[near & ~straight]] = True
+        seen.unresolved[cell[near & ~straight]] = True
         explained = straight & (np.abs(discs.c) < _NEAR_LIMB * discs.reach())
         explained[: at.size] = False
         rough[cell[explained]] = False
@@ -91,9 +91,9 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
-        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), lines.edges)
+        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.edges)
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
-        seen.several[pencil.cell[unknown]] = True
+        seen.unresolved[pencil.cell[unknown]] = True
         yield edges
 
 

@@ -16,7 +16,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     see the same.  What it says of pixels on the rim has no meaning.
     """
     count = key.size
-    total, rough = np.empty(radiance.shape), np.zeros(count)
+    total, error = np.empty(radiance.shape), np.zeros(count)
     lone = np.ones(count, dtype=np.bool_)
     for stride in (1, width):
         middle = slice(stride, count - stride)
@@ -37,14 +37,14 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
                 out[0], out[middle], out[-1] = 0, bend, 0
             else:
                 out[middle] += bend
-        rough[one + stride] = np.maximum(rough[one + stride], off)
+        error[one + stride] = np.maximum(error[one + stride], off)
     total *= 1 / 24
-    rough *= 1 / 24
+    error *= 1 / 24
     for channel in total:
-        np.maximum(rough, np.abs(channel), out=rough)
+        np.maximum(error, np.abs(channel), out=error)
     # Surfaces that coincide may change from one ray to the next.
-    rough[lone] = np.inf
-    return total, rough
+    error[lone] = np.inf
+    return total, error
 
 
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
@@ -59,5 +59,5 @@ def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple
     alike = (keys == key[:, None]).all(axis=1)
     bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
     # What that leaves out is of higher order in their size.
-    rough = np.abs(bend).max(axis=0) / 2
-    return np.repeat(bend, 4, axis=1), np.repeat(rough, 4)
+    error = np.abs(bend).max(axis=0) / 2
+    return np.repeat(bend, 4, axis=1), np.repeat(error, 4)

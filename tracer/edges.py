@@ -15,7 +15,7 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["BEND", "Kind", "Lines", "Pencil", "bowed", "joined"]
+__all__ = ["BEND", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
 BEND = 0.2
 """A line that turns by less (in radians) across a cell passes for straight."""
@@ -109,7 +109,7 @@ class Lines(NamedTuple):
         turn: Floats = 4 * off / self.reach()
         return turn
 
-    def halves(self) -> tuple[Floats, Floats, Floats]:
+    def areas_and_moments(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
 
         A step at the line, integrated in x and in y, is max(z, 0)^2 / (2 a b): what is in the
@@ -126,7 +126,7 @@ class Lines(NamedTuple):
                 moment_y += y * square - square * z / (3 * b)
         return share / (a * b), moment_x / (a * b), moment_y / (a * b)
 
-    def roots(self) -> tuple[Floats, Floats, Floats]:
+    def gauss_points(self) -> tuple[Floats, Floats, Floats]:
         """Shares, x and y (2, n): two points for the cell's part where z = -(c + a x + b y) > 0.
 
         Within a limb light is a function of s = sqrt(z).  The points are those of Gauss, by which
@@ -135,7 +135,7 @@ class Lines(NamedTuple):
         a, b, c = (-m for m in self._scaled())
         x, y = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])[:, :, None]
         z = np.maximum(c + a * x + b * y, 0)
-        # As in `halves`, with z^(k / 2) integrated twice.
+        # As in `areas_and_moments`, with z^(k / 2) integrated twice.
         power, root = 4 * x * y / (a * b) * z * z, np.sqrt(z)
         moments = []
         for k in range(4):
@@ -144,10 +144,10 @@ class Lines(NamedTuple):
         share = np.maximum(moments[0], _TINY)
         mean, second, third = (m / share for m in moments[1:])
         deviation = np.sqrt(np.maximum(second - mean * mean, _TINY))
-        skew = (third - 3 * mean * second + 2 * mean**3) / deviation**3 / 2
-        sign, root = np.array([[-1.0], [1.0]]), np.sqrt(1 + skew * skew)
-        s = np.maximum(mean + deviation * (skew + sign * root), 0)
-        shares = share * (1 - sign * skew / root) / 2
+        half_skew = (third - 3 * mean * second + 2 * mean**3) / deviation**3 / 2
+        sign, root = np.array([[-1.0], [1.0]]), np.sqrt(1 + half_skew * half_skew)
+        s = np.maximum(mean + deviation * (half_skew + sign * root), 0)
+        shares = share * (1 - sign * half_skew / root) / 2
         level = (s * s - c) / (a * a + b * b)
         x, y = level * a, level * b
         ends = [(x - 0.5) / b, (x + 0.5) / b], [(-y - 0.5) / a, (-y + 0.5) / a]
@@ -174,13 +174,13 @@ def joined(lines: Iterable[Lines]) -> Lines:
     return Lines(cell, kind, a, b, c)
 
 
-def bowed(gradient: Triple, bow: Triple | None) -> Floats:
+def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:
     """How far c is off in the corners because the surface is curved.
 
-    `gradient`: of c, by where the point lies; `bow`: how far the surface leaves its tangent plane
-    in the corners, or None.
+    `gradient`: of c, by where the point lies; `sagitta`: how far the surface leaves its tangent
+    plane in the corners, or None.
     """
-    return np.zeros(gradient[0].size) if bow is None else np.abs(dot(gradient, bow))
+    return np.zeros(gradient[0].size) if sagitta is None else np.abs(dot(gradient, sagitta))
 
 
 class Pencil(NamedTuple):
@@ -193,7 +193,7 @@ class Pencil(NamedTuple):
     ray : three (n,)
     across, down : three (n,), or numbers
         How the ray changes from one side of the cell to the other.
-    bow : three (n,), optional
+    sagitta : three (n,), optional
         How far it is off in the corners, for the cell's surface is curved.
     """
 
@@ -202,13 +202,13 @@ class Pencil(NamedTuple):
     ray: Triple
     across: Triple
     down: Triple
-    bow: Triple | None = None
+    sagitta: Triple | None = None
 
     def take(self, index: Ints) -> Pencil:
         """Some of them."""
         across, down = pick(self.across, index), pick(self.down, index)
-        bow = pick(self.bow, index) if self.bow else None
-        return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down, bow)
+        sagitta = pick(self.sagitta, index) if self.sagitta else None
+        return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down, sagitta)
 
     def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats, Bools]:
         """Outlines of spheres, one for each ray, and how far they turn in the cell (radians).
@@ -246,7 +246,8 @@ class Pencil(NamedTuple):
         lines = self._lines(a, b, c)
         # With both sides of the disc in the cell there is another line.
         both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
-        turn = np.where(both, np.inf, np.abs(bend) / size + lines.turn(bowed(out, self.bow)))
+        turned = np.abs(bend) / size + lines.turn(sagitta_error(out, self.sagitta))
+        turn = np.where(both, np.inf, turned)
         return lines, turn, lines.crosses() | (within & (turn > BEND))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
@@ -263,9 +264,8 @@ class Pencil(NamedTuple):
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
-        turn = [
-            edge.turn(bowed(normal, self.bow)) for edge, normal in zip(edges, normals, strict=True)
-        ]
+        off = (sagitta_error(normal, self.sagitta) for normal in normals)
+        turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
         at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         turns = np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])

@@ -32,7 +32,7 @@ from tracer.workers import (
     shared,
 )
 
-__all__ = ["helped", "live"]
+__all__ = ["helped", "run_helper"]
 
 # What they run.  Their tracer is this one, even if the path has changed or says '' for a folder
 # that was left; all else is found as it is here.
@@ -42,8 +42,8 @@ sys.path[:] = {path!r}
 import tracer
 del sys.path[0]
 import tracer.rendering
-from tracer.helpers import live
-live{ends!r}
+from tracer.helpers import run_helper
+run_helper{ends!r}
 """
 
 # Where the package is.
@@ -218,7 +218,7 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
         busy.release()
 
 
-def live(calls: int, results: int, numbers: int, memory: int) -> None:
-    """Be a helper."""
+def run_helper(calls: int, results: int, numbers: int, memory: int) -> None:
+    """Serve the process that started this one, until that ends; never returns."""
     keep_heap()
     serve(calls, results, Numbers(numbers), memory=np.frombuffer(mmap(memory, 0)))

@@ -379,7 +379,7 @@ def _apart(
     the cell's centre.
     """
     apart = np.zeros(owner.size, dtype=np.bool_)
-    spheres = len(surfaces.radius)
+    spheres = surfaces.sphere_count
 
     at = np.flatnonzero(owner < spheres)
     x, y, z = (surfaces.center[owner[at]] - light).T

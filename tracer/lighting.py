@@ -7,7 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, pick, rows, scaled, select, where
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Triple,
+    dot,
+    each,
+    index_where,
+    pick,
+    rows,
+    scaled,
+    select,
+)
 from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.sampling import Samples
@@ -17,12 +29,12 @@ from tracer.shadow import Shadows, shadows_of
 from tracer.visibility import Group, Hits, View, visible
 
 __all__ = [
-    "Gloss",
+    "Highlights",
     "Incoming",
     "Lighting",
     "incoming",
     "lighting_of",
-    "narrow",
+    "narrow_highlights",
     "radiance_at",
     "shade",
 ]
@@ -34,10 +46,11 @@ _SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
 
 
 class Lighting(NamedTuple):
-    """The scene's lights and what they fall on.
+    """A scene's lights, and what they fall on.
 
     Attributes
     ----------
+    view : View
     positions, intensities : (lights, 3)
     local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
@@ -47,6 +60,7 @@ class Lighting(NamedTuple):
     materials : Materials
     """
 
+    view: View
     positions: Floats
     intensities: Floats
     local: Floats
@@ -63,17 +77,17 @@ class Incoming(NamedTuple):
 
     Attributes
     ----------
-    falls
+    n_dot_l
         n . l; minus infinity where the object is seen from inside and keeps the light outside.
     length2
         l . l.
-    along
+    l_dot_p
         l . p, where there are highlights.
     """
 
-    falls: Floats
+    n_dot_l: Floats
     length2: Floats
-    along: Floats
+    l_dot_p: Floats
 
     def part(self, place: slice) -> Incoming:
         """That at some of the points."""
@@ -85,11 +99,12 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
+        view,
         positions,
         np.array([light.intensity for light in lights]).reshape(-1, 3),
-        np.column_stack(view.raster.local(positions)),
+        np.column_stack(view.raster.to_camera(positions)),
         shadows_of(occluders_of(view, positions), view.raster, split),
-        np.concatenate([surfaces.sphere_shader, surfaces.box_shader]),
+        surfaces.shader_index,
         Materials(surfaces.shaders),
     )
 
@@ -101,30 +116,30 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
     for number, light in enumerate(lighting.local.tolist()):
         kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
-            falls, length2, along = (m[number, group.part] for m in result)
+            n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
             if group.flat:
                 place = lighting.positions[number, group.face]
-                falls[:] = group.sign * (place - group.level)
+                n_dot_l[:] = group.sign * (place - group.level)
             else:
-                dot(group.n, to_light, falls)
+                dot(group.n, to_light, n_dot_l)
             dot(to_light, to_light, length2)
             if glossy[group.owner].any():
-                dot(to_light, (p[0], p[1], p[2]), along)
+                dot(to_light, (p[0], p[1], p[2]), l_dot_p)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
                 # Nowhere is that light about to begin, as it is where n . l is zero.
-                falls[np.broadcast_to(group.of(kept_out), falls.shape)] = -np.inf
+                n_dot_l[np.broadcast_to(group.of(kept_out), n_dot_l.shape)] = -np.inf
     return result
 
 
-def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
+def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
     """Radiance, three (n,), of a group towards the eye.
 
     `light`, `lit` (lights, n): what comes in there, and whether it reaches the points.
     """
-    lighting, group = gloss.lighting, gloss.group
+    lighting, group = highlights.lighting, highlights.group
     # Light that falls on the points, and its highlights: what shaders make of it comes last.
     fallen: list[Floats] = []
     mirrored: list[Floats] = []
@@ -134,13 +149,15 @@ def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
         if not reached.any():
             continue
         length = np.sqrt(light.length2[number])
-        cosine = light.falls[number] / length
+        cosine = light.n_dot_l[number] / length
         if not reached.all():
             cosine = np.where(reached, cosine, 0.0)
         _add(fallen, intensity, cosine)
-        if gloss.any:
-            at = where(reached & gloss.glossy)
-            power = gloss.highlight(number, at, cosine[at], length[at], light.along[number][at])
+        if highlights.present:
+            at = index_where(reached & highlights.glossy)
+            power = highlights.of_light(
+                number, at, cosine[at], length[at], light.l_dot_p[number][at]
+            )
             if not isinstance(at, slice):
                 everywhere = np.zeros(cosine.size)
                 everywhere[at] = power
@@ -148,13 +165,15 @@ def shade(gloss: Gloss, light: Incoming, lit: Bools) -> Triple:
             _add(mirrored, intensity, power)
     materials, shader = lighting.materials, lighting.shader[group.owner]
     radiance = _returned(fallen, materials.diffuse[:, shader], group)
-    if gloss.any:
-        highlights = _returned(mirrored, materials.specular[:, shader], group)
-        radiance = each(np.add, radiance, highlights)
+    if highlights.present:
+        specular = _returned(mirrored, materials.specular[:, shader], group)
+        radiance = each(np.add, radiance, specular)
     return radiance
 
 
-def narrow(gloss: Gloss, light: Incoming, facing: Bools, footprint: Floats) -> Iterator[Ints]:
+def narrow_highlights(
+    highlights: Highlights, light: Incoming, facing: Bools, footprint: Floats
+) -> Iterator[Ints]:
     """Points where there may be a highlight too narrow for one sample of so large a footprint.
 
     Light that they face may reach some of it, even where it does not reach them.
@@ -163,13 +182,13 @@ def narrow(gloss: Gloss, light: Incoming, facing: Bools, footprint: Floats) -> I
     between normal and half vector, which bends with the surface and with the
     directions to light and eye.
     """
-    if not gloss.any:
+    if not highlights.present:
         return
-    group = gloss.group
-    bending = 1 / gloss.distance
+    group = highlights.group
+    bending = 1 / highlights.distance
     if not group.flat:
-        bending += 1 / group.of(gloss.lighting.shadows.occluders.radius)
-    scale = np.where(gloss.glossy, np.sqrt(gloss.exponent / 2), 0)
+        bending += 1 / group.of(highlights.lighting.shadows.occluders.radius)
+    scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     most = footprint.max(), bending.max(), scale.max()
     for number, faces in enumerate(facing):
         length = np.sqrt(light.length2[number])
@@ -178,12 +197,12 @@ def narrow(gloss: Gloss, light: Incoming, facing: Bools, footprint: Floats) -> I
         change = footprint * (bending + 1 / length) * scale
         at = np.flatnonzero((change > _SMOOTH) & faces)
         if at.size:
-            cosine = light.falls[number][at] / length[at]
-            power = gloss.highlight(number, at, cosine, length[at], light.along[number][at])
+            cosine = light.n_dot_l[number][at] / length[at]
+            power = highlights.of_light(number, at, cosine, length[at], light.l_dot_p[number][at])
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
 
 
-class Gloss(NamedTuple):
+class Highlights(NamedTuple):
     """Highlights on a group.
 
     Attributes
@@ -191,22 +210,22 @@ class Gloss(NamedTuple):
     lighting : Lighting
     p : (3, n)
     group : Group
-    any : bool
+    present : bool
         Whether there are any.
     glossy, exponent
         Numbers, or (n,).
-    distance, slope : (n,)
-        See `Hits.sights`; nothing without highlights.
+    distance, n_dot_v : (n,)
+        See `Hits.distance_and_cosine`; nothing without highlights.
     """
 
     lighting: Lighting
     p: Floats
     group: Group
-    any: bool
+    present: bool
     glossy: Bools
     exponent: Floats
     distance: Floats
-    slope: Floats
+    n_dot_v: Floats
 
     @classmethod
     def of(
@@ -215,7 +234,7 @@ class Gloss(NamedTuple):
         hits: Hits,
         group: Group,
         sights: tuple[Floats, Floats] | None = None,
-    ) -> Gloss:
+    ) -> Highlights:
         """Gather what is needed; `sights` of the hits are used if they are there."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
@@ -227,11 +246,11 @@ class Gloss(NamedTuple):
             shines,
             group.spread(glossy),
             group.spread(materials.exponent[shader]),
-            *(sights or (hits.sights(group) if shines else np.zeros((2, 0)))),
+            *(sights or (hits.distance_and_cosine(group) if shines else np.zeros((2, 0)))),
         )
 
-    def highlight(
-        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, along: Floats
+    def of_light(
+        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
     ) -> Floats:
         """(n.h)^p of a light at some of the points; what follows `at` is of these alone."""
         group, distance = self.group, self.distance[at]
@@ -243,22 +262,20 @@ class Gloss(NamedTuple):
             to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
             return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
 
-        between = along / (-distance * length)
-        return highlight(cosine, self.slope[at], between, select(self.exponent, at), vectors)
+        l_dot_v = l_dot_p / (-distance * length)
+        return highlight(cosine, self.n_dot_v[at], l_dot_v, select(self.exponent, at), vectors)
 
 
-def radiance_at(
-    view: View, lighting: Lighting, samples: Samples, out: Floats | None = None
-) -> Floats:
+def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None) -> Floats:
     """Radiance (3, n) at samples, towards the eye; into zeros, if they are given."""
     radiance = np.zeros((3, samples.size)) if out is None else out
-    hits = visible(view, samples)
+    hits = visible(lighting.view, samples)
     light = incoming(lighting, hits)
-    lit = light.falls > 0
+    lit = light.n_dot_l > 0
     lit &= ~lighting.shadows.blocked(hits, lit)
     for group in hits.groups:
         part = group.part
-        shaded = shade(Gloss.of(lighting, hits, group), light.part(part), lit[:, part])
+        shaded = shade(Highlights.of(lighting, hits, group), light.part(part), lit[:, part])
         for channel, values in zip(radiance, shaded, strict=True):
             channel[group.sample] = values
     return radiance

@@ -13,12 +13,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints
-from tracer.boundaries import Surface, footprint_of, meetings
+from tracer.boundaries import Patches, footprint_of, intersections
 from tracer.edges import Lines
-from tracer.lighting import Gloss, Lighting, incoming, narrow, radiance_at, shade
+from tracer.lighting import Highlights, Lighting, incoming, narrow_highlights, radiance_at, shade
 from tracer.sampling import Samples
 from tracer.shadow_cache import ShadowEdges
-from tracer.visibility import View, visible_and_behind
+from tracer.visibility import visible_and_behind
 
 __all__ = ["Cells", "Lights", "Seen", "look", "look_at", "radiance_in"]
 
@@ -37,7 +37,7 @@ class Cells(NamedTuple):
         What a sample may be off, in radiance.
     x, y : (n,)
         Their centres.
-    rough : (n,)
+    error : (n,)
         How far the sample at the centre may be off.
     cell, owner : (m,)
         Pairs of a cell and an object whose outline may cross it.
@@ -47,7 +47,7 @@ class Cells(NamedTuple):
     tolerance: float
     x: Floats
     y: Floats
-    rough: Floats
+    error: Floats
     cell: Ints
     owner: Ints
 
@@ -71,9 +71,9 @@ class Cells(NamedTuple):
         cell = place[self.cell]
         kept = np.flatnonzero(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
-        rough = np.repeat(self.rough[index] / 4, 4)
+        error = np.repeat(self.error[index] / 4, 4)
         return Cells(
-            self.size / 2, self.tolerance, x, y, rough, quarters, np.repeat(self.owner[kept], 4)
+            self.size / 2, self.tolerance, x, y, error, quarters, np.repeat(self.owner[kept], 4)
         )
 
 
@@ -89,7 +89,7 @@ class Seen(NamedTuple):
         Ridges and shadows near each sample, c being zero at the sample.
     shadow_edges : list of (ShadowEdges, (m,))
         Those near samples, and each sample's place.
-    several : (n,)
+    unresolved : (n,)
         Whether there may be more than straight lines.
     """
 
@@ -97,7 +97,7 @@ class Seen(NamedTuple):
     key: Ints
     lines: list[Lines]
     shadow_edges: list[tuple[ShadowEdges, Ints]]
-    several: Bools
+    unresolved: Bools
 
     @classmethod
     def of(cls, count: int) -> Seen:
@@ -139,18 +139,17 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
     return Samples(y[new], x[order], np.cumsum(new) - 1), order
 
 
-def radiance_in(view: View, lights: Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
+def radiance_in(lights: Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
     """Radiance (3, n) at positions in any order, each in a cell."""
     radiance = np.empty((3, x.size))
     if not x.size:
         return radiance
     samples, order = _sorted(x, y)
-    radiance[:, order] = radiance_at(view, lights(cell[order]), samples)
+    radiance[:, order] = radiance_at(lights(cell[order]), samples)
     return radiance
 
 
 def look_at(
-    view: View,
     lights: Lights,
     x: Floats,
     y: Floats,
@@ -165,12 +164,11 @@ def look_at(
     """
     samples, order = _sorted(x, y)
     seen = Seen.of(order.size)
-    look(view, lights(cell[order]), samples, size, tolerance, seen, order, share)
+    look(lights(cell[order]), samples, size, tolerance, seen, order, share)
     return seen
 
 
 def look(
-    view: View,
     lighting: Lighting,
     samples: Samples,
     size: float,
@@ -183,23 +181,24 @@ def look(
 
     `order`: those of the samples in `seen`; `share`: how much of its cell, across, each stands for.
     """
-    hits, behind = visible_and_behind(view, samples, size)
-    seen.lines.extend(meetings(hits, behind, view.surfaces, order, size, seen.several))
+    surfaces = lighting.view.surfaces
+    hits, behind = visible_and_behind(lighting.view, samples, size)
+    seen.lines.extend(intersections(hits, behind, surfaces, order, size, seen.unresolved))
     light = incoming(lighting, hits)
-    facing = light.falls > 0
-    sights = [hits.sights(group) for group in hits.groups]
+    facing = light.n_dot_l > 0
+    sights = [hits.distance_and_cosine(group) for group in hits.groups]
     footprint = np.empty(facing.shape[1])
-    for group, (_, slope) in zip(hits.groups, sights, strict=True):
-        footprint[group.part] = footprint_of(hits, group, slope, view.surfaces.radius, size)
+    for group, (_, n_dot_v) in zip(hits.groups, sights, strict=True):
+        footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
     blocked, found = lighting.shadows.edges(hits, facing, footprint)
     lit = facing & ~blocked
     seen.shadow_edges.append((found, order))
     for group, sight in zip(hits.groups, sights, strict=True):
         cell, part = order[group.sample], group.part
-        surface = Surface(view, lighting, hits, group, cell, footprint[part], size)
+        patches = Patches(lighting, hits, group, cell, footprint[part], size)
         here, reached = light.part(part), lit[:, part]
-        gloss = Gloss.of(lighting, hits, group, sight)
-        shaded = shade(gloss, here, reached)
+        highlights = Highlights.of(lighting, hits, group, sight)
+        shaded = shade(highlights, here, reached)
         for channel, values in zip(seen.radiance, shaded, strict=True):
             channel[cell] = values
         key = group.spread(group.owner * 4) + group.face
@@ -207,17 +206,17 @@ def look(
             # Odd numbers lose nothing where there are more lights than bits.
             key = key * 3 + bit
         seen.key[cell] = key
-        for places in narrow(gloss, here, facing[:, part], share * footprint[part]):
-            seen.several[cell[places]] = True
-        for places in surface.wide(here, share):
-            seen.several[cell[places]] = True
+        for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
+            seen.unresolved[cell[places]] = True
+        for places in patches.near_lights(here, share):
+            seen.unresolved[cell[places]] = True
         at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
         if at.size:
             places = found.point[at] - part.start
-            lines = surface.shadows(found.light[at], places, found.occluder[at], seen.several)
+            lines = patches.shadows(found.light[at], places, found.occluder[at], seen.unresolved)
             seen.lines.append(lines)
         if group.flat:
-            seen.lines.extend(surface.ridges())
+            seen.lines.extend(patches.ridges())
         else:
-            number, at = surface.turning(here)
-            seen.lines.extend(surface.terminators(here, number, at, tolerance, seen.several))
+            number, at = patches.near_terminator(here)
+            seen.lines.extend(patches.terminators(here, number, at, tolerance, seen.unresolved))

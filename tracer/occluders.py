@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, runs
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
 from tracer.visibility import Hits, View
@@ -116,7 +116,7 @@ class Candidates(NamedTuple):
     def points(self) -> tuple[Ints, Ints, Ints]:
         """All points of all balls, with their light and object."""
         start = self.balls.start
-        point = start if self.single else runs(start, self.balls.length)
+        point = start if self.single else ranges(start, self.balls.length)
         return point, self.spread(self.light), self.spread(self.occluder)
 
     @property
@@ -180,7 +180,7 @@ def candidates_by_kind(
     footprint: Floats | None,
 ) -> Iterator[Candidates]:
     """`point_candidates` of one light: spheres, then boxes; `points`, `own`: of all hits."""
-    spheres = len(occluders.surfaces.radius)
+    spheres = occluders.surfaces.sphere_count
     for of_kind in (occluder < spheres, occluder >= spheres):
         at = np.flatnonzero(of_kind)
         if at.size:

@@ -95,7 +95,7 @@ class Outlines(NamedTuple):
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _meetings(self.sphere_frames, rows, pad)
+        owner, row = _rows_in_frames(self.sphere_frames, rows, pad)
         disc = disc_in_row(
             self.raster.down(rows)[row],
             self.raster.depth,
@@ -110,7 +110,7 @@ class Outlines(NamedTuple):
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _meetings(self.box_frames, rows, pad)
+        owner, row = _rows_in_frames(self.box_frames, rows, pad)
         left, right = self.box_frames.left[owner], self.box_frames.right[owner]
         at = np.flatnonzero(self.shaped[owner])
         box, g = owner[at], self.raster.down(rows)[row[at]]
@@ -192,7 +192,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
 
     The silhouettes of small boxes are left out unless pixels are `split`.
     """
-    u, v, w = raster.local(surfaces.center)
+    u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
     distance = np.sqrt(u * u + v * v + w * w)
     power = (distance - radius) * (distance + radius)
@@ -208,7 +208,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     return Outlines(raster, (u, v, w), radius, power, frames, *boxes)
 
 
-def _meetings(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
+def _rows_in_frames(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
     """Pairs (object, row) with the row inside the object's frame."""
     top, bottom = frames.top - pad, frames.bottom + pad
     at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]))

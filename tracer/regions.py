@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, alike
+from tracer.arrays import Bools, Floats, Ints, equal_runs
 from tracer.edges import Kind, Lines
 
-__all__ = ["Points", "sides_of", "stratified"]
+__all__ = ["Points", "post_stratified", "sides_of"]
 
 # Shares of a cell that are left out.
 _NOTHING = 1e-9
@@ -57,7 +57,7 @@ def sides_of(lines: Lines) -> Points:
 
     One in the middle of each side; within a limb, where light falls off, two.
     """
-    share, moment_x, moment_y = lines.halves()
+    share, moment_x, moment_y = lines.areas_and_moments()
     shares, x, y = (
         np.concatenate(m)
         for m in ((share, 1 - share), (moment_x, -moment_x), (moment_y, -moment_y))
@@ -72,7 +72,7 @@ def sides_of(lines: Lines) -> Points:
     limb = np.flatnonzero(lines.kind == Kind.LIMB)
     within = share.size + limb
     sides.share[within] = 0
-    shares, x, y = lines.take(limb).roots()
+    shares, x, y = lines.take(limb).gauss_points()
     roots = Points(
         np.tile(lines.cell[limb], 2),
         shares.ravel(),
@@ -84,13 +84,13 @@ def sides_of(lines: Lines) -> Points:
     return sides.take(np.flatnonzero(sides.share > _NOTHING))
 
 
-def stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats, Points]:
+def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats, Points]:
     """Shares (cells, points) of the same points in all cells, given lines sorted by cell.
 
     In each region its points have equal parts of its share.  Regions without any are returned,
     each with a point in its middle.
     """
-    first, count = alike(lines.cell)
+    first, count = equal_runs(lines.cell)
     weights = np.full((cells.size, x.size), 1 / x.size)
     bits = int(count.max(initial=0))
     # Each line sets a bit on the side where c + a x + b y < 0.

@@ -25,7 +25,7 @@ from tracer.memory import keep_heap
 from tracer.outlines import outlines_of
 from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
-from tracer.visibility import View, view_of
+from tracer.visibility import view_of
 from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
@@ -299,14 +299,12 @@ class _Renderer(NamedTuple):
     Attributes
     ----------
     bands : _Bands
-    view : View
     lighting : Lighting
     window : (slice, slice)
         Rows and columns of the picture outside of which nothing is seen.
     """
 
     bands: _Bands
-    view: View
     lighting: Lighting
     window: tuple[slice, slice]
 
@@ -323,7 +321,7 @@ class _Renderer(NamedTuple):
             slice(m.start // side, -(-m.stop // side))
             for m, side in zip(view.outlines.window(), sides, strict=True)
         )
-        return cls(bands, view, lighting, (rows, columns))
+        return cls(bands, lighting, (rows, columns))
 
     def columns(self, number: int) -> slice:
         """Where something may be seen in a band."""
@@ -337,23 +335,22 @@ class _Renderer(NamedTuple):
             out = np.zeros((rows.stop - rows.start, width, 3))
         if self.columns(number).stop:
             for left in range(0, width, self.bands.at_once):
-                right = min(left + self.bands.at_once, width)
-                self._part(rows, left, right, out[:, left:right])
+                columns = slice(left, min(left + self.bands.at_once, width))
+                self._part(rows, columns, out[:, columns])
         return out
 
     @_QUIET
-    def _part(self, rows: slice, left: int, right: int, out: Floats) -> None:
-        view, lighting, top, bottom = self.view, self.lighting, rows.start, rows.stop
+    def _part(self, rows: slice, columns: slice, out: Floats) -> None:
         picture = self.bands.picture
         if picture.split:
-            antialiased(view, lighting, top, bottom, left, right, picture.per_side, out)
+            antialiased(self.lighting, rows, columns, picture.per_side, out)
             return
         lattice = picture.lattice
-        samples = lattice.samples(top, bottom, left, right)
+        samples = lattice.samples(rows, columns)
         if lattice.size > 1:
-            out[:] = lattice.mean(radiance_at(view, lighting, samples), right - left)
+            out[:] = lattice.mean(radiance_at(self.lighting, samples), out.shape[1])
         else:
-            radiance_at(view, lighting, samples, out.reshape(-1, 3).T)
+            radiance_at(self.lighting, samples, out.reshape(-1, 3).T)
 
 
 def _help(bands: _Bands) -> Work[Floats]:

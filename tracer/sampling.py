@@ -114,10 +114,10 @@ class Lattice(NamedTuple):
         """Points in a pixel."""
         return self.columns * self.rows
 
-    def samples(self, top: int, bottom: int, left: int, right: int) -> Samples:
+    def samples(self, rows: slice, columns: slice) -> Samples:
         """Those in a rectangle of pixels, in steps of one of its rows and columns."""
-        row = np.arange(self.rows * top, self.rows * bottom)
-        column = np.arange(self.columns * left, self.columns * right)
+        row = np.arange(self.rows * rows.start, self.rows * rows.stop)
+        column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (each.astype(np.float64) + 0.5 for each in (row, column))
         return Samples(y, x, shift=self._shift(row))
 

@@ -503,6 +503,21 @@ class Surfaces(Sequence[Sphere | Box]):
     def __len__(self) -> int:
         return len(self.radius) + len(self.min_pt)
 
+    @property
+    def sphere_count(self) -> int:
+        """How many are spheres: where all have one number each, these come first."""
+        return len(self.radius)
+
+    @property
+    def file_index(self) -> Ints:
+        """Place of each (S + B,) in the file, spheres first."""
+        return np.concatenate([self.sphere_index, self.box_index])
+
+    @property
+    def shader_index(self) -> Ints:
+        """Index of each (S + B,) into `shaders`, spheres first."""
+        return np.concatenate([self.sphere_shader, self.box_shader])
+
     @overload
     def __getitem__(self, index: int) -> Sphere | Box: ...
     @overload

@@ -50,9 +50,9 @@ class Materials:
 
 
 def highlight(
-    cosine: Floats,
-    slope: Floats,
-    between: Floats,
+    n_dot_l: Floats,
+    n_dot_v: Floats,
+    l_dot_v: Floats,
     exponent: Floats,
     vectors: Callable[[Ints], tuple[Triple, Triple, Triple]],
 ) -> Floats:
@@ -67,14 +67,14 @@ def highlight(
 
     Parameters
     ----------
-    cosine, slope, between : (n,)
+    n_dot_l, n_dot_v, l_dot_v : (n,)
         n.l (more than zero), n.v, and l.v, of unit vectors.
     exponent : float or (n,)
     vectors : callable
         Given the index of some of the points, unit vectors n, l and v there.
     """
-    half2 = 1 + between
-    square = cosine + slope
+    half2 = 1 + l_dot_v
+    square = n_dot_l + n_dot_v
     square *= square
     square /= 2 * half2
     power: Floats = np.exp(0.5 * exponent * np.log(square))

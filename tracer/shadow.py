@@ -89,7 +89,7 @@ class Shadows(NamedTuple):
             must = does & self._blocks(hits, candidates, point, light, occluder, -reach)
             # Nor does one with the light on it.
             on = entries(self.occluders.side, light, occluder) == ON
-            must &= ~(on & (occluder < len(self.occluders.surfaces.radius)))
+            must &= ~(on & (occluder < self.occluders.surfaces.sphere_count))
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
             changes = does_larger[may] | does | (np.abs(to_light[may]) <= reach)
@@ -137,7 +137,7 @@ class Shadows(NamedTuple):
 
     def _of_boxes(self, candidates: Candidates) -> bool:
         """Whether the objects are boxes."""
-        return bool(candidates.occluder[0] >= len(self.occluders.surfaces.radius))
+        return bool(candidates.occluder[0] >= self.occluders.surfaces.sphere_count)
 
     def _boxes_block(
         self,
@@ -150,7 +150,7 @@ class Shadows(NamedTuple):
     ) -> Bools:
         """`_blocks`, from points `p` to the lights at `end`, of boxes."""
         surfaces = self.occluders.surfaces
-        box = candidates.occluder - len(surfaces.radius)
+        box = candidates.occluder - surfaces.sphere_count
         corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
         low, high = (each(candidates.spread, corner) for corner in corners)
         if larger is not None:
@@ -223,7 +223,7 @@ class Shadows(NamedTuple):
             away = each(np.subtract, columns(surfaces.center, candidates.occluder), light)
             radius = surfaces.radius[candidates.occluder]
             return candidates.spread(np.sqrt(dot(away, away)) - radius)
-        box = candidates.occluder - len(surfaces.radius)
+        box = candidates.occluder - surfaces.sphere_count
         low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
         sides = (*each(np.subtract, low, light), *each(np.subtract, light, high))
         return candidates.spread(np.max(sides, axis=0))

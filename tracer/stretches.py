@@ -18,17 +18,17 @@ from tracer.arrays import (
     Floats,
     Ints,
     Triple,
-    alike,
     batches,
     columns,
     dot,
     each,
     entries,
+    equal_runs,
     expand,
     pick,
     put,
+    ranges,
     rows,
-    runs,
 )
 from tracer.intersection import (
     INSIDE,
@@ -179,17 +179,17 @@ class _Search(NamedTuple):
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
         """All points of some stretches are in shadow."""
         start, length = balls.start[mask], balls.length[mask]
-        put(self.dark, np.repeat(light[mask], length), runs(start, length), True)
+        put(self.dark, np.repeat(light[mask], length), ranges(start, length), True)
 
 
 def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
     """Put balls around stretches of points of some objects."""
     # The points of a row lie on a line, or on an arc of less than half a circle.
     a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
-    middle = hits.raster.placed(each(lambda a, b: 0.5 * (a + b), a, b))
+    middle = hits.raster.point_to_scene(each(lambda a, b: 0.5 * (a + b), a, b))
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))
-    spheres = len(occluders.surfaces.radius)
+    spheres = occluders.surfaces.sphere_count
     if occluders.eye_inside[:spheres].any():
         # Seen from inside, an arc may be longer.
         inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres) & (count > 1))
@@ -231,7 +231,7 @@ def _capsules(
     end = columns(occluders.lights, light)
     if lists.spheres:
         return middle, end, radius, columns(surfaces.center, occluder), surfaces.radius[occluder]
-    box = occluder - len(surfaces.radius)
+    box = occluder - surfaces.sphere_count
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
     return middle, end, radius, low, high
 
@@ -257,7 +257,7 @@ class _Tiles(NamedTuple):
     @classmethod
     def around(cls, owner: Ints, key: Ints, middle: Triple, radius: Floats) -> _Tiles:
         """Put what lies next to each other and has the same key in one ball."""
-        first, length = alike(key)
+        first, length = equal_runs(key)
         low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
         high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
         half = each(lambda a, b: 0.5 * (b - a), low, high)
@@ -300,7 +300,7 @@ def stretch_finder(occluders: Occluders) -> StretchFinder:
         columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
     )
     # Spheres come first.
-    kinds = slice(0, len(surfaces.radius)), slice(len(surfaces.radius), count)
+    kinds = slice(0, surfaces.sphere_count), slice(surfaces.sphere_count, count)
     many: list[list[Ints]] = [[], []]
     listed: list[list[Ints]] = [[], []]
     for start in range(0, light.size, step):

@@ -17,8 +17,8 @@ from tracer.arrays import (
     dot,
     entries,
     pick,
+    ranges,
     rows,
-    runs,
     select,
     spread,
 )
@@ -53,30 +53,21 @@ class View(NamedTuple):
     outlines : Outlines
     eye_inside : (n,)
         Of all surfaces, spheres first, those that are seen from inside.
-    order : (n,)
-        Their places in the file.
     """
 
     raster: Raster
     surfaces: Surfaces
     outlines: Outlines
     eye_inside: Bools
-    order: Ints
 
 
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     """How surfaces look from the eye of a picture's rays, for pixels that may be split."""
-    lines, eye = outlines_of(raster, surfaces, split), raster.eye
+    outlines, eye = outlines_of(raster, surfaces, split), raster.eye
     in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
     for k, place in enumerate(eye.tolist()):
         in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])
-    return View(
-        raster,
-        surfaces,
-        lines,
-        eye_inside=np.concatenate([lines.power <= 0, in_box]),
-        order=np.concatenate([surfaces.sphere_index, surfaces.box_index]),
-    )
+    return View(raster, surfaces, outlines, np.concatenate([outlines.power <= 0, in_box]))
 
 
 class Group(NamedTuple):
@@ -165,7 +156,7 @@ class Hits(NamedTuple):
         """The sample (n,) that each point is seen by."""
         return np.concatenate([np.zeros(0, dtype=np.intp), *(g.sample for g in self.groups)])
 
-    def sights(self, group: Group) -> tuple[Floats, Floats]:
+    def distance_and_cosine(self, group: Group) -> tuple[Floats, Floats]:
         """Distance from the eye, and cosine between the normal and the way there, (n,)."""
         x, y, z = self.p[:, group.part]
         distance = np.sqrt(dot((x, y, z), (x, y, z)))
@@ -175,7 +166,7 @@ class Hits(NamedTuple):
 
     def points(self, index: Ints | slice) -> Triple:
         """Some of the points in the scene's axes."""
-        return self.raster.placed(rows(self.p, index))
+        return self.raster.point_to_scene(rows(self.p, index))
 
 
 def visible(view: View, samples: Samples) -> Hits:
@@ -306,9 +297,8 @@ def _close_behind(
 
 def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
-    spheres = len(view.surfaces.radius)
     sample = np.concatenate([group.sample for group in groups])
-    of_kind = {True: view.order[:spheres], False: view.order[spheres:]}
+    of_kind = {True: view.surfaces.sphere_index, False: view.surfaces.box_index}
     orders = (group.spread(of_kind[group.sphere][group.owner]) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
@@ -340,22 +330,22 @@ def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, I
 
 
 def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
-    raster, lines = view.raster, view.outlines
-    if not lines.radius.size:
+    raster, outlines = view.raster, view.outlines
+    if not outlines.radius.size:
         return
-    spans = lines.sphere_spans(samples.y, _PAD)
+    spans = outlines.sphere_spans(samples.y, _PAD)
     start, counts = samples.within(spans)
-    for owner, span in _groups(spans, counts, len(lines.radius)):
+    for owner, span in _groups(spans, counts, outlines.radius.size):
         many, row = counts[span], spans.row[span]
         # What is constant along a row is computed once a span.
         disc = disc_in_row(
             raster.down(samples.y[row]),
             raster.depth,
-            pick(lines.center, owner),
-            lines.radius[owner],
-            lines.power[owner],
+            pick(outlines.center, owner),
+            outlines.radius[owner],
+            outlines.power[owner],
         )
-        sample = runs(start[span], many)
+        sample = ranges(start[span], many)
         across = s[sample]
         t, rise = sphere_hit(across, Disc(*(spread(m, many) for m in disc)))
         yield _Fragments(True, owner, row, many, sample, across, t, rise)
@@ -370,7 +360,7 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
     eye = raster.eye.tolist()
     for owner, span in _groups(spans, counts, len(surfaces.min_pt)):
         many, row = counts[span], spans.row[span]
-        sample = runs(start[span], many)
+        sample = ranges(start[span], many)
         across = s[sample]
         t, axis = box_hit(
             _directions(raster, across, raster.down(samples.y[row]), many),
@@ -420,7 +410,7 @@ def _faces(
 def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> Bools:
     """Whether the face of boxes that is seen across an axis looks down: one answer, or (n,)."""
     raster, owner = view.raster, group.owner
-    inside = view.eye_inside[len(view.surfaces.radius) :][owner]
+    inside = view.eye_inside[view.surfaces.sphere_count :][owner]
     # The face that looks towards the eye; seen from inside, ahead of the ray.
     down = group.spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis])
     if inside.any():
@@ -441,14 +431,14 @@ def _hit(
     p: Floats,
 ) -> Group:
     """What is seen of one group; fills in the points (3, n), seen from the eye."""
-    raster, lines, surfaces = view.raster, view.outlines, view.surfaces
+    raster, outlines, surfaces = view.raster, view.outlines, view.surfaces
     np.multiply(part.t, part.s, out=p[0])
     np.multiply(part.t, part.of_rows(raster.down(samples.y)), out=p[1])
     np.multiply(part.t, raster.depth, out=p[2])
     owner = part.owner
     if part.sphere:
-        inverse = part.spread(1 / lines.radius[owner])
-        center = (part.spread(m[owner]) for m in lines.center)
+        inverse = part.spread(1 / outlines.radius[owner])
+        center = (part.spread(m[owner]) for m in outlines.center)
         n = [(q - c) * inverse for q, c in zip(p, center, strict=True)]
         if view.eye_inside[owner].any():
             flip = part.spread(np.where(view.eye_inside[owner], -1.0, 1.0))
@@ -459,13 +449,13 @@ def _hit(
         one = isinstance(face, int)
         box = owner if one else part.spread(owner)
         low, high = entries(surfaces.min_pt, box, face), entries(surfaces.max_pt, box, face)
-        inside = view.eye_inside[len(lines.radius) :][box]
+        inside = view.eye_inside[surfaces.sphere_count :][box]
         level = np.where(inside == (sign > 0), low, high)
         lift = sign * (raster.eye[face] - level)
         if one:
             level, lift = part.spread(level), part.spread(lift)
         n = [np.asarray(sign * axis[face]) for axis in raster.axes]
-        owner = owner + len(lines.radius)
+        owner = owner + surfaces.sphere_count
     return Group(
         place, part.sample, owner, part.counts, face, sign, level, (n[0], n[1], n[2]), lift
     )
