@@ -133,7 +133,9 @@ ANTIALIASING = [
     Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
     Part("no samples in the last cells: looks to the end", [(antialias, "_AT_ONCE", 1)]),
     Part("samples in cells twice as large", [(antialias, "_AT_ONCE", 4)]),
-    Part("no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]),
+    Part(
+        "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]
+    ),
     Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
     Part("no memory of looks: shadows sought anew", [(Seen, "lights", _forgotten)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),

@@ -16,14 +16,14 @@ from probe import Surface, Vector
 from tracer import Box, Camera, Lambertian, Sphere, Surfaces
 from tracer.arrays import Bools, Floats, Triple
 from tracer.camera import raster_of
-from tracer.edges import Kind, Lines, Pencil
-from tracer.intersection import (
+from tracer.capsules import (
     box_and_capsule,
     box_around_capsule,
-    box_hit,
     sphere_and_capsule,
     sphere_around_capsule,
 )
+from tracer.edges import Kind, Lines, Pencil
+from tracer.intersection import box_hit
 from tracer.light_buffers import LightBuffer, light_buffer_finder
 from tracer.occluders import occluders_of
 from tracer.outlines import box_corners, outlines_of, silhouette_planes

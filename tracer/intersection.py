@@ -23,13 +23,9 @@ __all__ = [
     "OUTSIDE",
     "SURFACE_TOLERANCE",
     "Disc",
-    "box_and_capsule",
-    "box_around_capsule",
     "box_blocks",
     "box_hit",
     "disc_in_row",
-    "sphere_and_capsule",
-    "sphere_around_capsule",
     "sphere_blocks",
     "sphere_crosses",
     "sphere_hit",
@@ -37,12 +33,6 @@ __all__ = [
 ]
 
 OUTSIDE, ON, INSIDE = 1, 0, -1
-
-# Relative error of a squared distance that is the difference of two.
-_CANCELLED = 1e-14
-
-# A slope next to nothing.
-_NEARLY = 1e-30
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 """A point this near to a surface, relative to the sizes that went into it, is
@@ -277,77 +267,3 @@ def _snap(x: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
     if on_low.any() or on_high.any():
         return np.where(on_low, low, np.where(on_high, high, x))
     return x
-
-
-def sphere_and_capsule(
-    start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
-) -> tuple[Bools, Bools]:
-    """Whether spheres meet, and whether they cut, all that is as near as `thickness` to segments.
-
-    What is not met blocks no segment between the balls around both ends.  What
-    is cut blocks all of them: somewhere it holds the capsule's full section,
-    and both ends are outside.
-    """
-    d = each(np.subtract, end, start)
-    to_center = each(np.subtract, center, start)
-    along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
-    to_end2 = distance2 - 2 * along + length2
-    # From the centre to the line, and how far that may be off.
-    aside2, error = distance2 - along * along / length2, _CANCELLED * distance2
-    outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
-    from_start, from_end = distance2 > outer, to_end2 > outer
-    before, behind = along < 0, along > length2
-    # Where the segment is a point, `aside2` is not a number.
-    meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind))
-    cuts = from_start & from_end & ~(before | behind) & (aside2 + error < inner)
-    return meets, cuts
-
-
-def sphere_around_capsule(
-    start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
-) -> Bools:
-    """Whether spheres hold whole capsules inside: such spheres block nothing there."""
-    a, b = each(np.subtract, start, center), each(np.subtract, end, center)
-    inner = np.maximum(radius - thickness, 0) ** 2
-    around: Bools = np.maximum(dot(a, a), dot(b, b)) < inner
-    return around
-
-
-def box_and_capsule(
-    start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
-) -> tuple[Bools, Bools]:
-    """`sphere_and_capsule`, of boxes."""
-    # Parts of the segment in a box that is larger by as much, and in one that is smaller.
-    enter, leave = np.full(2, [-np.inf, np.inf])
-    enter_inner, leave_inner = enter, leave
-    for k in range(3):
-        d = end[k] - start[k]
-        below, above = low[k] - start[k], high[k] - start[k]
-        if np.count_nonzero(d) < d.size:
-            # Nearly parallel in place of parallel: no quotient is 0 / 0.
-            size = np.abs(below) + np.abs(above) + thickness
-            d = d + (d == 0) * (_NEARLY * size)
-        inverse = 1 / d
-        margin = thickness * np.abs(inverse)
-        below *= inverse
-        above *= inverse
-        near, far = np.minimum(below, above), np.maximum(below, above)
-        enter_inner = np.maximum(enter_inner, near + margin)
-        leave_inner = np.minimum(leave_inner, far - margin)
-        near -= margin
-        far += margin
-        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-    meets = (enter <= leave) & (leave >= 0) & (enter <= 1)
-    cuts: Bools = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
-    return meets, cuts
-
-
-def box_around_capsule(
-    start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
-) -> Bools:
-    """`sphere_around_capsule`, of boxes."""
-    around: Bools = np.ones((), dtype=np.bool_)
-    for a, b, least, most in zip(start, end, low, high, strict=True):
-        around = around & (np.minimum(a, b) - thickness > least)
-        around = around & (np.maximum(a, b) + thickness < most)
-    return around

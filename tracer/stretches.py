@@ -30,13 +30,13 @@ from tracer.arrays import (
     ranges,
     rows,
 )
-from tracer.intersection import (
-    INSIDE,
+from tracer.capsules import (
     box_and_capsule,
     box_around_capsule,
     sphere_and_capsule,
     sphere_around_capsule,
 )
+from tracer.intersection import INSIDE
 from tracer.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.visibility import Hits
 
