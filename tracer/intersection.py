@@ -131,27 +131,22 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
     t, axis
         In units of the direction's length; 0, 1 or 2.
     """
-    # Where all eyes are on one side of a slab, its nearer plane is that of the entry.
+    # If every pair has the eye on the same side of a slab, the plane on that side is the entry.
     below = [bool(np.all(m > 0)) for m in low]
     above = [bool(np.all(m < 0)) for m in high]
     near: list[Floats] = []
     far: list[Floats] = []
     for k in range(3):
-        a, b = low[k] / d[k], high[k] / d[k]
         if below[k] or above[k]:
-            near.append(a if below[k] else b)
-            far.append(b if below[k] else a)
-            continue
-        entry, leave = np.minimum(a, b), np.maximum(a, b)
-        if np.count_nonzero(d[k]) < d[k].size:
-            parallel = d[k] == 0
-            between = (low[k] <= 0) & (high[k] >= 0)
-            entry = np.where(parallel, np.where(between, -np.inf, np.inf), entry)
-            leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
+            entry, leave = low[k] / d[k], high[k] / d[k]
+            if above[k]:
+                entry, leave = leave, entry
+        else:
+            entry, leave = _slab(low[k], high[k], d[k], closed=True)
         near.append(entry)
         far.append(leave)
     outside = [k for k in range(3) if below[k] or above[k]]
-    # With a single box, the eye lies between the planes of all other slabs.
+    # The eye of a single box lies between the planes of all other slabs: rays enter none of them.
     entries = outside if outside and not np.ndim(low[0]) else [0, 1, 2]
     enter = near[entries[0]]
     axis = np.full(enter.shape, entries[-1], dtype=np.int8)
@@ -169,6 +164,22 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
             axis = np.where(inside, last, axis)
     t[~(t > 0)] = np.inf
     return t, axis
+
+
+def _slab(low: Floats, high: Floats, d: Floats, *, closed: bool) -> tuple[Floats, Floats]:
+    """Where rays enter and leave the slab between two planes, in units of `d`.
+
+    `low`, `high`: the planes' places seen from the rays' origins; `d`: the rays' component across.
+    A parallel ray is between the planes for ever, or never; in one of them, if `closed`.
+    """
+    a, b = low / d, high / d
+    entry, leave = np.minimum(a, b), np.maximum(a, b)
+    if np.count_nonzero(d) < d.size:
+        parallel = d == 0
+        between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
+        entry = np.where(parallel, np.where(between, -np.inf, np.inf), entry)
+        leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
+    return entry, leave
 
 
 def sphere_side(distance: Floats, radius: Floats, tolerance: Floats) -> NDArray[np.int8]:
@@ -245,15 +256,7 @@ def box_blocks(
         if tolerance is not None:
             start = _snap(start, low[k], high[k], tolerance)
             end = _snap(end, low[k], high[k], tolerance)
-        delta = end - start
-        below, above = low[k] - start, high[k] - start
-        a, b = below / delta, above / delta
-        near, far = np.minimum(a, b), np.maximum(a, b)
-        if np.count_nonzero(delta) < delta.size:
-            parallel = delta == 0
-            between = (below < 0) & (above > 0)
-            near = np.where(parallel, np.where(between, -np.inf, np.inf), near)
-            far = np.where(parallel, np.where(between, np.inf, -np.inf), far)
+        near, far = _slab(low[k] - start, high[k] - start, end - start, closed=False)
         enter = near if enter is None else np.maximum(enter, near)
         leave = far if leave is None else np.minimum(leave, far)
     assert enter is not None
