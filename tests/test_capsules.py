@@ -255,8 +255,8 @@ def test_cells_of_a_buffer_around_a_ball(seed: int) -> None:
         assert (far <= distance[i]).all()
         assert {(i, c) for c in at.tolist()} <= pairs.keys()
         # Bounds of objects are wider by a ten-thousandth: what meets the point meets the ball.
-        wider = wide[[pairs[i, c] for c in at.tolist()]].view(np.float32) - 3e-5
-        assert not (wider > within.view(np.float32)).any()
+        wider = wide[[pairs[i, c] for c in at.tolist()]] - 3e-5
+        assert not (wider > within).any()
 
 
 def some_lines(rng: np.random.Generator, count: int) -> Lines:

@@ -30,21 +30,21 @@ __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 # A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
 _LEAST_ANGLE = 1e-5
 
-# Cells along the side of an octant: from 2 to 4 for each object along the side of all in a square,
-# around the first, at most the second.  Finer cells list less, and take longer to fill.
+# With n objects an octant has 4 sqrt(n) cells along each side, up to the first of these; more
+# objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 128, 320
 
 # Of so few cells, or so large a part of all, hardly one is apart from an object whose bounding box
 # can touch it.
 _FEW_CELLS, _MOST_CELLS = 12, 0.5
 
-# Bounds in cells are kept in float32, widened by more than that rounds.
+# Bounds in cells are float32, widened by more than that rounds.
 _ROUNDED = 1e-4
 
 _NONE, _MANY = -1, -2
 
-# Four of them in one: NumPy takes single numbers much faster than short rows.
-Bounds: TypeAlias = NDArray[np.complex128]
+Bounds: TypeAlias = NDArray[np.float32]
+"""Rectangles of an octant's cells, (n, 4); see `_query_bounds` and `_object_bounds`."""
 
 
 class _Extents(NamedTuple):
@@ -93,8 +93,8 @@ class LightBuffer(NamedTuple):
         Where each cell's list begins in `listed`.
     listed : (m,)
         Objects.
-    bounds : (m,), four float32 in each
-        How far each reaches in its octant, in cells: -left, right, -top, bottom.
+    bounds : (m, 4)
+        How far each reaches in its octant, in cells: see `_object_bounds`.
     sole : (cells,)
         The only object in a cell; `_MANY` or `_NONE`.
     near : (n,)
@@ -112,7 +112,7 @@ class LightBuffer(NamedTuple):
     near: Floats
 
     def locate(self, to_light: Triple) -> tuple[Floats, Ints, Bounds]:
-        """Distance from the light (1-norm), cell and `_within` of points, given the way to it."""
+        """Points' distance from the light (1-norm), cells, and the bounds to ask for there."""
         x, y, z = each(np.abs, to_light)
         total = x + y + z
         inverse = 1 / total
@@ -124,14 +124,14 @@ class LightBuffer(NamedTuple):
         column = np.fmin(np.fmax(i, 0), last).astype(np.intp)
         row = np.fmin(np.fmax(j, 0), last).astype(np.intp)
         cell = self.base[octant] + column * self.resolution + row
-        return total * (1 + SLACK), cell, _within(i, i, j, j)
+        return total * (1 + SLACK), cell, _query_bounds(i, i, j, j)
 
     def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints, Bounds]:
-        """Distance of balls (1-norm), pairs of a ball and a cell it reaches into, and `_within`."""
+        """Balls' distance (1-norm), pairs of a ball and a cell that it reaches into, and bounds."""
         x, y, z = to_light
         total = sum(each(np.abs, to_light)) + 2 * radius
         none = np.zeros(0, dtype=np.intp)
-        balls, cells, reaches = [none], [none], [_within(*np.zeros((4, 0)))]
+        balls, cells, reaches = [none], [none], [_query_bounds(*np.zeros((4, 0)))]
         for number in range(8):
             a, b, c = (-m if number >> k & 1 else m for k, m in enumerate((x, y, z)))
             ball = np.flatnonzero((a >= -radius) & (b >= -radius) & (c >= -radius))
@@ -148,7 +148,7 @@ class LightBuffer(NamedTuple):
             cell = (west[owner] + over) * self.resolution + north[owner] + down
             balls.append(ball[owner])
             cells.append(self.base[number] + cell)
-            reaches.append(_within(*bounds)[owner])
+            reaches.append(_query_bounds(*bounds).take(owner, axis=0))
         ball, cell = np.concatenate(balls), np.concatenate(cells)
         return total * (1 + SLACK), ball, cell, np.concatenate(reaches)
 
@@ -157,26 +157,25 @@ class LightBuffer(NamedTuple):
         return self.first[cell + 1] - self.first[cell]
 
     def objects(self, cell: Ints, within: Bounds) -> tuple[Ints, Ints]:
-        """Pairs of a cell and an object listed there whose bounds meet what is asked `within`."""
+        """Pairs of a cell (n,) and an object listed there that may lie `within` (n, 4) of it."""
         count = self.lengths(cell)
         owner, place = expand(count, self.first[cell])
-        mine, asked = self.bounds[place], np.repeat(within, count)
-        meet = mine.view(np.float32) >= asked.view(np.float32)
-        # Four answers as one as well.
+        meet = self.bounds.take(place, axis=0) >= within.take(owner, axis=0)
+        # Four answers as one number: much faster than to ask for all in each row.
         at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
         return owner[at], self.listed[place[at]]
 
 
-def _within(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """What the `LightBuffer.bounds` of objects must reach (n,) to meet a rectangle."""
+def _query_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """Rectangles as -right, left, -bottom, top: bounds of objects that meet them are no less."""
     within = np.empty((left.size, 4), dtype=np.float32)
     within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
-    return within.view(np.complex128)[:, 0]
+    return within
 
 
-def _reaching(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """`LightBuffer.bounds` (n,) of objects that lie in a rectangle, as `_within` asks for them."""
-    return _within(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
+def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """Rectangles that objects lie in, as -left, right, -top, bottom, and a little wider."""
+    return _query_bounds(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 class _Octant(NamedTuple):
@@ -242,7 +241,7 @@ def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Ligh
     scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
     near = np.full(count, np.inf)
     none = np.zeros(0, dtype=np.intp)
-    cells, places, objects, bounds = [none], [none], [none], [_within(*np.zeros((4, 0)))]
+    cells, places, objects, bounds = [none], [none], [none], [_query_bounds(*np.zeros((4, 0)))]
     total, before = 1, 0
     for listing in every:
         if listing is None:
@@ -262,7 +261,7 @@ def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Ligh
     bits = before.bit_length()
     at = np.sort(cell << bits | np.concatenate(places)) & ((1 << bits) - 1)
     listed = np.concatenate(objects)[at]
-    reach = np.concatenate(bounds)[at]
+    reach = np.concatenate(bounds).take(at, axis=0)
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[single]]
@@ -304,7 +303,7 @@ def _listing(
         owner = objects[place[large]]
         apart = _apart(_Grid(sign, scale, origin), column, row, owner, light, surfaces)
         cell, place = np.delete(cell, large[apart]), np.delete(place, large[apart])
-    nearest, bounds = octant.nearest[may], _reaching(*extent)
+    nearest, bounds = octant.nearest[may], _object_bounds(*extent)
     return _Listing(octant.number, scale, shift, objects, nearest, bounds, cell, place)
 
 
@@ -472,7 +471,7 @@ def _listed(
     points, occluders = [none], [none]
     for batch in batches(buffer.lengths(cell[asked])):
         some = asked[batch]
-        owner, occluder = buffer.objects(cell[some], within[some])
+        owner, occluder = buffer.objects(cell[some], within.take(some, axis=0))
         point = some[owner]
         keep = np.flatnonzero((occluder != own[point]) & (buffer.near[occluder] <= distance[point]))
         points.append(point[keep])
