@@ -4,7 +4,7 @@ Most pixels see one smooth surface: there the sample at the centre, with a
 correction for curvature, is worth more than any number of samples.  Where one
 edge crosses a pixel, its place is known in closed form, and a sample on either
 side is enough (two next to a limb, where light falls off).  A pixel that holds
-more is split into four, and so on; in the last of its parts samples lie on a
+more is split into four, and so on (Whitted 1980); in the last of its parts samples lie on a
 lattice that is as good as the grid asked for, and those between the same edges
 stand for their exact area together.  What a look has found is known of all
 samples near it.  Pictures that are full of edges are lattices everywhere.
@@ -66,7 +66,7 @@ def antialiased(
 ) -> None:
     """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
 
-    To be as accurate as per_side x per_side samples in every pixel.
+    To err no more than per_side x per_side samples in a grid in every pixel.
     """
     # A pixel more on every side: the curvature is that between neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start

@@ -5,7 +5,13 @@ objects share arrays, and their data are gathered.  NumPy's broadcasting lets
 the same arithmetic serve both.
 
 Vectors are triples of such values (structure of arrays): each operation then
-runs over contiguous memory.
+runs over contiguous memory.  To take some of them, of
+
+    a value, or (n,)             select
+    a triple of such values      pick
+    points (3, n), as a triple   rows
+    points (n, 3), as a triple   columns
+    a table (m, n), one by one   entries, put
 """
 
 from __future__ import annotations

@@ -146,7 +146,8 @@ class Patches(NamedTuple):
     def steps(self, at: Ints, rays: Triple | None = None) -> tuple[Triple, Triple]:
         """How some points move on the planes that touch their surface, across their cells and down.
 
-        With `rays` to them from elsewhere: how these change, but for their length.
+        They are ray differentials (Igehy 1999).  With `rays` to the points from elsewhere: how
+        these change, but for their length.
         """
         raster, group = self.hits.raster, self.group
         p, n, height = rows(self.hits.p, group.part.start + at), pick(group.n, at), self.height(at)

@@ -2,7 +2,7 @@
 
 In the camera's own axes (u to the right, v down, w ahead) the ray through the
 point (x, y) of the picture, in pixels from its upper left corner, has the
-direction
+direction (s, g, depth) =
 
     ( shift_u + (x - width / 2) step_u,  shift_v + (y - height / 2) step_v,  depth ).
 
@@ -92,7 +92,7 @@ class Raster(NamedTuple):
 def raster_of(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> Raster:
-    """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 4.3).
+    """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
 
     `offset` moves every sample by so many pixels to the right and down.
     """

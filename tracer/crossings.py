@@ -72,8 +72,8 @@ def crossed(
 def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Iterator[Lines]:
     """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
 
-    Cells that are only `rough` for they see a sphere beside its limb have its line as well, and
-    are rough no more.
+    Cells that are `rough` only because they see a sphere beside its limb have its line as well,
+    and are rough no more.
     """
     outlines, spheres = view.outlines, len(view.outlines.radius)
     at = np.flatnonzero(cells.owner < spheres)

@@ -12,38 +12,40 @@ __all__ = ["curvature", "extrapolated"]
 def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     """What to add to centres (3, height * width) for the mean of pixels, and how far it may be off.
 
-    It is a 24th of the second differences along the row and the column, where both neighbours
-    see the same.  What it says of pixels on the rim has no meaning.
+    The mean of f over a pixel is f + (f_xx + f_yy) / 24 and more of higher order.  Derivatives are
+    differences, where both neighbours see the same.  What is said of pixels on the rim has no
+    meaning.
     """
     count = key.size
     total, error = np.empty(radiance.shape), np.zeros(count)
-    lone = np.ones(count, dtype=np.bool_)
+    isolated = np.ones(count, dtype=np.bool_)
     for stride in (1, width):
         middle = slice(stride, count - stride)
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
-        lone[middle] &= ~(before | after)
+        isolated[middle] &= ~(before | after)
         # There are few edges: what is wrong there is put right there.
-        other = np.flatnonzero(~same)
-        one, none = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
-        off = np.zeros(one.size)
+        edge = np.flatnonzero(~same)
+        one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
+        change = np.zeros(one_sided.size)
         for channel, out in zip(radiance, total, strict=True):
             step = channel[stride:] - channel[:-stride]
-            step[other] = 0
+            step[edge] = 0
             bend = step[stride:] - step[:-stride]
-            np.maximum(off, np.abs(bend[one]), out=off)
-            bend[none] = 0
+            np.maximum(change, np.abs(bend[one_sided]), out=change)
+            bend[not_smooth] = 0
             if stride == 1:
                 out[0], out[middle], out[-1] = 0, bend, 0
             else:
                 out[middle] += bend
-        error[one + stride] = np.maximum(error[one + stride], off)
+        at = one_sided + stride
+        error[at] = np.maximum(error[at], change)
     total *= 1 / 24
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
     # Surfaces that coincide may change from one ray to the next.
-    error[lone] = np.inf
+    error[isolated] = np.inf
     return total, error
 
 

@@ -129,8 +129,9 @@ class Lines(NamedTuple):
     def gauss_points(self) -> tuple[Floats, Floats, Floats]:
         """Shares, x and y (2, n): two points for the cell's part where z = -(c + a x + b y) > 0.
 
-        Within a limb light is a function of s = sqrt(z).  The points are those of Gauss, by which
-        the means of 1, s, s^2 and s^3 are exact; each lies in the middle of its line of equal z.
+        Within a limb light is a function of s = sqrt(z).  The points are those of Gauss's
+        quadrature, found from the moments of s: the means of 1, s, s^2 and s^3 are exact.  Each
+        lies in the middle of its line of equal z.
         """
         a, b, c = (-m for m in self._scaled())
         x, y = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])[:, :, None]

@@ -204,7 +204,7 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
         try:
             team = _crew.team(count, others, job, load)
         except Exception:
-            # Of processes, files or memory there are no more to have, or a job cannot be pickled.
+            # Out of processes, files or memory, or a job cannot be pickled.
             team = Team.alone(count)
         helpers = len(team.workers)
         yield team

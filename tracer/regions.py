@@ -2,8 +2,9 @@
 
 Where one line divides a cell, both sides have points of their own.  Where there are more lines, or
 more than lines, many points are spread over the cell, and those in each region stand for its exact
-area together (stratified sampling: Cochran, Sampling Techniques, ch. 5).  Lines are taken to cross
-all of their cells: if one ends within, the region beyond its end is two, each with its points.
+area together (post-stratification: Cochran, Sampling Techniques, 1977, ch. 5A).  Lines are taken
+to cross all of their cells: if one ends within, the region beyond its end is two, each with its
+points.
 """
 
 from __future__ import annotations

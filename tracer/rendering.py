@@ -59,8 +59,8 @@ def render(
     ----------
     scene : Scene
     samples : int
-        Rounded up to a square, n x n: the picture is at least as accurate as with n x n samples
-        in a grid in every pixel; 1 samples the pixels' centres.
+        Rounded up to a square, n x n: the picture errs no more (RMSE) than with n x n samples in a
+        grid in every pixel, and mostly much less; 1 samples the pixels' centres.
     threads : int, optional
         How many processors to use, this one included, at most as many as there are, with a process
         on each; one or two, whatever pays, if absent or 0.  Processes that help start in the

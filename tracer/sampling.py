@@ -79,7 +79,7 @@ class Samples(NamedTuple):
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: its centre, or a square grid turned by atan(1 / 2).
+    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2).
 
     Edges of most directions are met as evenly by any square grid; but by one that is not turned
     all at once where they follow its rows or columns, as edges of boxes do.  Of this one few

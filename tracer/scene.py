@@ -258,7 +258,7 @@ class PointLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambertian:
-    """Radiance kd max(0, n.l) per light (Shirley, Fundamentals of CG, 9.1)."""
+    """Radiance kd max(0, n.l) per light (Shirley, Fundamentals of CG, 2nd ed., 9.1)."""
 
     diffuse: Vector = (1.0, 1.0, 1.0)
 
@@ -271,7 +271,7 @@ class Lambertian:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phong:
-    """Blinn-Phong: kd max(0, n.l) + ks max(0, n.h)^exponent (Shirley, 9.2)."""
+    """Blinn-Phong: kd max(0, n.l) + ks max(0, n.h)^exponent (Blinn 1977)."""
 
     diffuse: Vector = (1.0, 1.0, 1.0)
     specular: Vector = (0.0, 0.0, 0.0)

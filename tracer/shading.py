@@ -1,7 +1,8 @@
 """Radiance of lit points: Lambert and Blinn-Phong.
 
-Shirley, Fundamentals of Computer Graphics, 9.1 and 9.2: each light that is
-seen adds  I (kd max(0, n.l) + ks (n.h)^p), h halfway between the directions
+Blinn, Models of light reflection for computer synthesized pictures, 1977, as in
+Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2: each light that
+is seen adds  I (kd max(0, n.l) + ks (n.h)^p), h halfway between the directions
 to the light and to the eye.  Light does not fall off with distance, and the
 highlight carries no further cosine.
 """

@@ -50,7 +50,7 @@ __all__ = [
 T = TypeVar("T")
 
 Work: TypeAlias = Callable[[int, Floats | None], T]
-"""What becomes of a number: an array, made in the memory that is given for it; or anything."""
+"""Given a number and, if there is any, memory for an array: what becomes of it."""
 
 AHEAD = 4
 """How many results a process may be ahead of those that have been used."""
@@ -222,7 +222,7 @@ class Team(NamedTuple):
     total : int
         How many numbers there are: from 0 to `total` - 1.
     take : callable
-        Takes one of them, of which workers take others; none, if none is left.
+        Hands out the next number, to this process; or None, if none is left.
     workers : list of Worker
         Empty as soon as one of them turns out to have been killed.
     """
@@ -377,7 +377,7 @@ def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
     team = Team.alone(count)
     with ExitStack() as stack:
         if others > 0 and POSSIBLE:
-            with suppress(OSError):  # of processes or files there are no more to have
+            with suppress(OSError):  # out of processes or files
                 numbers = Numbers()
                 stack.callback(os.close, numbers.file)
                 numbers.begin(count)
