@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from converters.visible import bounds, visible_points
+from converters.visible import bounds, visible_points, window_point
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader
@@ -19,8 +19,8 @@ __all__ = ["Normalisation", "exact", "normalisation", "square_height", "stock"]
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
 
-# What a hit may err by, in units in the last place of the largest length in the scene.
-_TOLERANCE_ULP = 100
+# What a hit may err by, in roundings (2^-24) of the largest length in the scene.
+_TOLERANCE_ROUNDINGS = 100
 
 # float32 ends here.
 _LARGEST = float(np.finfo(np.float32).max)
@@ -49,14 +49,23 @@ def normalisation(scene: Scene) -> Normalisation:
     return Normalisation((low + high) / 2, _EXTENT / extent if extent > 0 else 1.0)
 
 
-def _tag(kind: str, plugin: str, *children: str, name: str | None = None) -> str:
-    """One element with a plugin type, its children indented."""
-    label = "" if name is None else f" id={quoteattr(name)}"
-    head = f"<{kind} type={quoteattr(plugin)}{label}"
+def _element(head: str, *children: str) -> str:
+    """An element that begins with a kind and attributes, its children indented."""
     if not children:
-        return f"{head}/>"
+        return f"<{head}/>"
     body = "\n".join(children).replace("\n", "\n    ")
-    return f"{head}>\n    {body}\n</{kind}>"
+    return f"<{head}>\n    {body}\n</{head.split()[0]}>"
+
+
+def _plugin(kind: str, plugin: str, *children: str, name: str | None = None) -> str:
+    """A plugin with its parameters; the name is for references to it."""
+    label = "" if name is None else f" id={quoteattr(name)}"
+    return _element(f"{kind} type={quoteattr(plugin)}{label}", *children)
+
+
+def _to_world(*steps: str) -> str:
+    """A transform, its steps in the order of application."""
+    return _element('transform name="to_world"', *steps)
 
 
 def _number(name: str, value: float) -> str:
@@ -70,6 +79,7 @@ def _number(name: str, value: float) -> str:
 
 
 def _value(kind: str, name: str, value: bool | int | float | str) -> str:
+    """A parameter of one value."""
     if isinstance(value, bool):
         value = str(value).lower()
     elif isinstance(value, float):
@@ -80,11 +90,8 @@ def _value(kind: str, name: str, value: bool | int | float | str) -> str:
 def _xyz(kind: str, name: str | None, value: Iterable[float]) -> str:
     """A point, a vector or, without a name, a part of a transform."""
     label = "" if name is None else f' name="{name}"'
-    axes = " ".join(
-        f'{axis}="{_number(name or kind, number)}"'
-        for axis, number in zip("xyz", value, strict=True)
-    )
-    return f"<{kind}{label} {axes}/>"
+    x, y, z = (_number(name or kind, number) for number in value)
+    return f'<{kind}{label} x="{x}" y="{y}" z="{z}"/>'
 
 
 def _numbers(name: str, values: Iterable[float]) -> str:
@@ -96,68 +103,69 @@ def _rgb(name: str, value: Iterable[float]) -> str:
 
 
 def _film(width: int, height: int) -> str:
-    return _tag(
+    """A linear picture, each sample counted in its own pixel only."""
+    return _plugin(
         "film",
         "hdrfilm",
         _value("integer", "width", width),
         _value("integer", "height", height),
         _value("string", "pixel_format", "rgb"),
         _value("string", "component_format", "float32"),
-        _tag("rfilter", "box"),
+        _plugin("rfilter", "box"),
     )
 
 
-def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> Iterator[str]:
-    """Spheres and boxes in file order, each with a reference to its BSDF."""
+def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[str]:
+    """All surfaces in file order; `names` are those of the shaders' BSDFs."""
+    refs = [_element(f"ref id={quoteattr(name)}") for name in names]
+    shapes = [*_spheres(scene, place, refs), *_cubes(scene, place, refs)]
+    order = np.argsort(np.concatenate([scene.surfaces.sphere_index, scene.surfaces.box_index]))
+    return [shapes[index] for index in order.tolist()]
+
+
+def _spheres(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[str]:
     surfaces = scene.surfaces
-    shapes: list[str] = [""] * len(surfaces)
-    for index, center, radius, shader in zip(
-        surfaces.sphere_index.tolist(),
+    for center, radius, shader in zip(
         place(surfaces.center).tolist(),
         (surfaces.radius * place.scale).tolist(),
         surfaces.sphere_shader.tolist(),
         strict=True,
     ):
-        shapes[index] = _tag(
+        yield _plugin(
             "shape",
             "sphere",
             _xyz("point", "center", center),
             _value("float", "radius", radius),
-            f"<ref id={quoteattr(names[shader])}/>",
+            refs[shader],
         )
+
+
+def _cubes(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[str]:
+    """Boxes: Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved."""
+    surfaces = scene.surfaces
     low, high = place(surfaces.min_pt), place(surfaces.max_pt)
     # A cube of no thickness has no inverse transform.
     thinnest = _THINNEST * float(np.abs(bounds(surfaces)).max()) * place.scale
-    for index, middle, half, shader in zip(
-        surfaces.box_index.tolist(),
+    for middle, half, shader in zip(
         ((low + high) / 2).tolist(),
         np.maximum((high - low) / 2, thinnest).tolist(),
         surfaces.box_shader.tolist(),
         strict=True,
     ):
-        shapes[index] = _tag(
-            "shape",
-            "cube",
-            f'<transform name="to_world">\n    {_xyz("scale", None, half)}\n'
-            f"    {_xyz('translate', None, middle)}\n</transform>",
-            f"<ref id={quoteattr(names[shader])}/>",
-        )
-    yield from shapes
+        to_world = _to_world(_xyz("scale", None, half), _xyz("translate", None, middle))
+        yield _plugin("shape", "cube", to_world, refs[shader])
 
 
 def _bsdf_names(shaders: Sequence[Shader]) -> tuple[list[str], dict[str, Shader]]:
-    """A name for the BSDF of each shader; equal shaders share one."""
-    place: dict[Shader, str] = {}
-    names = [place.setdefault(shader, f"bsdf{len(place)}") for shader in shaders]
-    return names, {name: shader for shader, name in place.items()}
+    """The name of each shader's BSDF, and what each name stands for; equal shaders share one."""
+    named: dict[Shader, str] = {}
+    names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in shaders]
+    return names, {name: shader for shader, name in named.items()}
 
 
 def _document(comment: str, parts: Sequence[str]) -> str:
-    return (
-        f'<!--\n{comment.strip()}\n-->\n<scene version="3.0.0">\n'
-        + "\n".join(parts)
-        + "\n</scene>\n"
-    )
+    body = "\n".join(parts)
+    return f'<!--\n{comment.strip()}\n-->\n<scene version="3.0.0">\n{body}\n</scene>\n'
 
 
 _EXACT = """
@@ -188,66 +196,68 @@ def exact(scene: Scene, samples: int = 1) -> str:
     """
     place = normalisation(scene)
     names, bsdfs = _bsdf_names(scene.surfaces.shaders)
-    raster = raster_of(scene.camera, scene.width, scene.height)
-    u, v, _ = raster.axes
-    # Around everything, a little wider, so that no ray starts on a surface.
-    low, high = place(bounds(scene.surfaces))
-    margin = 1e-3 * _EXTENT
-    corner = np.array(
-        [
-            raster.shift_u - raster.step_u * raster.width / 2,
-            raster.shift_v - raster.step_v * raster.height / 2,
-            raster.depth,
-        ]
-    )
-    largest = max(_EXTENT, *(scene.surfaces.radius * place.scale), 0)
     parts = [
-        _tag(
-            "integrator",
-            "every_light",
-            _value("float", "tolerance", _TOLERANCE_ULP * largest * 2.0**-24),
-        ),
-        _tag(
-            "sensor",
-            "window",
-            _xyz("point", "eye", place(raster.eye)),
-            _xyz("vector", "corner", corner @ raster.axes * place.scale),
-            _xyz("vector", "right", u * (raster.step_u * raster.width * place.scale)),
-            _xyz("vector", "down", v * (raster.step_v * raster.height * place.scale)),
-            _xyz("point", "low", low - margin),
-            _xyz("point", "high", high + margin),
-            _film(scene.width, scene.height),
-            _tag(
-                "sampler",
-                "stratified",
-                _value("integer", "sample_count", samples),
-                _value("boolean", "jitter", samples > 1),
-            ),
-        ),
-        *(
-            _tag(
-                "emitter",
-                "unattenuated_point",
-                _xyz("point", "position", place(np.array(light.position))),
-                _xyz("vector", "intensity", light.intensity),
-            )
-            for light in scene.lights
-        ),
-        *(
-            _tag(
-                "bsdf",
-                "blinn_phong",
-                _xyz("vector", "diffuse", shader.diffuse),
-                _xyz("vector", "specular", getattr(shader, "specular", (0, 0, 0))),
-                _value("float", "exponent", getattr(shader, "exponent", 1.0)),
-                name=name,
-            )
-            for name, shader in bsdfs.items()
-        ),
+        _exact_integrator(scene, place),
+        _exact_sensor(scene, place, samples),
+        *(_exact_emitter(light, place) for light in scene.lights),
+        *(_exact_bsdf(shader, name) for name, shader in bsdfs.items()),
         *_shapes(scene, place, names),
     ]
     center = ", ".join(f"{x:.6g}" for x in place.center)
     return _document(_EXACT.format(center=center, scale=place.scale), parts)
+
+
+def _exact_integrator(scene: Scene, place: Normalisation) -> str:
+    largest = max([_EXTENT, *(scene.surfaces.radius * place.scale)])
+    tolerance = _TOLERANCE_ROUNDINGS * largest * 2.0**-24
+    return _plugin("integrator", "every_light", _value("float", "tolerance", tolerance))
+
+
+def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
+    """The camera by its eye and its window; its rays start on a box around the scene."""
+    raster = raster_of(scene.camera, scene.width, scene.height)
+    right, down, _ = raster.axes
+    # A little wider than the scene, so that no ray starts on a surface.
+    low, high = place(bounds(scene.surfaces))
+    margin = 1e-3 * _EXTENT
+    return _plugin(
+        "sensor",
+        "window",
+        _xyz("point", "eye", place(raster.eye)),
+        _xyz("vector", "corner", window_point(raster, 0, 0) * place.scale),
+        _xyz("vector", "right", right * (raster.step_u * raster.width * place.scale)),
+        _xyz("vector", "down", down * (raster.step_v * raster.height * place.scale)),
+        _xyz("point", "low", low - margin),
+        _xyz("point", "high", high + margin),
+        _film(scene.width, scene.height),
+        _plugin(
+            "sampler",
+            "stratified",
+            _value("integer", "sample_count", samples),
+            _value("boolean", "jitter", samples > 1),
+        ),
+    )
+
+
+def _exact_emitter(light: PointLight, place: Normalisation) -> str:
+    return _plugin(
+        "emitter",
+        "unattenuated_point",
+        _xyz("point", "position", place(np.array(light.position))),
+        _xyz("vector", "intensity", light.intensity),
+    )
+
+
+def _exact_bsdf(shader: Shader, name: str) -> str:
+    phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
+    return _plugin(
+        "bsdf",
+        "blinn_phong",
+        _xyz("vector", "diffuse", phong.diffuse),
+        _xyz("vector", "specular", phong.specular),
+        _value("float", "exponent", phong.exponent),
+        name=name,
+    )
 
 
 def square_height(scene: Scene) -> int:
@@ -285,6 +295,7 @@ _SQUARE = """- the film: pixels must be square, so {width} x {height} of them sh
 """
 
 
+# What overflows is told where it is written.
 @np.errstate(all="ignore")
 def stock(scene: Scene, samples: int = 64) -> str:
     """A scene as Mitsuba XML, approximate, by stock plugins.
@@ -300,94 +311,118 @@ def stock(scene: Scene, samples: int = 64) -> str:
     ValueError
         If a number is beyond those of float32, or the picture is too large.
     """
-    here = Normalisation(np.zeros(3), 1.0)
     names, bsdfs = _bsdf_names(scene.surfaces.shaders)
-    raster = raster_of(scene.camera, scene.width, scene.height)
-    u, down, ahead = raster.axes
-    camera = scene.camera
     height = square_height(scene)
-    corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
-    far = float(np.linalg.norm(corners - raster.eye, axis=1).max())
-    # Mitsuba's camera looks along +z with +x to the left.
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([-u, -down, ahead, raster.eye])
-    place = _numbers("to_world", matrix.ravel())
-    gain = max([1.0, *(max(*(2 * np.array(lobe)).tolist()) for lobe in _lobes(bsdfs.values()))])
+    gain = _gain(bsdfs.values())
     seen = visible_points(scene)
     parts = [
-        _tag(
-            "integrator",
-            "direct",
-            _value("integer", "emitter_samples", 1),
-            _value("integer", "bsdf_samples", 0),
-        ),
-        _tag(
-            "sensor",
-            "perspective",
-            f'<transform name="to_world">\n    <matrix value="{place}"/>\n</transform>',
-            _value("string", "fov_axis", "x"),
-            _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
-            _value("float", "principal_point_offset_x", raster.shift_u / camera.view_width),
-            _value("float", "principal_point_offset_y", raster.shift_v / camera.view_height),
-            _value("float", "near_clip", 1e-3 * camera.proj_distance),
-            _value("float", "far_clip", max(2 * far, camera.proj_distance)),
-            _film(scene.width, height),
-            _tag("sampler", "multijitter", _value("integer", "sample_count", samples)),
-        ),
-        *(
-            _tag(
-                "emitter",
-                "point",
-                _xyz("point", "position", light.position),
-                _rgb(
-                    "intensity", np.array(light.intensity) * (np.pi * gain * _reach2(light, seen))
-                ),
-            )
-            for light in scene.lights
-        ),
+        _stock_integrator(),
+        _stock_sensor(scene, height, samples),
+        *(_stock_emitter(light, gain, seen) for light in scene.lights),
         *(_stock_bsdf(shader, name, gain) for name, shader in bsdfs.items()),
-        *_shapes(scene, here, names),
+        *_shapes(scene, Normalisation(np.zeros(3), 1.0), names),
     ]
     film = _SQUARE.format(width=scene.width, height=height, given=scene.height)
     comment = _STOCK.format(film=film if height != scene.height else "", gain=gain)
     return _document(comment, parts)
 
 
-def _lobes(shaders: Iterable[Shader]) -> Iterator[Floats]:
-    """Diffuse and specular reflectance of each shader, as Mitsuba measures them."""
-    for shader in shaders:
-        yield np.array(shader.diffuse)
-        if isinstance(shader, Phong):
-            yield np.array(shader.specular) * 8 / (shader.exponent + 2)
-
-
-def _stock_bsdf(shader: Shader, name: str, gain: float) -> str:
-    diffuse, *specular = _lobes([shader])
-    if not np.any(specular):
-        matte = _tag("bsdf", "diffuse", _rgb("reflectance", diffuse / gain))
-        return _tag("bsdf", "twosided", matte, name=name)
-    # A blend halves both, and at most gives the lobe the height (p + 2) / 8.
-    assert isinstance(shader, Phong)
-    blend = _tag(
-        "bsdf",
-        "blendbsdf",
-        _value("float", "weight", 0.5),
-        _tag("bsdf", "diffuse", _rgb("reflectance", 2 * diffuse / gain)),
-        _tag(
-            "bsdf",
-            "roughconductor",
-            _value("string", "material", "none"),
-            _value("string", "distribution", "beckmann"),
-            _value("float", "alpha", (2 / (shader.exponent + 2)) ** 0.5),
-            _rgb("specular_reflectance", 2 * specular[0] / gain),
-        ),
+def _stock_integrator() -> str:
+    """Light straight from the lights, of which one is picked at random for each sample."""
+    return _plugin(
+        "integrator",
+        "direct",
+        _value("integer", "emitter_samples", 1),
+        _value("integer", "bsdf_samples", 0),
     )
-    return _tag("bsdf", "twosided", blend, name=name)
 
 
-def _reach2(light: PointLight, seen: Floats) -> float:
-    """The squared distance at which the light is right: least squares over what is seen."""
+def _stock_sensor(scene: Scene, height: int, samples: int) -> str:
+    """The camera by its field of view and principal point; the film has `height` rows."""
+    camera = scene.camera
+    raster = raster_of(camera, scene.width, scene.height)
+    right, down, ahead = raster.axes
+    # Mitsuba's camera looks along +z with +x to the left.
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([-right, -down, ahead, raster.eye])
+    corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
+    far = float(np.linalg.norm(corners - raster.eye, axis=1).max())
+    return _plugin(
+        "sensor",
+        "perspective",
+        _to_world(f'<matrix value="{_numbers("to_world", matrix.ravel())}"/>'),
+        _value("string", "fov_axis", "x"),
+        _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
+        _value("float", "principal_point_offset_x", raster.shift_u / camera.view_width),
+        _value("float", "principal_point_offset_y", raster.shift_v / camera.view_height),
+        _value("float", "near_clip", 1e-3 * camera.proj_distance),
+        _value("float", "far_clip", max(2 * far, camera.proj_distance)),
+        _film(scene.width, height),
+        _plugin("sampler", "multijitter", _value("integer", "sample_count", samples)),
+    )
+
+
+def _stock_emitter(light: PointLight, gain: float, seen: Floats) -> str:
+    # A diffuse surface reflects 1 / pi of its reflectance.
+    strength = np.pi * gain * _distance2(light, seen)
+    return _plugin(
+        "emitter",
+        "point",
+        _xyz("point", "position", light.position),
+        _rgb("intensity", np.array(light.intensity) * strength),
+    )
+
+
+def _distance2(light: PointLight, seen: Floats) -> float:
+    """The squared distance at which a light is right: least squares over the points (n, 3) seen."""
     if not len(seen):
         return 1.0
     inverse = 1 / np.maximum(((seen - light.position) ** 2).sum(axis=1), 1e-12)
     return float(inverse.sum() / (inverse * inverse).sum())
+
+
+def _gain(shaders: Iterable[Shader]) -> float:
+    """What reflectances are divided by: 1, or twice the largest, as blends need them doubled."""
+    return float(np.max([2 * np.array(_lobes(shader)) for shader in shaders], initial=1))
+
+
+def _lobes(shader: Shader) -> tuple[Floats, Floats]:
+    """Diffuse and specular reflectance (3,), as Mitsuba measures them."""
+    diffuse = np.array(shader.diffuse)
+    if not isinstance(shader, Phong):
+        return diffuse, np.zeros(3)
+    # The stock lobe's height is its reflectance times (exponent + 2) / 8.
+    return diffuse, np.array(shader.specular) * 8 / (shader.exponent + 2)
+
+
+def _stock_bsdf(shader: Shader, name: str, gain: float) -> str:
+    diffuse, specular = _lobes(shader)
+    if isinstance(shader, Phong) and specular.any():
+        alpha = (2 / (shader.exponent + 2)) ** 0.5
+        # A blend of weight 0.5 halves both.
+        bsdf = _plugin(
+            "bsdf",
+            "blendbsdf",
+            _value("float", "weight", 0.5),
+            _diffuse(2 * diffuse / gain),
+            _highlight(2 * specular / gain, alpha),
+        )
+    else:
+        bsdf = _diffuse(diffuse / gain)
+    return _plugin("bsdf", "twosided", bsdf, name=name)
+
+
+def _diffuse(reflectance: Floats) -> str:
+    return _plugin("bsdf", "diffuse", _rgb("reflectance", reflectance))
+
+
+def _highlight(reflectance: Floats, alpha: float) -> str:
+    """A Beckmann lobe of roughness `alpha`."""
+    return _plugin(
+        "bsdf",
+        "roughconductor",
+        _value("string", "material", "none"),
+        _value("string", "distribution", "beckmann"),
+        _value("float", "alpha", alpha),
+        _rgb("specular_reflectance", reflectance),
+    )

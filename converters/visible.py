@@ -14,7 +14,7 @@ from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
 from tracer.scene import Scene, Surfaces
 
-__all__ = ["bounds", "nearest", "raster_direction", "visible_points"]
+__all__ = ["bounds", "nearest", "raster_direction", "visible_points", "window_point"]
 
 
 def bounds(surfaces: Surfaces) -> Floats:
@@ -39,9 +39,15 @@ def visible_points(scene: Scene, grid: int = 12) -> Floats:
 
 def raster_direction(raster: Raster, column: float, row: float) -> Floats:
     """Unit direction (3,) of the ray through a point of the picture, in pixels."""
-    across, down = raster.across(np.asarray(column)), raster.down(np.asarray(row))
-    direction: Floats = np.array([across, down, raster.depth]) @ raster.axes
+    direction = window_point(raster, column, row)
     return direction / np.linalg.norm(direction)
+
+
+def window_point(raster: Raster, column: float, row: float) -> Floats:
+    """Vector (3,) from the eye to a point of the window, given in pixels of the picture."""
+    across, down = raster.across(np.asarray(column)), raster.down(np.asarray(row))
+    point: Floats = np.array([across, down, raster.depth]) @ raster.axes
+    return point
 
 
 def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[float, int]:
