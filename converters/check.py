@@ -56,14 +56,16 @@ EDGE_CHANGE = 1e-2
 MAX_MASKED = 0.015
 """Largest share of a picture that may be masked."""
 MIN_SSIM = 0.999
-MAX_MEDIAN = 1e-6
-
+"""Least SSIM of the two pictures, masked pixels included."""
 MAX_DIFFERENCE = 1e-4
+"""Largest difference in linear radiance outside the mask."""
+MAX_MEDIAN = 1e-6
+"""Largest median of these differences."""
 
 # Largest coordinate that float32 copes with, where what is seen is 10 units large.
 _LARGEST = 1e4
 
-# So many pixels the oracle is asked at most; where more differ, Mitsuba stays the judge.
+# The oracle judges no more pixels than these; where more differ, Mitsuba stays the judge.
 _MOST_JUDGED = 5000
 
 
@@ -149,10 +151,7 @@ def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
     """What of a comparison is out of tolerance, in words."""
     share = float(mask.mean())
     limits = (
-        (
-            measured.ssim >= MIN_SSIM,
-            f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}",
-        ),
+        (measured.ssim >= MIN_SSIM, f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}"),
         (
             measured.max <= MAX_DIFFERENCE,
             f"largest difference {measured.max:.1e} exceeds {MAX_DIFFERENCE:.0e}",
@@ -161,10 +160,7 @@ def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
             measured.median <= MAX_MEDIAN,
             f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}",
         ),
-        (
-            share <= MAX_MASKED,
-            f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}",
-        ),
+        (share <= MAX_MASKED, f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}"),
     )
     return tuple(fault for within, fault in limits if not within)
 
@@ -194,7 +190,7 @@ def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -
 
 
 def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
-    """A converted scene loaded into Mitsuba, to be rendered as often as one likes."""
+    """Load a converted scene into Mitsuba; each call of what is returned renders it."""
     chosen = use(variant).variant
     mi = importlib.import_module("mitsuba")
     importlib.import_module("converters.plugins")
@@ -269,7 +265,7 @@ def _shared_faces(low: Floats, high: Floats, axis: int) -> bool:
 
 
 def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResult:
-    """Render a scene file with both, and compare.
+    """Render a scene file with the tracer and with Mitsuba, and compare.
 
     Raises
     ------
@@ -282,7 +278,7 @@ def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResu
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Render a scene with both, and compare."""
+    """Render a scene with the tracer and with Mitsuba, and compare."""
     rendered = _loaded(exact(scene), variant)
     rendering = rendered()
     if rendering.variant == LLVM:
@@ -303,7 +299,7 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    render(scene)
+    render(scene)  # so that the next, which is timed, is warm
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
@@ -327,7 +323,7 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
 
 
 def _judge(scene: Scene, image: Floats, mitsuba: Floats, mask: Bools) -> tuple[Floats, int]:
-    """Mitsuba's picture with the oracle's word where the two differ, and for how many pixels."""
+    """Mitsuba's picture, by the oracle where the tracer's differs; how many pixels those are."""
     differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > MAX_DIFFERENCE) & ~mask)
     if not 0 < len(differ) <= _MOST_JUDGED:
         return mitsuba, 0

@@ -83,12 +83,8 @@ class Window(mi.Sensor):
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
-    def bbox(self):
-        """Where rays start: at the eye."""
-        return mi.ScalarBoundingBox3f()
-
     def to_string(self) -> str:
-        """For people."""
+        """Name and parameters, as Mitsuba prints them."""
         return f"Window[eye={self.eye}]"
 
     @staticmethod
@@ -126,12 +122,8 @@ class UnattenuatedPoint(mi.Emitter):
         """No ray meets a point."""
         return mi.Spectrum(0)
 
-    def bbox(self):
-        """The point."""
-        return mi.ScalarBoundingBox3f()
-
     def to_string(self) -> str:
-        """For people."""
+        """Name and parameters, as Mitsuba prints them."""
         return f"UnattenuatedPoint[position={self.position}, intensity={self.intensity}]"
 
 
@@ -148,7 +140,7 @@ class BlinnPhong(mi.BSDF):
         self.m_flags = flags
 
     def eval(self, ctx, si, wo, active=True):
-        """The reflected share of a light's radiance, the cosine included where it belongs."""
+        """The diffuse term with its cosine, and the highlight, which has none."""
         # Both sides: only whether the two directions lie on the same side matters.
         h = dr.normalize(si.wi + wo)
         # (n.h)^p by the sine, which float32 still knows where the cosine has become 1.
@@ -169,7 +161,7 @@ class BlinnPhong(mi.BSDF):
         return mi.BSDFSample3f(), mi.Spectrum(0)
 
     def to_string(self) -> str:
-        """For people."""
+        """Name and parameters, as Mitsuba prints them."""
         return f"BlinnPhong[{self.diffuse}, {self.specular}, {self.exponent}]"
 
 
@@ -223,7 +215,7 @@ class EveryLight(mi.SamplingIntegrator):
         return total, valid, []
 
     def to_string(self) -> str:
-        """For people."""
+        """Name and parameters, as Mitsuba prints them."""
         return f"EveryLight[tolerance={self.tolerance}]"
 
 

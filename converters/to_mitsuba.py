@@ -113,7 +113,7 @@ def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Pa
 
 
 def _files(target: Path, suffix: str) -> tuple[Path, ...]:
-    """What is written: of the two files of a rendering, a PNG first, -o may name either."""
+    """The files to write: one, or a rendering's PNG and EXR, either of which -o may name."""
     if suffix != _RENDERED:
         return (target,)
     if target.suffix == ".exr":
@@ -161,6 +161,7 @@ def _path(text: str) -> Path:
 
 
 def _work(options: argparse.Namespace) -> tuple[_Work, str]:
+    """What to do with each scene, and how the names of its results end."""
     if options.render:
         return _render, _RENDERED
     if options.check:
@@ -169,7 +170,7 @@ def _work(options: argparse.Namespace) -> tuple[_Work, str]:
 
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
-    """Do one scene; what goes wrong with it is one line a fault, and spares the others."""
+    """Do one scene; its faults are told, a line each, and the other scenes go on."""
     from converters.trouble import TROUBLE, told
 
     try:
@@ -195,12 +196,12 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from tracer.reader import load_scene, printable
 
     begin()
-    flavour = exact if options.exact else stock
+    name, flavour = ("exact", exact) if options.exact else ("stock", stock)
     scene = load_scene(path)
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
     with whole_file(target) as file:
         file.write(text.encode())
-    say(sys.stdout, printable(f"{target}: {'exact' if options.exact else 'stock'} flavour"))
+    say(sys.stdout, printable(f"{target}: {name} flavour"))
     return True
 
 
@@ -212,11 +213,11 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
     png, exr = _files(target, _RENDERED)
-    for path, write in ((png, write_png), (exr, write_exr)):
+    for written, write in ((png, write_png), (exr, write_exr)):
         try:
-            write(path, image)
+            write(written, image)
         except OSError as error:
-            _say_unwritten(path, error)
+            _say_unwritten(written, error)
             return False
     say(sys.stdout, printable(f"{png} and .exr: {scene.width} x {scene.height}"))
     return True

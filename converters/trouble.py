@@ -1,4 +1,4 @@
-"""What keeps a scene from being converted or rendered, told in a line that spares the others."""
+"""What keeps one scene from being converted or rendered, told so that the others go on."""
 
 from __future__ import annotations
 

@@ -69,10 +69,10 @@ def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     if child.returncode < 0:
         name = signal.Signals(-child.returncode).name
         return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
-    return Choice(SCALAR, f"no usable libLLVM: {_last(child.stderr)}")
+    return Choice(SCALAR, f"no usable libLLVM: {_last_line(child.stderr)}")
 
 
-def _last(text: str) -> str:
+def _last_line(text: str) -> str:
     lines = text.strip().splitlines()
     return lines[-1].strip() if lines else "it said nothing"
 

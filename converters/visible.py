@@ -51,9 +51,9 @@ def window_point(raster: Raster, column: float, row: float) -> Floats:
 
 
 def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[float, int]:
-    """Distance to the first surface along one ray, and its place in the file.
+    """Distance to the first surface along one ray, and its index in the file.
 
-    Infinite, and some place, where there is none.
+    Where the ray meets none, the distance is infinite and the index any.
     """
     to_center = surfaces.center - origin
     along = to_center @ direction
