@@ -119,7 +119,7 @@ def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[st
     """All surfaces in file order; `names` are those of the shaders' BSDFs."""
     refs = [_element(f"ref id={quoteattr(name)}") for name in names]
     shapes = [*_spheres(scene, place, refs), *_cubes(scene, place, refs)]
-    order = np.argsort(np.concatenate([scene.surfaces.sphere_index, scene.surfaces.box_index]))
+    order = np.argsort(scene.surfaces.file_index)
     return [shapes[index] for index in order.tolist()]
 
 

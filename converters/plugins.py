@@ -20,7 +20,7 @@ plugin                    kind      what the stock plugins lack
 ``every_light``           integrator  each light once a sample, in place of one at random
 ========================  ========  ====================================================
 
-Shirley, Fundamentals of Computer Graphics, 9.1 and 9.2, has the shading.
+Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2, has the shading.
 """
 
 # Mitsuba's stubs describe one variant; these classes run in every one.
