@@ -265,7 +265,17 @@ def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Ligh
     single = np.flatnonzero(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[single]]
-    return LightBuffer(side, scale, shift, base, first, listed, reach, sole, near * (1 - SLACK))
+    return LightBuffer(
+        resolution=side,
+        scale=scale,
+        shift=shift,
+        base=base,
+        first=first,
+        listed=listed,
+        bounds=reach,
+        sole=sole,
+        near=near * (1 - SLACK),
+    )
 
 
 def _listing(

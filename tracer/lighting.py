@@ -99,13 +99,13 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     surfaces, lights = scene.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
-        view,
-        positions,
-        np.array([light.intensity for light in lights]).reshape(-1, 3),
-        np.column_stack(view.raster.to_camera(positions)),
-        shadows_of(occluders_of(view, positions), view.raster, split),
-        surfaces.shader_index,
-        Materials(surfaces.shaders),
+        view=view,
+        positions=positions,
+        intensities=np.array([light.intensity for light in lights]).reshape(-1, 3),
+        local=np.column_stack(view.raster.to_camera(positions)),
+        shadows=shadows_of(occluders_of(view, positions), view.raster, split),
+        shader=surfaces.shader_index,
+        materials=Materials(surfaces.shaders),
     )
 
 

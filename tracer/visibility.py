@@ -92,8 +92,8 @@ class Group(NamedTuple):
     n : three
         The unit normal towards the eye, in the camera's axes.
     lift
-        Of boxes n . (eye - p), the eye's height over the face; of spheres -n . d, with the ray's
-        direction d: a number, or (n,).
+        What the intersection yields for free: of boxes n . (eye - p), the eye's height over the
+        face; of spheres -n . d, with the ray's direction d.  A number, or (n,).
     """
 
     part: slice
@@ -457,7 +457,15 @@ def _hit(
         n = [np.asarray(sign * axis[face]) for axis in raster.axes]
         owner = owner + surfaces.sphere_count
     return Group(
-        place, part.sample, owner, part.counts, face, sign, level, (n[0], n[1], n[2]), lift
+        part=place,
+        sample=part.sample,
+        owner=owner,
+        counts=part.counts,
+        face=face,
+        sign=sign,
+        level=level,
+        n=(n[0], n[1], n[2]),
+        lift=lift,
     )
 
 
@@ -493,11 +501,11 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
         begins.append(group.sample[first])
     x, y = samples.at(np.concatenate(begins))
     return Hits(
-        view.raster,
-        p,
-        groups,
-        np.append(np.concatenate(firsts), p.shape[1]),
-        np.concatenate(owners),
-        y.astype(np.intp),
-        x.astype(np.intp),
+        raster=view.raster,
+        p=p,
+        groups=groups,
+        first=np.append(np.concatenate(firsts), p.shape[1]),
+        owner=np.concatenate(owners),
+        row=y.astype(np.intp),
+        column=x.astype(np.intp),
     )
