@@ -241,15 +241,10 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     return [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
 
 
-def _lone(groups: list[_Fragments]) -> bool:
-    """Whether there is but one object."""
-    return len(groups) == 1 and isinstance(groups[0].owner, int)
-
-
-def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
-    """The distance (n,) of the first fragment of each sample."""
-    if _lone(groups):
-        return np.zeros(0)
+def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
+    """The distance (n,) of the first fragment of each sample; None if there is but one object."""
+    if len(groups) == 1 and isinstance(groups[0].owner, int):
+        return None
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for i, group in enumerate(groups):
@@ -262,9 +257,9 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
     return nearest
 
 
-def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragments]:
+def _seen(view: View, groups: list[_Fragments], nearest: Floats | None) -> list[_Fragments]:
     """Of all fragments those that are seen, in place, given the distance of each sample's first."""
-    if _lone(groups):
+    if nearest is None:
         # Nothing can hide a lone object.
         return [groups[0].where(groups[0].t < np.inf)]
     for i, group in enumerate(groups):
@@ -276,10 +271,14 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
 
 
 def _close_behind(
-    raster: Raster, samples: Samples, groups: list[_Fragments], nearest: Floats, size: float
+    raster: Raster,
+    samples: Samples,
+    groups: list[_Fragments],
+    nearest: Floats | None,
+    size: float,
 ) -> list[_Fragments]:
     """Fragments that lie so near behind the first of their samples as `visible_and_behind` says."""
-    if _lone(groups):
+    if nearest is None:
         return []
     step = _CLOSE * size * max(raster.step_u, raster.step_v)
     behind = []
