@@ -1,6 +1,6 @@
 """The README keeps its word."""
 
-from __future__ import annotations
+from __future__ import ast
 
 import json
 import re
@@ -92,9 +92,10 @@ def test_layout_names_every_module_after_those_it_imports() -> None:
     modules = {path.stem: path for path in (ROOT / "tracer").glob("*.py")}
     assert set(order) == modules.keys() - {"__init__"}
     for place, module in enumerate(order):
-        source = modules[module].read_text(encoding="utf-8")
-        imports = re.findall(r"^\s*from tracer\.(\w+) import", source, re.MULTILINE)
-        assert set(imports) <= set(order[:place]), module
+        tree = ast.parse(modules[module].read_text(encoding="utf-8"))
+        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        above = {f"tracer.{name}" for name in order[:place]}
+        assert {name for name in imported if f"{name}".startswith("tracer.")} <= above, module
 
 
 def test_sheet_shows_every_scene() -> None:
