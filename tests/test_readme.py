@@ -1,7 +1,8 @@
 """The README keeps its word."""
 
-from __future__ import ast
+from __future__ import annotations
 
+import ast
 import json
 import re
 from pathlib import Path
