@@ -12,6 +12,9 @@ import pytest
 
 from tracer import reader
 
+# So that its assertions show their values when they fail, as those in test files do.
+pytest.register_assert_rewrite("uniform_grid")
+
 
 @pytest.fixture(params=["small", "large"])
 def either_reader(request, monkeypatch):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from probe import Surface, Vector
+from random_objects import a_direction, vector
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, Surfaces
 
@@ -44,19 +45,19 @@ def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scen
 
 def _camera(rng: np.random.Generator, setting: Setting) -> Camera:
     """Looks at the target, often through a window that is oblique or not square."""
-    direction = _direction(rng)
+    direction = a_direction(rng)
     axis_aligned = rng.random() < 0.25
     if axis_aligned:
         direction = np.eye(3)[rng.integers(3)] * rng.choice([-1, 1])
     direction[1] *= setting.flat
     eye = np.array(setting.target) - direction * setting.reach
-    up = np.roll(np.abs(direction), 1) if axis_aligned else _direction(rng)
-    tilted = direction + 0.5 * _direction(rng) if rng.random() < 0.4 else None
+    up = np.roll(np.abs(direction), 1) if axis_aligned else a_direction(rng)
+    tilted = direction + 0.5 * a_direction(rng) if rng.random() < 0.4 else None
     return Camera(
-        view_point=_vector(eye),
-        view_dir=_vector(direction),
-        view_up=_vector(up),
-        proj_normal=None if tilted is None else _vector(tilted),
+        view_point=vector(eye),
+        view_dir=vector(direction),
+        view_up=vector(up),
+        proj_normal=None if tilted is None else vector(tilted),
         # From further away through a longer lens.
         proj_distance=rng.uniform(0.5, 2) * max(1, setting.reach / 3),
         view_width=rng.uniform(0.3, 3),
@@ -76,24 +77,14 @@ def _light(rng: np.random.Generator, camera: Camera, setting: Setting) -> PointL
     elif where < 0.3 and isinstance(surface, Box):
         position = rng.uniform(surface.min_pt, surface.max_pt)
         position[1] = surface.min_pt[1]
-    return PointLight(position=_vector(position), intensity=_vector(rng.uniform(0.2, 1, 3)))
+    return PointLight(position=vector(position), intensity=vector(rng.uniform(0.2, 1, 3)))
 
 
 def _shader(rng: np.random.Generator) -> Shader:
-    diffuse = _vector(rng.uniform(0.1, 1, 3))
+    diffuse = vector(rng.uniform(0.1, 1, 3))
     if rng.random() < 0.5:
         return Lambertian(diffuse=diffuse)
     return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=float(rng.integers(0, 60)))
-
-
-def _direction(rng: np.random.Generator) -> np.ndarray:
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
-
-
-def _vector(v: np.ndarray) -> Vector:
-    x, y, z = v.tolist()
-    return x, y, z
 
 
 def _dyadic(rng: np.random.Generator, low: float, high: float, size: int = 3) -> np.ndarray:
@@ -107,9 +98,9 @@ def _some(rng: np.random.Generator, count: int, spread: float) -> list[Surface]:
         center, shader = rng.uniform(-spread, spread, 3), _shader(rng)
         size = rng.uniform(0.1, 0.9, 3) * (rng.random(3) > 0.1)  # now and then flat
         surfaces.append(
-            Sphere(center=_vector(center), radius=rng.uniform(0.1, 1), shader=shader)
+            Sphere(center=vector(center), radius=rng.uniform(0.1, 1), shader=shader)
             if rng.random() < 0.5
-            else Box(min_pt=_vector(center - size), max_pt=_vector(center + size), shader=shader)
+            else Box(min_pt=vector(center - size), max_pt=vector(center + size), shader=shader)
         )
     return surfaces
 
@@ -205,7 +196,7 @@ def _walled(rng: np.random.Generator) -> Setting:
         for sign in (-1, 1):
             low, high = np.full(3, -2.5), np.full(3, 2.5)
             low[axis], high[axis] = sorted((2 * sign, 2.5 * sign))
-            surfaces.append(Box(min_pt=_vector(low), max_pt=_vector(high), shader=_shader(rng)))
+            surfaces.append(Box(min_pt=vector(low), max_pt=vector(high), shader=_shader(rng)))
     return Setting(surfaces, (0, 0, 0), rng.uniform(0.5, 1.9))
 
 
@@ -215,9 +206,9 @@ def _crowd(rng: np.random.Generator) -> Setting:
     for center in rng.uniform(-2, 2, (1000, 3)):
         size, shader = rng.uniform(0.01, 0.06, 3), _shader(rng)
         surfaces.append(
-            Sphere(center=_vector(center), radius=float(size[0]), shader=shader)
+            Sphere(center=vector(center), radius=float(size[0]), shader=shader)
             if rng.random() < 0.5
-            else Box(min_pt=_vector(center - size), max_pt=_vector(center + size), shader=shader)
+            else Box(min_pt=vector(center - size), max_pt=vector(center + size), shader=shader)
         )
     return Setting(surfaces, (0, 0, 0), rng.uniform(0, 4))
 

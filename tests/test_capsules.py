@@ -1,8 +1,4 @@
-"""Bounds that stand for many exact tests, each against samples of what it stands for.
-
-A capsule for the segments from a ball to a light, a cell for the directions to
-a ball, a line for an outline across a pixel.
-"""
+"""Capsules: what they say of all segments from a ball to a light, against samples of them."""
 
 from __future__ import annotations
 
@@ -11,61 +7,22 @@ import pytest
 from brute_force import blocks, light_side, size_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probe import Surface, Vector
+from probe import Surface
+from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
 
-from tracer import Box, Camera, Lambertian, Sphere, Surfaces
-from tracer.arrays import Bools, Floats, Triple
-from tracer.camera import raster_of
+from tracer import Box, Sphere, Surfaces
+from tracer.arrays import Bools, Floats
 from tracer.capsules import (
     box_and_capsule,
     box_around_capsule,
     sphere_and_capsule,
     sphere_around_capsule,
 )
-from tracer.edges import Kind, Lines, Pencil
-from tracer.intersection import box_hit
-from tracer.light_buffers import LightBuffer, light_buffer_finder
-from tracer.occluders import occluders_of
-from tracer.outlines import box_corners, outlines_of, silhouette_planes
-from tracer.visibility import View
 
 SLACK = 1e-9
 """Of all sizes around: so much thicker than their balls capsules are asked for."""
 
 SIZES = [1.0, 2.0**-60, 2.0**60, 1e-9, 1e9, 1e30]
-
-
-def unit_vectors(rng: np.random.Generator, count: int) -> Floats:
-    return unit(rng.normal(size=(count, 3)))
-
-
-def unit(v: Floats) -> Floats:
-    unit: Floats = v / np.sqrt((v * v).sum(axis=1, keepdims=True))
-    return unit
-
-
-def point(rng: np.random.Generator) -> Floats:
-    """Every other time on a grid, where things touch, line up and coincide."""
-    return rng.integers(-8, 9, 3) / 4 if rng.random() < 0.5 else 2 * rng.normal(size=3)
-
-
-def a_sphere(rng: np.random.Generator) -> Sphere:
-    radius = rng.choice([0.25, 0.5, 1, 2, rng.exponential(), 1e-3, 30])
-    return Sphere(center=vector(point(rng)), radius=float(radius))
-
-
-def a_box(rng: np.random.Generator) -> Box:
-    corners = np.array([point(rng), point(rng)])
-    flat = rng.random(3) < 0.2
-    corners[1, flat] = corners[0, flat]
-    if rng.random() < 0.1:
-        corners[:, rng.integers(3)] *= 30
-    return Box(min_pt=vector(corners.min(axis=0)), max_pt=vector(corners.max(axis=0)))
-
-
-def vector(v: Floats) -> Vector:
-    x, y, z = v.tolist()
-    return x, y, z
 
 
 def inside(rng: np.random.Generator, surface: Surface, count: int) -> Floats:
@@ -94,17 +51,17 @@ def a_light(rng: np.random.Generator, surface: Surface, middle: Floats, radius: 
     if kind == 0:
         return inside(rng, surface, 1)[0]
     if kind == 1:
-        return onto(surface, point(rng)[None, :])[0]
+        return onto(surface, a_point(rng)[None, :])[0]
     if kind == 2:
         return middle + radius * rng.random() * unit_vectors(rng, 1)[0]
     if kind == 3:
-        return np.where(rng.random(3) < 0.6, middle, point(rng))  # parallel to an axis, or none
+        return np.where(rng.random(3) < 0.6, middle, a_point(rng))  # parallel to an axis, or none
     if kind == 4:
-        return point(rng) * 10.0 ** rng.uniform(1, 8)
+        return a_point(rng) * 10.0 ** rng.uniform(1, 8)
     if kind <= 6:
         through = inside(rng, surface, 1)[0]  # right behind the object
         return through + rng.uniform(0.5, 3) * (through - middle)
-    return point(rng)
+    return a_point(rng)
 
 
 def in_ball(
@@ -130,7 +87,7 @@ class Case:
     def __init__(self, rng: np.random.Generator, scale: float, shift: float) -> None:
         surface: Surface = a_sphere(rng) if rng.random() < 0.5 else a_box(rng)
         radius = float(rng.choice([0, 1e-6, 1e-3, 0.03, 0.1, 0.5, 2, 20]))
-        middle = point(rng) if rng.random() < 0.8 else inside(rng, surface, 1)[0]
+        middle = a_point(rng) if rng.random() < 0.8 else inside(rng, surface, 1)[0]
         light = a_light(rng, surface, middle, radius)
         points = in_ball(rng, surface, light, middle, radius)
         if isinstance(surface, Sphere):
@@ -161,21 +118,16 @@ class Case:
 @np.errstate(all="ignore")
 def capsules(cases: list[Case]) -> tuple[Bools, Bools]:
     """Whether the objects, all of one kind, meet and cut their capsules."""
-    start, end = columns([c.middle for c in cases]), columns([c.light for c in cases])
+    start, end = triple([c.middle for c in cases]), triple([c.light for c in cases])
     thickness = np.array([c.thickness for c in cases])
     surfaces = Surfaces.of([c.surface for c in cases])
     if len(surfaces.radius):
-        sphere = start, end, thickness, columns(surfaces.center), surfaces.radius
+        sphere = start, end, thickness, triple(surfaces.center), surfaces.radius
         meets, cuts = sphere_and_capsule(*sphere)
         return meets & ~sphere_around_capsule(*sphere), cuts
-    box = start, end, thickness, columns(surfaces.min_pt), columns(surfaces.max_pt)
+    box = start, end, thickness, triple(surfaces.min_pt), triple(surfaces.max_pt)
     meets, cuts = box_and_capsule(*box)
     return meets & ~box_around_capsule(*box), cuts
-
-
-def columns(points: Floats | list[Floats]) -> Triple:
-    x, y, z = np.array(points).T
-    return x, y, z
 
 
 @np.errstate(all="ignore")
@@ -224,180 +176,3 @@ def test_light_straight_over_a_large_ball(size: float) -> None:
         )
     assert meets.all()
     assert not cuts.any()
-
-
-def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
-    """A light (3,) and the buffer around it, with some objects."""
-    surfaces = Surfaces.of([*(a_sphere(rng) for _ in range(9)), *(a_box(rng) for _ in range(9))])
-    camera = Camera(view_point=vector(point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
-    raster = raster_of(camera, 32, 32)
-    inside_none = np.zeros(len(surfaces), dtype=np.bool_)
-    view = View(raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none)
-    light = point(rng)
-    return light, light_buffer_finder(occluders_of(view, light[None, :])).buffers[0]
-
-
-@np.errstate(all="ignore")
-@settings(max_examples=20, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32))
-def test_cells_of_a_buffer_around_a_ball(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    light, buffer = a_buffer(rng)
-    middle = np.array([point(rng) for _ in range(40)])
-    middle[:10] = light + 1e-3 * middle[:10]
-    middle[10] = light
-    radius = rng.choice([0, 1e-9, 1e-3, 0.1, 1], size=40)
-    distance, ball, cell, wide = buffer.around(columns(light - middle), radius)
-    pairs = {pair: k for k, pair in enumerate(zip(ball.tolist(), cell.tolist(), strict=True))}
-    for i in range(40):
-        points = middle[i] + radius[i] * (1 - 1e-12) * unit_vectors(rng, 60)
-        far, at, within = buffer.locate(columns(light - points))
-        assert (far <= distance[i]).all()
-        assert {(i, c) for c in at.tolist()} <= pairs.keys()
-        # Bounds of objects are wider by a ten-thousandth: what meets the point meets the ball.
-        wider = wide[[pairs[i, c] for c in at.tolist()]] - 3e-5
-        assert not (wider > within).any()
-
-
-def some_lines(rng: np.random.Generator, count: int) -> Lines:
-    """Lines at all slopes, upright and level ones, through cells and past them."""
-    a, b = rng.normal(size=(2, count)) * 10.0 ** rng.integers(-6, 7, count)
-    a, b = np.where(rng.random(count) < 0.1, 0, a), np.where(rng.random(count) < 0.1, 0, b)
-    b = np.where(rng.random(count) < 0.1, a * rng.choice([1, -1, 1e-4, 1e-7]), b)
-    b = np.where((a == 0) & (b == 0), 1, b)
-    c = 0.5 * (np.abs(a) + np.abs(b)) * rng.uniform(-1.2, 1.2, count)
-    return Lines(np.arange(count), np.full(count, Kind.EDGE), a, b, c)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_halves(seed: int) -> None:
-    # In closed form along x, summed over y.
-    lines = some_lines(np.random.default_rng(seed), 300)
-    y = (np.arange(4000) + 0.5) / 4000 - 0.5
-    rest = lines.c[:, None] + lines.b[:, None] * y
-    with np.errstate(all="ignore"):
-        root = np.clip(-rest / lines.a[:, None], -0.5, 0.5)
-    level = lines.a[:, None] == 0
-    root = np.where(level, np.where(rest > 0, -0.5, 0.5), root)
-    west = np.where(lines.a[:, None] < 0, -0.5, root)
-    east = np.where(lines.a[:, None] < 0, root, 0.5)
-    share, moment_x, moment_y = lines.areas_and_moments()
-    # Level and upright lines are tilted by a ten-thousandth.
-    assert share == pytest.approx((east - west).mean(axis=1), abs=1.5e-4)
-    assert moment_x == pytest.approx((east**2 - west**2).mean(axis=1) / 2, abs=1.5e-4)
-    assert moment_y == pytest.approx((y * (east - west)).mean(axis=1), abs=1.5e-4)
-    other = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c)
-    assert other.areas_and_moments()[0] == pytest.approx(1 - share, abs=1e-7)
-
-
-@pytest.mark.parametrize(("a", "b"), [(1, 0), (0, 1), (1, 1e-9), (-1, 0)])
-def test_the_share_beside_an_upright_line(a: float, b: float) -> None:
-    one = np.zeros(1, dtype=np.intp)
-    line = Lines(one, one, *(np.array([float(m)]) for m in (a, b, -0.48)))
-    assert line.areas_and_moments()[0] == pytest.approx(0.02, abs=1e-3)
-
-
-def a_pencil(rng: np.random.Generator, targets: Floats, size: Floats) -> Pencil:
-    """Rays to targets (n, 3) seen from the apex, through cells so wide, seen at a slant."""
-    count = len(targets)
-    ray = targets * 10.0 ** rng.uniform(-3, 3, (count, 1))
-    length = np.sqrt((ray * ray).sum(axis=1, keepdims=True))
-    normal = unit(ray / length + 0.7 * unit_vectors(rng, count))
-    across = unit(np.cross(normal, unit_vectors(rng, count)))
-    down = np.cross(normal, across)
-    across, down = (v * length * size[:, None] for v in (across, down))
-    return Pencil(Kind.EDGE, np.arange(count), columns(ray), columns(across), columns(down))
-
-
-def rays(pencil: Pencil, x: Floats, y: Floats) -> Triple:
-    """Rays (n, m) through points of all cells."""
-    d, e, f = (
-        c[:, None] + a[:, None] * x + b[:, None] * y
-        for c, a, b in zip(pencil.ray, pencil.across, pencil.down, strict=True)
-    )
-    return d, e, f
-
-
-def spread(count: int) -> tuple[Floats, Floats]:
-    """Points of a cell, as evenly spread as may be in all directions."""
-    number = np.arange(count) + 0.5
-    return number / count - 0.5, number * (np.sqrt(1.25) - 0.5) % 1 - 0.5
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("size", [1e-5, 1e-3, 1e-2])
-def test_outlines_of_spheres(seed: int, size: float) -> None:
-    rng = np.random.default_rng(seed)
-    count = 200
-    radius, sine = rng.uniform(0.1, 3, count), rng.uniform(0.05, 0.9, count)
-    ahead, aside = unit_vectors(rng, count), unit_vectors(rng, count)
-    center = ahead * (radius / sine)[:, None]
-    aside = unit(aside - ahead * (ahead * aside).sum(axis=1, keepdims=True))
-    # Near the tangent, by less than a cell, which is a part of the disc.
-    width = size * sine
-    slope = np.tan(np.arcsin(sine) + width * rng.uniform(-0.6, 0.6, count))
-    pencil = a_pencil(rng, ahead + aside * slope[:, None], width)
-    lines, _, _ = pencil.discs(columns(center), radius)
-    # Where rays touch the sphere, straight across the line: by bisection.
-    steep = np.hypot(lines.a, lines.b)
-    low, high = np.full(count, -1.0), np.full(count, 1.0)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        x, y = (middle * m / steep for m in (lines.a, lines.b))
-        outside = ~met(pencil, x[:, None], y[:, None], center, radius)[:, 0]
-        low, high = np.where(outside, low, middle), np.where(outside, middle, high)
-    # What bends it, and how the rays' distances change across the cell, are of its size.
-    assert -lines.c / steep == pytest.approx(low, abs=0.6 * size)
-    x, y = spread(1500)
-    share = 1 - met(pencil, x, y, center, radius).mean(axis=1)
-    assert lines.areas_and_moments()[0] == pytest.approx(share, abs=0.01)
-
-
-def met(pencil: Pencil, x: Floats, y: Floats, center: Floats, radius: Floats) -> Bools:
-    """Whether rays through points (n, m) of cells meet spheres before the apex."""
-    d = rays(pencil, x, y)
-    along = sum(center[:, k, None] * d[k] for k in range(3))
-    aside = [center[:, k, None] - along / sum(m * m for m in d) * d[k] for k in range(3)]
-    meets: Bools = sum(m * m for m in aside) <= (radius * radius)[:, None]
-    return meets
-
-
-@np.errstate(all="ignore")
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("size", [1e-4, 1e-2, 0.3])
-def test_outlines_of_boxes(seed: int, size: float) -> None:
-    rng = np.random.default_rng(seed)
-    corners = np.sort(rng.normal(size=(2, 400, 3)), axis=0)
-    surfaces = Surfaces(
-        min_pt=corners[0], max_pt=corners[1], box_shader=np.zeros(400), shaders=(Lambertian(),)
-    )
-    apex = np.array([5.0, rng.uniform(-2, 2), rng.uniform(-2, 2)])
-    low, high = surfaces.min_pt - apex, surfaces.max_pt - apex
-    # Around edges and corners.
-    place = np.clip(rng.uniform(-0.5, 1.5, low.shape), 0, 1)
-    pencil = a_pencil(rng, low + place * (high - low), np.full(400, size))
-    planes = silhouette_planes(
-        box_corners(surfaces.min_pt, surfaces.max_pt, apex),
-        apex,
-        surfaces.min_pt,
-        surfaces.max_pt,
-    )
-    lines, turn, _ = pencil.boxes(planes)
-    assert not turn.any()
-    x, y = spread(150)
-    inner = np.ones((400, x.size), dtype=np.bool_)
-    near = np.zeros((400, x.size), dtype=np.bool_)
-    value = lines.c[:, None] + lines.a[:, None] * x + lines.b[:, None] * y
-    np.logical_and.at(inner, lines.cell, value > 0)
-    np.logical_or.at(near, lines.cell, np.abs(value) < 1e-9 * lines.reach()[:, None])
-    d = rays(pencil, x, y)
-    bounds = [tuple(np.repeat(m[:, k], x.size) for k in range(3)) for m in (low, high)]
-    t, _ = box_hit((d[0].ravel(), d[1].ravel(), d[2].ravel()), bounds[0], bounds[1])
-    hit = np.isfinite(t).reshape(inner.shape)
-    crossed = np.isin(np.arange(400), lines.cell)
-    assert crossed.sum() > 100
-    for i in range(400):
-        if crossed[i]:
-            assert (hit[i] == inner[i])[~near[i]].all(), surfaces[i]
-        else:
-            assert hit[i].all() or not hit[i].any(), surfaces[i]

@@ -14,7 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import Vector, colored, moved
+from probe import colored, moved
+from random_objects import a_direction, vector
 from random_scenes import random_scene
 
 from reference.oracle import Oracle, Verdict
@@ -36,16 +37,16 @@ def balls(
 ) -> Iterator[Scene]:
     """Balls that fill a picture of 5 x 5, seen from random directions."""
     for _ in range(count):
-        direction, center = unit(rng), unit(rng) * offset
+        direction, center = a_direction(rng), a_direction(rng) * offset
         eye = center - direction * distance
-        lights = [center + unit(rng) * 3 * radius - direction * 4 * radius for _ in range(3)]
+        lights = [center + a_direction(rng) * 3 * radius - direction * 4 * radius for _ in range(3)]
         # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most.
         size = 1.4 * radius * 5 / 4
         yield Scene(
             camera=Camera(
                 view_point=vector(eye),
                 view_dir=vector(direction),
-                view_up=vector(unit(rng)),
+                view_up=vector(a_direction(rng)),
                 proj_distance=distance,
                 view_width=size,
                 view_height=size,
@@ -55,16 +56,6 @@ def balls(
             lights=tuple(colored(*(vector(light) for light in lights))),
             surfaces=Surfaces.of([Sphere(center=vector(center), radius=radius)]),
         )
-
-
-def unit(rng: np.random.Generator) -> np.ndarray:
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
-
-
-def vector(v: np.ndarray) -> Vector:
-    x, y, z = v.tolist()
-    return x, y, z
 
 
 def worst(scenes: Iterator[Scene]) -> float:
@@ -116,7 +107,7 @@ def test_ground_radius_over_height(ratio: float, promise: float, height: float) 
                 ),
                 width=5,
                 height=5,
-                lights=tuple(colored(*(vector(unit(rng) * radius) for _ in range(3)))),
+                lights=tuple(colored(*(vector(a_direction(rng) * radius) for _ in range(3)))),
                 surfaces=Surfaces.of([Sphere(center=(0, -radius, 0), radius=radius)]),
             )
 

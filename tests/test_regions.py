@@ -94,11 +94,3 @@ def test_means_of_roots_within_a_limb_are_exact(seed: int) -> None:
             z = -(lines.c[cell] + lines.a[cell] * fine_x + lines.b[cell] * fine_y) / steep[cell]
             exact = np.where(z > 0, np.maximum(z, 0) ** power, 0).mean()
             assert mean[cell] == pytest.approx(exact, abs=2e-3), (cell, power)
-
-
-def test_lines_that_are_the_same() -> None:
-    a = np.array([1.0, -2.0, 1.0, 1.0, 1.0])
-    lines = Lines(np.array([1, 1, 1, 0, 0]), np.zeros(5, dtype=np.intp), a, 0 * a, 0.1 * a)
-    distinct = lines._replace(c=np.array([0.1, -0.2, 0.3, 0.1, -0.1])).distinct()
-    assert distinct.cell.tolist() == [0, 0, 1, 1]
-    assert distinct.c.tolist() == [0.1, -0.1, 0.1, 0.3]

@@ -1,0 +1,168 @@
+"""Lines across cells: what lies beside them, which are the same, and where outlines draw them.
+
+Areas are held against sums over many points, and lines that outlines draw against single rays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_objects import triple, unit, unit_vectors
+
+from tracer import Lambertian, Surfaces
+from tracer.arrays import Bools, Floats, Triple
+from tracer.edges import Kind, Lines, Pencil
+from tracer.intersection import box_hit
+from tracer.outlines import box_corners, silhouette_planes
+
+
+def some_lines(rng: np.random.Generator, count: int) -> Lines:
+    """Lines at all slopes, upright and level ones, through cells and past them."""
+    a, b = rng.normal(size=(2, count)) * 10.0 ** rng.integers(-6, 7, count)
+    a, b = np.where(rng.random(count) < 0.1, 0, a), np.where(rng.random(count) < 0.1, 0, b)
+    b = np.where(rng.random(count) < 0.1, a * rng.choice([1, -1, 1e-4, 1e-7]), b)
+    b = np.where((a == 0) & (b == 0), 1, b)
+    c = 0.5 * (np.abs(a) + np.abs(b)) * rng.uniform(-1.2, 1.2, count)
+    return Lines(np.arange(count), np.full(count, Kind.EDGE), a, b, c)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_areas_and_moments_beside_lines(seed: int) -> None:
+    # In closed form along x, summed over y.
+    lines = some_lines(np.random.default_rng(seed), 300)
+    y = (np.arange(4000) + 0.5) / 4000 - 0.5
+    rest = lines.c[:, None] + lines.b[:, None] * y
+    with np.errstate(all="ignore"):
+        root = np.clip(-rest / lines.a[:, None], -0.5, 0.5)
+    level = lines.a[:, None] == 0
+    root = np.where(level, np.where(rest > 0, -0.5, 0.5), root)
+    west = np.where(lines.a[:, None] < 0, -0.5, root)
+    east = np.where(lines.a[:, None] < 0, root, 0.5)
+    share, moment_x, moment_y = lines.areas_and_moments()
+    # Level and upright lines are tilted by a ten-thousandth.
+    assert share == pytest.approx((east - west).mean(axis=1), abs=1.5e-4)
+    assert moment_x == pytest.approx((east**2 - west**2).mean(axis=1) / 2, abs=1.5e-4)
+    assert moment_y == pytest.approx((y * (east - west)).mean(axis=1), abs=1.5e-4)
+    beyond = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c)
+    assert beyond.areas_and_moments()[0] == pytest.approx(1 - share, abs=1e-7)
+
+
+@pytest.mark.parametrize(("a", "b"), [(1, 0), (0, 1), (1, 1e-9), (-1, 0)])
+def test_the_share_beside_an_upright_line(a: float, b: float) -> None:
+    one = np.zeros(1, dtype=np.intp)
+    line = Lines(one, one, *(np.array([float(m)]) for m in (a, b, -0.48)))
+    assert line.areas_and_moments()[0] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_lines_that_are_the_same() -> None:
+    a = np.array([1.0, -2.0, 1.0, 1.0, 1.0])
+    lines = Lines(np.array([1, 1, 1, 0, 0]), np.zeros(5, dtype=np.intp), a, 0 * a, 0.1 * a)
+    distinct = lines._replace(c=np.array([0.1, -0.2, 0.3, 0.1, -0.1])).distinct()
+    assert distinct.cell.tolist() == [0, 0, 1, 1]
+    assert distinct.c.tolist() == [0.1, -0.1, 0.1, 0.3]
+
+
+def a_pencil(rng: np.random.Generator, targets: Floats, size: Floats) -> Pencil:
+    """Rays to targets (n, 3) seen from the apex, through cells so wide, seen at a slant."""
+    count = len(targets)
+    ray = targets * 10.0 ** rng.uniform(-3, 3, (count, 1))
+    length = np.sqrt((ray * ray).sum(axis=1, keepdims=True))
+    normal = unit(ray / length + 0.7 * unit_vectors(rng, count))
+    across = unit(np.cross(normal, unit_vectors(rng, count)))
+    down = np.cross(normal, across)
+    across, down = (v * length * size[:, None] for v in (across, down))
+    return Pencil(Kind.EDGE, np.arange(count), triple(ray), triple(across), triple(down))
+
+
+def rays(pencil: Pencil, x: Floats, y: Floats) -> Triple:
+    """Rays (n, m) through points of all cells."""
+    d, e, f = (
+        c[:, None] + a[:, None] * x + b[:, None] * y
+        for c, a, b in zip(pencil.ray, pencil.across, pencil.down, strict=True)
+    )
+    return d, e, f
+
+
+def spread(count: int) -> tuple[Floats, Floats]:
+    """Points of a cell, as evenly spread as may be in all directions."""
+    number = np.arange(count) + 0.5
+    return number / count - 0.5, number * (np.sqrt(1.25) - 0.5) % 1 - 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [1e-5, 1e-3, 1e-2])
+def test_outlines_of_spheres(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    count = 200
+    radius, sine = rng.uniform(0.1, 3, count), rng.uniform(0.05, 0.9, count)
+    ahead, aside = unit_vectors(rng, count), unit_vectors(rng, count)
+    center = ahead * (radius / sine)[:, None]
+    aside = unit(aside - ahead * (ahead * aside).sum(axis=1, keepdims=True))
+    # Near the tangent, by less than a cell, which is a part of the disc.
+    width = size * sine
+    slope = np.tan(np.arcsin(sine) + width * rng.uniform(-0.6, 0.6, count))
+    pencil = a_pencil(rng, ahead + aside * slope[:, None], width)
+    lines, _, _ = pencil.discs(triple(center), radius)
+    # Where rays touch the sphere, straight across the line: by bisection.
+    steep = np.hypot(lines.a, lines.b)
+    low, high = np.full(count, -1.0), np.full(count, 1.0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        x, y = (middle * m / steep for m in (lines.a, lines.b))
+        outside = ~met(pencil, x[:, None], y[:, None], center, radius)[:, 0]
+        low, high = np.where(outside, low, middle), np.where(outside, middle, high)
+    # What bends it, and how the rays' distances change across the cell, are of its size.
+    assert -lines.c / steep == pytest.approx(low, abs=0.6 * size)
+    x, y = spread(1500)
+    share = 1 - met(pencil, x, y, center, radius).mean(axis=1)
+    assert lines.areas_and_moments()[0] == pytest.approx(share, abs=0.01)
+
+
+def met(pencil: Pencil, x: Floats, y: Floats, center: Floats, radius: Floats) -> Bools:
+    """Whether rays through points (n, m) of cells meet spheres before the apex."""
+    d = rays(pencil, x, y)
+    along = sum(center[:, k, None] * d[k] for k in range(3))
+    aside = [center[:, k, None] - along / sum(m * m for m in d) * d[k] for k in range(3)]
+    meets: Bools = sum(m * m for m in aside) <= (radius * radius)[:, None]
+    return meets
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [1e-4, 1e-2, 0.3])
+def test_outlines_of_boxes(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    corners = np.sort(rng.normal(size=(2, 400, 3)), axis=0)
+    surfaces = Surfaces(
+        min_pt=corners[0], max_pt=corners[1], box_shader=np.zeros(400), shaders=(Lambertian(),)
+    )
+    apex = np.array([5.0, rng.uniform(-2, 2), rng.uniform(-2, 2)])
+    low, high = surfaces.min_pt - apex, surfaces.max_pt - apex
+    # Around edges and corners.
+    place = np.clip(rng.uniform(-0.5, 1.5, low.shape), 0, 1)
+    pencil = a_pencil(rng, low + place * (high - low), np.full(400, size))
+    planes = silhouette_planes(
+        box_corners(surfaces.min_pt, surfaces.max_pt, apex),
+        apex,
+        surfaces.min_pt,
+        surfaces.max_pt,
+    )
+    lines, turn, _ = pencil.boxes(planes)
+    assert not turn.any()
+    x, y = spread(150)
+    inner = np.ones((400, x.size), dtype=np.bool_)
+    near = np.zeros((400, x.size), dtype=np.bool_)
+    value = lines.c[:, None] + lines.a[:, None] * x + lines.b[:, None] * y
+    np.logical_and.at(inner, lines.cell, value > 0)
+    np.logical_or.at(near, lines.cell, np.abs(value) < 1e-9 * lines.reach()[:, None])
+    d = rays(pencil, x, y)
+    bounds = [tuple(np.repeat(m[:, k], x.size) for k in range(3)) for m in (low, high)]
+    t, _ = box_hit((d[0].ravel(), d[1].ravel(), d[2].ravel()), bounds[0], bounds[1])
+    hit = np.isfinite(t).reshape(inner.shape)
+    crossed = np.isin(np.arange(400), lines.cell)
+    assert crossed.sum() > 100
+    for i in range(400):
+        if crossed[i]:
+            assert (hit[i] == inner[i])[~near[i]].all(), surfaces[i]
+        else:
+            assert hit[i].all() or not hit[i].any(), surfaces[i]

@@ -1,0 +1,49 @@
+"""Light buffers: what is found around a ball includes what is found at any point of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
+
+from tracer import Camera, Surfaces
+from tracer.arrays import Floats
+from tracer.camera import raster_of
+from tracer.light_buffers import LightBuffer, light_buffer_finder
+from tracer.occluders import occluders_of
+from tracer.outlines import outlines_of
+from tracer.visibility import View
+
+
+def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
+    """A light (3,) and the buffer around it, with some objects."""
+    surfaces = Surfaces.of([*(a_sphere(rng) for _ in range(9)), *(a_box(rng) for _ in range(9))])
+    camera = Camera(view_point=vector(a_point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
+    raster = raster_of(camera, 32, 32)
+    inside_none = np.zeros(len(surfaces), dtype=np.bool_)
+    view = View(raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none)
+    light = a_point(rng)
+    return light, light_buffer_finder(occluders_of(view, light[None, :])).buffers[0]
+
+
+@np.errstate(all="ignore")
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32))
+def test_cells_of_a_buffer_around_a_ball(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    light, buffer = a_buffer(rng)
+    middle = np.array([a_point(rng) for _ in range(40)])
+    middle[:10] = light + 1e-3 * middle[:10]
+    middle[10] = light
+    radius = rng.choice([0, 1e-9, 1e-3, 0.1, 1], size=40)
+    distance, ball, cell, wide = buffer.around(triple(light - middle), radius)
+    pairs = {pair: k for k, pair in enumerate(zip(ball.tolist(), cell.tolist(), strict=True))}
+    for i in range(40):
+        points = middle[i] + radius[i] * (1 - 1e-12) * unit_vectors(rng, 60)
+        far, at, within = buffer.locate(triple(light - points))
+        assert (far <= distance[i]).all()
+        assert {(i, c) for c in at.tolist()} <= pairs.keys()
+        # Bounds of objects are wider by a ten-thousandth: what meets the point meets the ball.
+        wider = wide[[pairs[i, c] for c in at.tolist()]] - 3e-5
+        assert not (wider > within).any()
