@@ -90,10 +90,15 @@ def brute_force(scene: Scene) -> Floats:
             falls[on] = sign[on] * (light.position[axis] - level[on])
         sides = np.array([light_side(surface, light.position) for surface in surfaces])
         lit = (falls > 0) & ~(inside & (sides != INSIDE))[own]
-        for i, other in enumerate(surfaces):
+        for i, occluder in enumerate(surfaces):
             open_ = np.flatnonzero(lit & (own != i))
             lit[open_] = ~blocks(
-                other, bool(inside[i]), int(sides[i]), _part(p, open_), light.position, reach[open_]
+                occluder,
+                bool(inside[i]),
+                int(sides[i]),
+                _part(p, open_),
+                light.position,
+                reach[open_],
             )
         far = np.sqrt(dot(to_light, to_light))
         cosine, l_dot_v = falls / far, dot(to_light, seen) / (-distance * far)

@@ -1,4 +1,4 @@
-"""Renders of one ray, and scenes moved and scaled, for tests in closed form."""
+"""Renders of one ray, lights told apart by colour, and scenes moved and scaled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
-__all__ = ["EPS", "Surface", "Vector", "colored", "look", "moved"]
+__all__ = ["EPS", "Surface", "Vector", "colored", "moved", "radiance_along"]
 
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
@@ -17,7 +17,7 @@ Surface = Sphere | Box
 EPS = float(np.finfo(np.float64).eps)
 
 
-def look(
+def radiance_along(
     eye: Vector, direction: Vector, lights: list[PointLight] | Vector, *surfaces: Surface
 ) -> Floats:
     """Radiance (3,) along one ray; a bare position is that of one white light."""

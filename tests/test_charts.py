@@ -1,4 +1,7 @@
-"""The study: the alternatives err as theory says, and the measurements run. No time is asserted."""
+"""What charts and tables show: the alternatives err as theory says, and every measurement runs.
+
+No time is asserted.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures that are wrong in a known way: the way is recognised."""
+"""The picture comparison: it recognises how a picture is wrong; its figures and its command."""
 
 from __future__ import annotations
 

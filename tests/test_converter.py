@@ -1,4 +1,4 @@
-"""The converter: its command line, and that Mitsuba reads what it writes."""
+"""The converter: its command line, and that Mitsuba reads what it writes and sees the same."""
 
 from __future__ import annotations
 

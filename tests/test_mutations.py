@@ -1,4 +1,4 @@
-"""The comparison can fail: it catches each of these mistakes in a tracer, SSIM alone does not.
+"""The comparison can fail: it catches each of these mistakes of a tracer; SSIM alone does not.
 
 Each mistake is made by changing the scene or the picture, so that the tracer itself stays as it
 is.  The reference is Mitsuba's stored picture.

@@ -25,7 +25,7 @@ RADIANCE = dict.fromkeys(KINDS, 1e-08) | {"grazing": 1e-4}
 SIZE = dict.fromkeys(KINDS, (13, 9)) | {"crowd": (3, 2)}
 
 
-def look(
+def verdict_along(
     eye: tuple[float, float, float],
     direction: tuple[float, float, float],
     light: tuple[float, float, float],
@@ -56,18 +56,18 @@ class TestByHand:
         # Ball in front of a wall: the ball is seen, at n = (0, 0, 1), lit from (3, 0, 5)
         # along (3, 0, 4) / 5.
         wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
-        verdict = look((0, 0, 7), (0, 0, -1), (3, 0, 5), wall, BALL)
+        verdict = verdict_along((0, 0, 7), (0, 0, -1), (3, 0, 5), wall, BALL)
         assert verdict == Verdict((0.8,) * 3, 1, (True,), verdict.margin)
         assert verdict.margin > 1e-2
 
     def test_nothing(self) -> None:
-        verdict = look((0, 0, 7), (0, 0, 1), (3, 0, 5), BALL, CUBE)
+        verdict = verdict_along((0, 0, 7), (0, 0, 1), (3, 0, 5), BALL, CUBE)
         assert (verdict.surface, verdict.radiance) == (None, (0, 0, 0))
 
     def test_highlight(self) -> None:
         # v = (0, 1, 0), l = (0.96, 0.28, 0): n.h = cos(acos(0.28) / 2) = 0.8, squared 0.64.
         floor = replace(FLOOR, shader=Phong(diffuse=(1, 0, 0), specular=(0, 1, 0), exponent=2))
-        verdict = look((0, 5, 0), DOWN, (0.96 * 25, -1 + 0.28 * 25, 0), floor)
+        verdict = verdict_along((0, 5, 0), DOWN, (0.96 * 25, -1 + 0.28 * 25, 0), floor)
         assert verdict.radiance == pytest.approx((0.28, 0.64, 0), rel=1e-15)
 
     @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ class TestByHand:
         # n = (0, -1, 0).  Segments to the right or along the face x = 0 pass the box.
         ball = Sphere(center=(0, 0.5, 0), radius=0.5)
         box = Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
-        verdict = look((1, -1, 0), (-1, 1, 0), light, ball, box)
+        verdict = verdict_along((1, -1, 0), (-1, 1, 0), light, ball, box)
         assert (verdict.surface, verdict.lit) == (0, (lit,))
 
     @pytest.mark.parametrize(
@@ -91,35 +91,35 @@ class TestByHand:
         # segments that rise enter the ball.
         ball = Sphere(center=(0, 0.5, 0), radius=0.5)
         box = Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
-        verdict = look((1, -1, 0), (-1, 1, 0), light, box, ball)
+        verdict = verdict_along((1, -1, 0), (-1, 1, 0), light, box, ball)
         assert (verdict.surface, verdict.lit) == (0, (lit,))
 
     def test_inside(self) -> None:
         # Eye and light in the ball: n = -d, and l = (0, 0, -1) turned by the light's place.
-        inside = look((0, 0, 0), (0, 0, -1), (0.75, 0, 0), BALL)
+        inside = verdict_along((0, 0, 0), (0, 0, -1), (0.75, 0, 0), BALL)
         assert inside.radiance == pytest.approx((0.8,) * 3, rel=1e-15)
-        assert look((0, 0, 0), (0, 0, -1), (0, 0, 5), BALL).lit == (False,)
-        assert look((0, 0, 0), (0, 0, -1), (0, 0, 1), BALL).lit == (False,)
+        assert verdict_along((0, 0, 0), (0, 0, -1), (0, 0, 5), BALL).lit == (False,)
+        assert verdict_along((0, 0, 0), (0, 0, -1), (0, 0, 1), BALL).lit == (False,)
 
     def test_twins(self) -> None:
         # A twin changes nothing: outside, inside, box or ball.
         for twin in (BALL, CUBE):
             for eye, light in (((0, 0, 7), (3, 0, 5)), ((0, 0, 0), (0.75, 0, 0))):
-                once = look(eye, (0, 0, -1), light, twin)
-                twice = look(eye, (0, 0, -1), light, twin, twin)
+                once = verdict_along(eye, (0, 0, -1), light, twin)
+                twice = verdict_along(eye, (0, 0, -1), light, twin, twin)
                 assert twice == replace(once, margin=twice.margin)
                 assert once.lit == (True,)
 
     def test_face_in_the_ray(self) -> None:
         # Camera rays in a face meet the box; segments to a light in one pass it.
-        assert look((0, 1, 7), (0, 0, -1), (0, 1, 7), CUBE).lit == (True,)
+        assert verdict_along((0, 1, 7), (0, 0, -1), (0, 1, 7), CUBE).lit == (True,)
         wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
-        assert look((0, 1, -1.5), (0, 0, -1), (0, 1, 7), wall, CUBE).lit == (True,)
-        assert look((0, 0.99, -1.5), (0, 0, -1), (0, 0.99, 7), wall, CUBE).lit == (False,)
+        assert verdict_along((0, 1, -1.5), (0, 0, -1), (0, 1, 7), wall, CUBE).lit == (True,)
+        assert verdict_along((0, 0.99, -1.5), (0, 0, -1), (0, 0.99, 7), wall, CUBE).lit == (False,)
 
     def test_margin(self) -> None:
         # A ray that passes the ball at 1e-9: 1e-9 of lengths 7 + 1 + 7.
-        verdict = look((1 + 1e-9, 0, 7), (0, 0, -1), (3, 0, 5), BALL)
+        verdict = verdict_along((1 + 1e-9, 0, 7), (0, 0, -1), (3, 0, 5), BALL)
         assert verdict.surface is None
         assert verdict.margin == pytest.approx(1e-9 / 15, rel=1e-3)
 

@@ -1,4 +1,4 @@
-"""What `import tracer` gives, and when it is imported."""
+"""What `import tracer` gives, and when; and which names its modules take from each other."""
 
 from __future__ import annotations
 

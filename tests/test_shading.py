@@ -1,4 +1,4 @@
-"""Lambert and Blinn-Phong in closed form, through whole renders of one ray."""
+"""Lambert and Blinn-Phong in closed form, mostly through whole renders of one ray."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import EPS, Vector, colored, look
+from probe import EPS, Vector, colored, radiance_along
 
 from tracer import Box, Lambertian, Phong, PointLight, Sphere
 from tracer.shading import highlight
@@ -25,7 +25,7 @@ def test_lambert(light: Vector, cosine: float) -> None:
     # kd I n.l, a channel at a time.
     floor = replace(FLOOR, shader=Lambertian(diffuse=(1, 0.5, 0.25)))
     lights = [PointLight(position=light, intensity=(0.5, 2, 4))]
-    seen = look(EYE, DOWN, lights, floor)
+    seen = radiance_along(EYE, DOWN, lights, floor)
     assert seen == pytest.approx([0.5 * cosine, cosine, cosine], rel=4 * EPS)
 
 
@@ -35,7 +35,7 @@ def test_blinn_phong(light: Vector, cosine: float, exponent: float) -> None:
     # v = n, so h is halfway between n and l: n.h = cos(a / 2) = sqrt((1 + n.l) / 2).
     half = math.sqrt((1 + cosine) / 2)
     shader = Phong(diffuse=(1, 0, 0.5), specular=(0, 1, 0.25), exponent=exponent)
-    seen = look(EYE, DOWN, light, replace(FLOOR, shader=shader))
+    seen = radiance_along(EYE, DOWN, light, replace(FLOOR, shader=shader))
     power = half**exponent
     # Python's own power errs by EPS times the exponent.
     expected = [cosine, power, 0.5 * cosine + 0.25 * power]
@@ -48,8 +48,10 @@ def test_half_vector_not_reflection() -> None:
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=3)
     floor = replace(FLOOR, shader=shader)
     s = math.sqrt(3)
-    assert look((-s, 1, 0), (s, -1, 0), (2 * s, 2, 0), floor) == pytest.approx(1, abs=8 * EPS)
-    seen = look((2 * s, 2, 0), (-2 * s, -2, 0), (2 * s, 2, 0), floor)
+    assert radiance_along((-s, 1, 0), (s, -1, 0), (2 * s, 2, 0), floor) == pytest.approx(
+        1, abs=8 * EPS
+    )
+    seen = radiance_along((2 * s, 2, 0), (-2 * s, -2, 0), (2 * s, 2, 0), floor)
     assert seen == pytest.approx(0.125, rel=16 * EPS)
 
 
@@ -87,42 +89,44 @@ def assert_highlights(tilt: float, exponent: float) -> None:
 def test_no_cosine_on_the_highlight() -> None:
     # n.l = 0.28 takes nothing off ks.
     shader = Phong(diffuse=(0, 0, 0), specular=(0.5, 0.5, 0.5), exponent=0)
-    assert look(EYE, DOWN, (0, 28, 96), replace(FLOOR, shader=shader)).tolist() == [0.5] * 3
+    assert (
+        radiance_along(EYE, DOWN, (0, 28, 96), replace(FLOOR, shader=shader)).tolist() == [0.5] * 3
+    )
 
 
 def test_no_highlight_without_diffuse_side() -> None:
     # The light is below the plane: neither term, although n.h > 0.
     shader = Phong(diffuse=(1, 1, 1), specular=(1, 1, 1), exponent=1)
-    assert not look(EYE, DOWN, (60, -0.5, 0), replace(FLOOR, shader=shader)).any()
+    assert not radiance_along(EYE, DOWN, (60, -0.5, 0), replace(FLOOR, shader=shader)).any()
 
 
 def test_lights_add_up() -> None:
     # Three lights, each in its own channel, then two in the same.
     lights = colored((3, 4, 0), (0, 3, 4), (0, 28, 96))
-    assert look(EYE, DOWN, lights, FLOOR) == pytest.approx([0.8, 0.6, 0.28], rel=4 * EPS)
-    assert look(EYE, DOWN, [*lights, *lights], FLOOR) == pytest.approx(
+    assert radiance_along(EYE, DOWN, lights, FLOOR) == pytest.approx([0.8, 0.6, 0.28], rel=4 * EPS)
+    assert radiance_along(EYE, DOWN, [*lights, *lights], FLOOR) == pytest.approx(
         [1.6, 1.2, 0.56], rel=4 * EPS
     )
 
 
 def test_no_light_and_no_ambient() -> None:
-    assert not look(EYE, DOWN, [], FLOOR).any()
+    assert not radiance_along(EYE, DOWN, [], FLOOR).any()
 
 
 def test_not_clipped() -> None:
     # Radiance is linear and open above; only the 8-bit codes end at 1.
     lights = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
-    assert look(EYE, DOWN, lights, FLOOR).tolist() == [1000, 1, 0]
+    assert radiance_along(EYE, DOWN, lights, FLOOR).tolist() == [1000, 1, 0]
 
 
 @pytest.mark.parametrize("distance", [0.125, 1, 100, 1e6])
 def test_no_fall_off(distance: float) -> None:
-    assert look(EYE, DOWN, (0, distance, 0), FLOOR).tolist() == [1, 1, 1]
+    assert radiance_along(EYE, DOWN, (0, distance, 0), FLOOR).tolist() == [1, 1, 1]
 
 
 def test_default_shader_is_white() -> None:
     ball = Sphere(center=(0, 1, 0))
-    assert look(EYE, DOWN, EYE, ball) == pytest.approx(1, abs=4 * EPS)
+    assert radiance_along(EYE, DOWN, EYE, ball) == pytest.approx(1, abs=4 * EPS)
 
 
 @pytest.mark.parametrize("normal", [(0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)])
@@ -133,7 +137,7 @@ def test_sphere_normal(normal: Vector) -> None:
     lights = colored((x + 1, y, z), (x, y + 1, z), (x, y, z + 1))
     eye = (x + 2 * normal[0], y + 2 * normal[1], z + 2 * normal[2])
     toward = (-normal[0], -normal[1], -normal[2])
-    seen = look(eye, toward, lights, Sphere(center=(2, 2, 2), radius=3))
+    seen = radiance_along(eye, toward, lights, Sphere(center=(2, 2, 2), radius=3))
     # Lengths up to 7 are rounded, against the unit.
     assert seen == pytest.approx(normal, abs=16 * EPS)
 
@@ -148,9 +152,9 @@ def test_box_normals(axis: int, sign: float) -> None:
         return v[0], v[1], v[2]
 
     cube = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
-    seen = look(along(5 * sign, 0), along(-sign, 0), along(5 * sign, 3), cube)
+    seen = radiance_along(along(5 * sign, 0), along(-sign, 0), along(5 * sign, 3), cube)
     assert seen == pytest.approx(0.8, rel=2 * EPS)
-    inside = look((0, 0, 0), along(sign, 0), along(0.2 * sign, 0.6), cube)
+    inside = radiance_along((0, 0, 0), along(sign, 0), along(0.2 * sign, 0.6), cube)
     assert inside == pytest.approx(0.8, rel=4 * EPS)
 
 
@@ -159,11 +163,11 @@ def test_shadow_is_black_and_sharp() -> None:
     # the light touch it at sin a = 1 / 6, so the shadow's radius is 9 tan a = 9 / sqrt(35).
     ball, edge = Sphere(center=(0, 3, 0)), 9 / math.sqrt(35)
     for x, lit in ((0, False), (edge - 1e-9, False), (edge + 1e-9, True), (-edge - 1e-9, True)):
-        seen = look((x, 1, 0), DOWN, (0, 9, 0), FLOOR, ball)
+        seen = radiance_along((x, 1, 0), DOWN, (0, 9, 0), FLOOR, ball)
         assert seen == pytest.approx(9 / math.hypot(9, x) if lit else 0.0, rel=4 * EPS, abs=0.0)
 
 
 def test_nothing_behind_the_light_casts_a_shadow() -> None:
     ball = Sphere(center=(0, 12, 0))
-    assert look((0, 5, 0), DOWN, (0, 9, 0), FLOOR, ball).tolist() == [1, 1, 1]
-    assert look((0, 5, 0), DOWN, (0, 15, 0), FLOOR, ball).tolist() == [0, 0, 0]
+    assert radiance_along((0, 5, 0), DOWN, (0, 9, 0), FLOOR, ball).tolist() == [1, 1, 1]
+    assert radiance_along((0, 5, 0), DOWN, (0, 15, 0), FLOOR, ball).tolist() == [0, 0, 0]

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import EPS, Surface, Vector, colored, look, moved
+from probe import EPS, Surface, Vector, colored, moved, radiance_along
 from random_scenes import KINDS, random_scene
 
 from tracer import (
@@ -37,7 +37,7 @@ FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
 
 def test_01_unit_sphere_from_1e8() -> None:
     # Axial ray from (0, 0, D): t = D - 1, p = n = (0, 0, 1); light along (3, 0, 4) / 5.
-    seen = look((0, 0, 1e8), (0, 0, -1), (3, 0, 5), BALL)
+    seen = radiance_along((0, 0, 1e8), (0, 0, -1), (3, 0, 5), BALL)
     assert seen == pytest.approx(0.8, abs=2 * EPS * 1e8)
 
 
@@ -45,7 +45,7 @@ def test_01_unit_sphere_from_1e8() -> None:
 def test_02_impact_parameter(distance: float) -> None:
     # Impact 0.6: t = D - 0.8, p = n = (0.6, 0, 0.8); lights beside and above show n_x, n_z.
     lights = colored((1.6, 0, 0.8), (0.6, 0, 1.8))
-    seen = look((0.6, 0, distance), (0, 0, -1), lights, BALL)
+    seen = radiance_along((0.6, 0, distance), (0, 0, -1), lights, BALL)
     assert seen == pytest.approx([0.6, 0.8, 0], abs=4 * EPS * distance)
 
 
@@ -53,7 +53,7 @@ def test_02_impact_parameter(distance: float) -> None:
 def test_03_at_the_limb(side: int) -> None:
     # Impact b = 1 -+ 2^-20 from D = 1e6; the light at the eye sees n_z = sqrt(1 - b^2).
     b = 1 + side * 2.0**-20
-    seen = look((b, 0, 1e6), (0, 0, -1), (b, 0, 1e6), BALL)
+    seen = radiance_along((b, 0, 1e6), (0, 0, -1), (b, 0, 1e6), BALL)
     expected = 0.0 if side > 0 else math.sqrt((1 - b) * (1 + b))
     # An impact rounded by EPS D moves n_z by that over n_z, here 1.4e-3.
     assert seen == pytest.approx(expected, abs=0.0 if side > 0 else EPS * 1e6 / expected)
@@ -66,7 +66,7 @@ def test_04_small_sphere_far_away() -> None:
     assert 1e7 - 0.1 * nx == pytest.approx(9999999.968775, abs=1e-6)
     p = (-0.1 * nx, 0.095, 0.0)
     lights = colored((p[0] - 1, p[1], 0), (p[0], p[1] + 1, 0))
-    seen = look((-1e7, 0.095, 0), (1, 0, 0), lights, Sphere(radius=0.1))
+    seen = radiance_along((-1e7, 0.095, 0), (1, 0, 0), lights, Sphere(radius=0.1))
     assert seen == pytest.approx([nx, 0.95, 0], abs=2e-7)  # EPS D / r, over n_x
 
 
@@ -81,7 +81,7 @@ def test_05_huge_ground_sphere() -> None:
     light = (1.25, 0.5, 0.0)
     to_light = (light[0] - x, light[1] - y)
     cosine = (n[0] * to_light[0] + n[1] * to_light[1]) / math.hypot(*to_light)
-    seen = look((0, 1, 0), (0.6, -0.8, 0), light, Sphere(center=(0, -R, 0), radius=R))
+    seen = radiance_along((0, 1, 0), (0.6, -0.8, 0), light, Sphere(center=(0, -R, 0), radius=R))
     # The point is rounded by EPS R, and the light 0.7 away.
     assert seen == pytest.approx(cosine, abs=2 * EPS * R / 0.7)
 
@@ -148,7 +148,7 @@ def test_09_no_row_of_holes() -> None:
 def test_10_floor_without_thickness(side: int) -> None:
     # From above n = (0, 1, 0), from below (0, -1, 0); the light along (3, +-4, 0) / 5.
     sheet = Box(min_pt=(-5, 0, -5), max_pt=(5, 0, 5))
-    seen = look((0, 2 * side, 0), (0, -side, 0), (3, 4 * side, 0), sheet)
+    seen = radiance_along((0, 2 * side, 0), (0, -side, 0), (3, 4 * side, 0), sheet)
     assert seen == pytest.approx(0.8, abs=EPS)
 
 
@@ -159,7 +159,7 @@ def test_11_shadow_of_a_plate(side: int, edge: int) -> None:
     # is at 1/2 * 4 / 3 = 2/3.
     plate = Box(min_pt=(-0.5, 1, -0.5), max_pt=(0.5, 1, 0.5))
     x = edge * (2 / 3 + side * 1e-12)
-    seen = look((x, 0.5, 0), (0, -1, 0), (0, 4, 0), FLOOR, plate)
+    seen = radiance_along((x, 0.5, 0), (0, -1, 0), (0, 4, 0), FLOOR, plate)
     expected = 0.0 if side < 0 else 4 / math.hypot(2 / 3, 4)
     assert seen == pytest.approx(expected, abs=1e-12 if expected else 0.0)
 
@@ -199,7 +199,7 @@ def test_14_terminator(offset: float, angle: float) -> None:
         y = 0.2 + side * offset
         across = math.sqrt(1 - y * y)
         eye = (across * math.cos(angle) * 7, y, across * math.sin(angle) * 7)
-        seen = look(eye, (-math.cos(angle), 0, -math.sin(angle)), (0, 5, 0), BALL)
+        seen = radiance_along(eye, (-math.cos(angle), 0, -math.sin(angle)), (0, 5, 0), BALL)
         assert (seen > 0).all() == (side > 0)
 
 
@@ -220,7 +220,7 @@ def test_16_light_on_a_ceiling(height: float) -> None:
     ceiling = Box(min_pt=(-9, height, -9), max_pt=(9, 1.1 * height, 9))
     for x in np.linspace(-5, 5, 11).tolist():
         light = (0.3, height, 0.2)
-        seen = look((x, height / 2, 0), (0, -1, 0), light, ceiling, FLOOR)
+        seen = radiance_along((x, height / 2, 0), (0, -1, 0), light, ceiling, FLOOR)
         expected = height / math.hypot(x - 0.3, height, 0.2)
         assert seen == pytest.approx(expected, rel=8 * EPS)
 
@@ -235,12 +235,12 @@ def test_17_light_on_a_sphere(center: Vector, radius: float) -> None:
     for offset in (1, 1e-3, 1e-9):
         for side in (-1, 1):
             eye = (2.0, top[1] + side * offset, center[2])
-            seen = look(eye, (1, 0, 0), top, ball, wall)
+            seen = radiance_along(eye, (1, 0, 0), top, ball, wall)
             expected = (3 - top[0]) / math.hypot(3 - top[0], offset) if side > 0 else 0.0
             assert seen == pytest.approx(expected, abs=4 * EPS if side > 0 else 0.0)
     for y in np.linspace(-0.99, 0.99, 12).tolist():
         eye = (center[0] + 2, center[1] + y * radius, center[2])
-        assert not look(eye, (-1, 0, 0), top, ball).any()
+        assert not radiance_along(eye, (-1, 0, 0), top, ball).any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -257,7 +257,7 @@ def test_19_light_at_1e8() -> None:
     slab = Box(min_pt=(-1, 0.01, -1), max_pt=(1, 0.02, 1))
     light = (6e7, 8e7, 0.0)
     for x, lit in ((-1.0151, True), (-1.0149, False), (0, False), (0.9924, False), (0.9926, True)):
-        seen = look((x, 0.005, 0), (0, -1, 0), light, FLOOR, slab)
+        seen = radiance_along((x, 0.005, 0), (0, -1, 0), light, FLOOR, slab)
         assert seen == pytest.approx(0.8 if lit else 0.0, abs=2e-8)  # x / 1e8
 
 
@@ -278,17 +278,17 @@ def test_20_at_the_centre_of_a_sphere() -> None:
 def test_21_in_a_box_with_the_light_outside(light: Vector) -> None:
     # Its wall keeps out all light that is not strictly inside.
     for direction in ((0, 0, -1), (1, 0, 0), (1, 2, 3)):
-        assert not look((0, 0, 0), direction, light, CUBE).any()
+        assert not radiance_along((0, 0, 0), direction, light, CUBE).any()
     # From within it comes through: n = l = (0, 0, 1).
-    assert look((0, 0, 0), (0, 0, -1), (0, 0, 0.5), CUBE).tolist() == [1, 1, 1]
+    assert radiance_along((0, 0, 0), (0, 0, -1), (0, 0, 0.5), CUBE).tolist() == [1, 1, 1]
 
 
 def test_22_light_inside_a_ball() -> None:
     # Seen from outside: the ball is black, and so is all that it keeps from the light.
     for x in np.linspace(-4, 4, 9).tolist():
-        assert not look((x, 3, 5), (-x / 9, -3, -5), (0.5, 0.25, 0), BALL).any()
+        assert not radiance_along((x, 3, 5), (-x / 9, -3, -5), (0.5, 0.25, 0), BALL).any()
         floor = Box(min_pt=(-9, -3, -9), max_pt=(9, -2, 9))
-        assert not look((x, -1.5, 0), (0, -1, 0), (0.5, 0.25, 0), BALL, floor).any()
+        assert not radiance_along((x, -1.5, 0), (0, -1, 0), (0.5, 0.25, 0), BALL, floor).any()
 
 
 @pytest.mark.parametrize("room", [Sphere(center=(0.3, 0.1, 0.2), radius=3.7), CUBE])
@@ -315,8 +315,8 @@ def test_22b_room_listed_twice(room: Surface) -> None:
 def test_23_light_at_the_hit_point(shader: Shader) -> None:
     # There is no direction to the light: it adds nothing.
     floor, ball = replace(FLOOR, shader=shader), replace(BALL, shader=shader)
-    assert look((0, 1, 0), (0, -1, 0), (0, 0, 0), floor).tolist() == [0, 0, 0]
-    assert look((0, 0, 5), (0, 0, -1), (0, 0, 1), ball).tolist() == [0, 0, 0]
+    assert radiance_along((0, 1, 0), (0, -1, 0), (0, 0, 0), floor).tolist() == [0, 0, 0]
+    assert radiance_along((0, 0, 5), (0, 0, -1), (0, 0, 1), ball).tolist() == [0, 0, 0]
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1e2, 1e4, 1e6])
@@ -325,7 +325,9 @@ def test_24_narrow_highlight(exponent: float) -> None:
     # on which the eye is, so n.h = cos d = (1 + x^2)^(-1/2).
     x = 2.0**-10
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
-    seen = look((0, 2, 0), (0, -1, 0), (2 * x, 1 - x * x, 0), replace(FLOOR, shader=shader))
+    seen = radiance_along(
+        (0, 2, 0), (0, -1, 0), (2 * x, 1 - x * x, 0), replace(FLOOR, shader=shader)
+    )
     assert seen == pytest.approx(math.exp(-exponent / 2 * math.log1p(x * x)), rel=1e-12)
 
 
@@ -348,7 +350,7 @@ def test_26_light_straight_behind_the_limb(exponent: float) -> None:
     # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l = 0, which
     # a rounded normal sees as a few EPS.
     ball = Sphere(shader=Phong(specular=(1, 1, 1), exponent=exponent))
-    assert look((-2, 1, 0), (1, 0, 0), (2, 1, 0), ball) == pytest.approx(0, abs=4 * EPS)
+    assert radiance_along((-2, 1, 0), (1, 0, 0), (2, 1, 0), ball) == pytest.approx(0, abs=4 * EPS)
 
 
 def test_27_degenerate_cameras() -> None:

@@ -1,4 +1,4 @@
-"""The choice of Mitsuba's variant: no libLLVM whatever may kill this process or mislead it."""
+"""The choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it."""
 
 from __future__ import annotations
 
