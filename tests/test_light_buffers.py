@@ -12,8 +12,7 @@ from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.light_buffers import LightBuffer, light_buffer_finder
 from tracer.occluders import occluders_of
-from tracer.outlines import outlines_of
-from tracer.visibility import View
+from tracer.visibility import view_of
 
 
 def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
@@ -21,10 +20,9 @@ def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
     surfaces = Surfaces.of([*(a_sphere(rng) for _ in range(9)), *(a_box(rng) for _ in range(9))])
     camera = Camera(view_point=vector(a_point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
     raster = raster_of(camera, 32, 32)
-    inside_none = np.zeros(len(surfaces), dtype=np.bool_)
-    view = View(raster, surfaces, outlines_of(raster, surfaces, split=False), inside_none)
     light = a_point(rng)
-    return light, light_buffer_finder(occluders_of(view, light[None, :])).buffers[0]
+    occluders = occluders_of(view_of(raster, surfaces, split=False), light[None, :])
+    return light, light_buffer_finder(occluders).buffers[0]
 
 
 @np.errstate(all="ignore")

@@ -18,13 +18,20 @@ __all__ = ["crossed", "outlines_across", "spans_of"]
 # a sample may be off.
 _TURN = 57.0
 
-# From a limb on, in areas_and_moments of a cell, light is a function of the distance from it.
+# From a limb on, in halves of a cell, light is a function of the distance from it.
 _NEAR_LIMB = 6.0
 
 
 def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
-    """Spans of all objects, spheres first, in rows of samples from one above to one below."""
-    y = top + (np.arange(-1, height * per_side + 1) + 0.5) / per_side
+    """Spans of all objects in the rows of each pixel, and in the nearest ones above and below.
+
+    The rows are those of the grid that is asked for, and that of the pixel's centre.
+    """
+    place = (np.arange(per_side) + 0.5) / per_side
+    if per_side % 2 == 0:
+        place = np.insert(place, per_side // 2, 0.5)
+    y = np.add.outer(np.arange(top, top + height), place).ravel()
+    y = np.concatenate([[top - 1 + place[-1]], y, [top + height + place[0]]])
     spheres, boxes = outlines.sphere_spans(y), outlines.box_spans(y)
     boxes = boxes._replace(owner=boxes.owner + len(outlines.radius))
     return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
@@ -40,10 +47,12 @@ def crossed(
     crosses; one that misses some of them crosses wherever it is.
     """
     owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
+    # As `spans_of` has them: even grids have one more.
+    rows = per_side | 1
     # The first row of a pixel is that below the pixel above, too.
-    above, below = (np.flatnonzero(line % per_side == k) for k in (0, per_side - 1))
+    above, below = (np.flatnonzero(line % rows == k) for k in (0, rows - 1))
     span = np.concatenate([np.arange(line.size), above, below])
-    row = line // per_side
+    row = line // rows
     row = np.concatenate([row, row[above] - 1, row[below] + 1])
     keep = np.flatnonzero((row >= 0) & (row < height))
     span, row = span[keep], row[keep]
@@ -58,7 +67,7 @@ def crossed(
         (np.minimum.reduceat(m[span], first), np.maximum.reduceat(m[span], first))
         for m in (begin, end)
     )
-    whole = (np.diff(first, append=row.size) < per_side + 2) | (left_max + 1 >= right_min)
+    whole = (np.diff(first, append=row.size) < rows + 2) | (left_max + 1 >= right_min)
     apart = np.flatnonzero(~whole)
     start = np.concatenate([left_min, right_min[apart]])
     stop = np.concatenate([np.where(whole, right_max, left_max), right_max[apart]])

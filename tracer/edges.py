@@ -89,8 +89,13 @@ class Lines(NamedTuple):
         return scaled((self.a, self.b, self.c), 1 / self.reach())
 
     def distinct(self) -> Lines:
-        """Sorted by cell, those that are not the same as one before in their cell."""
-        lines = self.take(np.argsort(self.cell, kind="stable"))
+        """Sorted by cell, and by what they are: those that are not the same as one before.
+
+        The order in which they were found says nothing; beyond an edge there is more than beyond
+        a shadow that hides it.
+        """
+        a, b, c = self._unit()
+        lines = self.take(np.lexsort((c, b, a, self.kind, self.cell)))
         kept = np.ones(lines.cell.size, dtype=np.bool_)
         for back in range(1, _COMPARED):
             at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
@@ -261,13 +266,18 @@ class Pencil(NamedTuple):
             self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
             for normal in normals
         ]
-        within = np.all([edge.c >= -edge.reach() for edge in edges], axis=0)
+        # As far as lines may lie elsewhere because the cell's surface is curved.
+        off = [sagitta_error(normal, self.sagitta) for normal in normals]
+        reach = [edge.reach() + m for edge, m in zip(edges, off, strict=True)]
+        within = np.all([edge.c >= -m for edge, m in zip(edges, reach, strict=True)], axis=0)
         for k in (4, 5):
             # Outlines of four edges repeat the first two.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
-        off = (sagitta_error(normal, self.sagitta) for normal in normals)
         turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
-        at = [np.flatnonzero(within & edge.crosses()) for edge in edges]
+        at = [
+            np.flatnonzero(within & np.where(t > BEND, np.abs(edge.c) < m, edge.crosses()))
+            for edge, m, t in zip(edges, reach, turn, strict=True)
+        ]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         turns = np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)

@@ -121,7 +121,8 @@ class Outlines(NamedTuple):
             tilted, level = self.edges[1][k][box] * g, self.edges[2][k][box]
             # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
             # the plane contains the whole row.
-            slack = _ROUNDING * (np.abs(tilted) + np.abs(level))
+            tilt = np.abs(self.edges[1][k][box])
+            slack = _ROUNDING * (tilt * (np.abs(g) + self.raster.depth) + np.abs(level))
             # A level plane, of slope 0, lets all of the row in or none; without one it is 0 / 0.
             bound = -(tilted + level + slack) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)

@@ -33,8 +33,9 @@ __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
-# Surfaces may cross within a pixel if their distance is less than so many pixels' size.
-_CLOSE = 64.0
+# Surfaces that cross within a pixel are no farther apart in its middle than its size, over the
+# cosines under which they are seen: those of faces are told, but for extremes.
+_LEAST_CLOSE, _MOST_CLOSE = 64.0, 16384.0
 
 # Samples farther apart, in pixels, are no neighbours.
 _GAP = 4.0
@@ -53,12 +54,16 @@ class View(NamedTuple):
     outlines : Outlines
     eye_inside : (n,)
         Of all surfaces, spheres first, those that are seen from inside.
+    close : (n,)
+        Of all surfaces: how far apart, in sizes of a pixel there, they and others may be in its
+        middle that cross in it.
     """
 
     raster: Raster
     surfaces: Surfaces
     outlines: Outlines
     eye_inside: Bools
+    close: Floats
 
 
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
@@ -67,7 +72,18 @@ def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
     for k, place in enumerate(eye.tolist()):
         in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])
-    return View(raster, surfaces, outlines, np.concatenate([outlines.power <= 0, in_box]))
+    eye_inside = np.concatenate([outlines.power <= 0, in_box])
+    return View(raster, surfaces, outlines, eye_inside, _closeness(surfaces, eye, in_box))
+
+
+def _closeness(surfaces: Surfaces, eye: Floats, inside: Bools) -> Floats:
+    """`View.close`: for boxes, twice one over the least cosine under which a face is seen."""
+    low, high = surfaces.min_pt - eye, surfaces.max_pt - eye
+    farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=1))
+    heights = np.where(inside[:, None], np.minimum(-low, high), np.maximum(low, -high))
+    least = np.min(heights, axis=1, initial=np.inf, where=heights > 0)
+    boxes = np.clip(2 * farthest / least, _LEAST_CLOSE, _MOST_CLOSE)
+    return np.append(np.full(surfaces.sphere_count, _LEAST_CLOSE), boxes)
 
 
 class Group(NamedTuple):
@@ -179,9 +195,9 @@ def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits,
     """What is `visible`, and what is so near behind that it may come first `size` pixels away."""
     groups = _fragments(view, samples)
     nearest = _nearest(samples, groups)
-    behind = _close_behind(view.raster, samples, groups, nearest, size)
-    hits = _hits(view, samples, _seen(view, groups, nearest))
-    return hits, _hits(view, samples, behind)
+    seen = _seen(view, groups, nearest)
+    behind = _close_behind(view, samples, groups, seen, nearest, size)
+    return _hits(view, samples, seen), _hits(view, samples, behind)
 
 
 class _Fragments(NamedTuple):
@@ -234,6 +250,10 @@ class _Fragments(NamedTuple):
         """What belongs to rows, for each sample."""
         return np.repeat(values[self.row], self.counts)
 
+    def close(self, view: View) -> Any:
+        """`View.close` of the one object, or for each sample."""
+        return self.spread(view.close[self.owner + (not self.sphere) * view.surfaces.sphere_count])
+
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     """All that rays may meet."""
@@ -258,39 +278,45 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
 
 
 def _seen(view: View, groups: list[_Fragments], nearest: Floats | None) -> list[_Fragments]:
-    """Of all fragments those that are seen, in place, given the distance of each sample's first."""
+    """Of all fragments those that are seen, given the distance of each sample's first."""
     if nearest is None:
         # Nothing can hide a lone object.
         return [groups[0].where(groups[0].t < np.inf)]
-    for i, group in enumerate(groups):
-        groups[i] = group.where(group.t == nearest[group.sample])
+    first = [group.where(group.t == nearest[group.sample]) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
-    if sum(group.t.size for group in groups) > seen:
-        groups = _first_of_equals(view, groups)
-    return groups
+    return first if sum(g.t.size for g in first) == seen else _first_of_equals(view, first)
 
 
 def _close_behind(
-    raster: Raster,
+    view: View,
     samples: Samples,
     groups: list[_Fragments],
+    seen: list[_Fragments],
     nearest: Floats | None,
     size: float,
 ) -> list[_Fragments]:
     """Fragments that lie so near behind the first of their samples as `visible_and_behind` says."""
     if nearest is None:
         return []
-    step = _CLOSE * size * max(raster.step_u, raster.step_v)
+    raster = view.raster
+    pixel = size * max(raster.step_u, raster.step_v)
+    ahead: Floats | float = _LEAST_CLOSE
+    grazed = [(group, close) for group in seen if np.any((close := group.close(view)) > ahead)]
+    if grazed:
+        ahead = np.full(samples.size, _LEAST_CLOSE)
+        for group, close in grazed:
+            ahead[group.sample] = close
     behind = []
     for group in groups:
         first = nearest[group.sample]
+        step = pixel * np.maximum(select(ahead, group.sample), group.close(view))
         # No direction is shorter than the window is far: few are left for their lengths.
         most = first * (1 + 2 * step / raster.depth)
         at = np.flatnonzero((group.t > first) & (group.t < most))
         _, y = samples.at(group.sample[at])
         s, g, first = group.s[at], raster.down(y), first[at]
         gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
-        behind.append(group.take(at[gap < step * first]))
+        behind.append(group.take(at[gap < select(step, at) * first]))
     return behind
 
 
