@@ -33,13 +33,16 @@ from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Surfaces
 from tracer.visibility import Group, Hits
 
-__all__ = ["Patches", "footprint_of", "intersections"]
+__all__ = ["Patches", "footprint_of", "intersections", "near_lights"]
 
 # What a cell sees may reach so far from its middle, as a part of the way to a light.
 _WIDE = 0.1
 
 # The least cosine that a footprint is told for: what is more nearly edge-on may reach anywhere.
-_EDGE_ON = 1e-3
+_EDGE_ON = 1e-12
+
+# What a cell sees towards a horizon ends this much nearer than there.
+_NEARLY = 1e-3
 
 # Surfaces are the same if their inverse distances differ by less of themselves across a cell.
 _ALIKE = 1e-9
@@ -60,13 +63,27 @@ def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size
     if group.flat:
         # Towards a horizon, what the far end of a cell sees is farther away by more.
         n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
-        return half / n_dot_v / np.maximum(1 - angle / n_dot_v, _EDGE_ON)
+        return half / n_dot_v / np.maximum(1 - angle / n_dot_v, _NEARLY)
     footprint = half / n_dot_v
     # A sphere turns away no faster than its limb is near: that is for the few points next to it.
     of_sphere = group.of(radius)
     at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
     footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
     return footprint
+
+
+def near_lights(light: Incoming, footprint: Floats) -> Ints:
+    """Points at which so much of the surface is seen, as a light is near, that no line tells of it.
+
+    `footprint` (n,): the radius of what is seen around each.
+    """
+    reach2 = (footprint / _WIDE) ** 2
+    most, near = reach2.max(initial=0), np.zeros(footprint.size, dtype=np.bool_)
+    for length2 in light.length2:
+        # Nearly always there is none.
+        if length2.min(initial=np.inf) < most:
+            near |= length2 < reach2
+    return np.flatnonzero(near)
 
 
 def intersections(
@@ -209,15 +226,6 @@ class Patches(NamedTuple):
         unresolved[pencil.cell[on[unknown]]] = True
         unresolved[edges.cell[turn > BEND]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
-
-    def near_lights(self, light: Incoming, share: float) -> Iterator[Ints]:
-        """Points around which so much of a cell sees so much of the surface, as a light is near."""
-        reach2 = (share / _WIDE * self.footprint) ** 2
-        most = reach2.max()
-        for length2 in light.length2:
-            # Nearly always there is none.
-            if length2.min() < most:
-                yield np.flatnonzero(length2 < reach2)
 
     def near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
         """Lights, and points at which a sphere turns away from them."""

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints
-from tracer.boundaries import Patches, footprint_of, intersections
+from tracer.boundaries import Patches, footprint_of, intersections, near_lights
 from tracer.edges import Lines
 from tracer.lighting import Highlights, Lighting, incoming, narrow_highlights, radiance_at, shade
 from tracer.sampling import Samples
@@ -190,7 +190,14 @@ def look(
     footprint = np.empty(facing.shape[1])
     for group, (_, n_dot_v) in zip(hits.groups, sights, strict=True):
         footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
-    blocked, found = lighting.shadows.edges(hits, facing, footprint)
+    # Where so much is seen at once that it is split anyway, all edges of shadows would be many.
+    wide = near_lights(light, share * footprint)
+    seen.unresolved[order[hits.sample[wide]]] = True
+    reach = footprint
+    if wide.size:
+        reach = footprint.copy()
+        reach[wide] = 0
+    blocked, found = lighting.shadows.edges(hits, facing, reach)
     lit = facing & ~blocked
     seen.shadow_edges.append((found, order))
     for group, sight in zip(hits.groups, sights, strict=True):
@@ -207,8 +214,6 @@ def look(
             key = key * 3 + bit
         seen.key[cell] = key
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
-            seen.unresolved[cell[places]] = True
-        for places in patches.near_lights(here, share):
             seen.unresolved[cell[places]] = True
         at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
         if at.size:
