@@ -186,17 +186,33 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
     """Put balls around stretches of points of some objects."""
     # The points of a row lie on a line, or on an arc of less than half a circle.
     a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
-    middle = hits.raster.point_to_scene(each(lambda a, b: 0.5 * (a + b), a, b))
+    half = each(lambda a, b: 0.5 * (a + b), a, b)
+    middle = hits.raster.point_to_scene(half)
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))
     spheres = occluders.surfaces.sphere_count
     if occluders.eye_inside[:spheres].any():
-        # Seen from inside, an arc may be longer.
+        # Seen from inside, an arc may be longer: then all of the sphere is the ball.
         inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres) & (count > 1))
+        center = hits.raster.to_camera(occluders.surfaces.center[owner[inside]])
+        longer = inside[~_is_short(pick(half, inside), pick(across, inside), center)]
         for m, c in zip(middle, occluders.middle, strict=True):
-            m[inside] = c[owner[inside]]
-        radius[inside] = occluders.radius[owner[inside]]
+            m[longer] = c[owner[longer]]
+        radius[longer] = occluders.radius[owner[longer]]
     return Balls(owner, start, count, middle, radius + occluders.slack[owner])
+
+
+def _is_short(middle: Triple, chord: Triple, center: Triple) -> Bools:
+    """Whether arcs, seen from the origin inside their circles, are surely less than half of these.
+
+    They are where the centre and the origin are on the same side of the chord.
+    """
+    along = dot(middle, chord) / dot(chord, chord)
+    away = each(lambda m, d: m - along * d, middle, chord)
+    beyond = dot(away, each(np.subtract, middle, center))
+    size = dot(away, away) + dot(middle, middle) + dot(center, center)
+    short: Bools = beyond > SLACK * size
+    return short
 
 
 def _near(
