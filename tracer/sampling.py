@@ -86,7 +86,8 @@ class Lattice(NamedTuple):
     points in a pixel are above or beside each other, and yet it fits all pixels: it is a rank-1
     lattice of five points (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008), so
     many times across the pixel and down.  A quarter turn leaves it as it is, so what is smooth
-    is averaged as well as by a grid in rows and columns.
+    is averaged as well as by a grid in rows and columns.  Every other row of pixels has its mirror
+    image: an edge that follows one of its own directions does so in half of its pixels.
 
     Attributes
     ----------
@@ -133,12 +134,12 @@ class Lattice(NamedTuple):
         return np.moveaxis(each.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
-        """How far each row is moved, in columns: two fifths further than the one before."""
+        """How far each row is moved, in columns: two fifths further than the one before, or less."""
         steps = self.rows // self.columns
         middle = steps // 2
         place = (2 * (row - middle) + middle) % steps
         shift: Floats = (place - middle) / steps
-        return shift
+        return np.where(row // self.rows % 2, -shift, shift)
 
 
 CENTRES = Lattice(1, 1)
