@@ -134,7 +134,7 @@ class Lattice(NamedTuple):
         return np.moveaxis(each.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
-        """How far each row is moved, in columns: two fifths further than the one before, or less."""
+        """How far each row is moved, in columns: by two fifths from one to the next."""
         steps = self.rows // self.columns
         middle = steps // 2
         place = (2 * (row - middle) + middle) % steps
