@@ -39,8 +39,9 @@ def test_a_small_object_beside_the_rim_before_a_wide_one() -> None:
     )
 
 
-def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Its edges are straight, but not on a ball of a few pixels.
+@pytest.mark.parametrize("rows", [24, 2])
+def test_the_shadow_of_a_box_on_a_small_ball(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Its edges are straight, but not on a ball of a few pixels, be they square or tall.
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
     ball = Sphere(center=(0, 0, 0), radius=0.55)
     box = Box(min_pt=(0.933, 1.304, 0.797), max_pt=(1.35, 1.746, 1.072), shader=RED)
@@ -53,8 +54,8 @@ def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) ->
         view_height=2,
     )
     lights = [PointLight(position=(3.04, 4.625, 2.95))]
-    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[ball, box, floor])
-    no_worse_than_the_uniform_grid(scene, numbers=(64,))
+    scene = Scene(camera=camera, width=36, height=rows, lights=lights, surfaces=[ball, box, floor])
+    no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
 def test_surfaces_that_cross_within_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,6 +111,23 @@ def test_a_floor_to_the_horizon() -> None:
     # Within a pixel beside the horizon the floor comes nearer to the light, and leaves it again.
     floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
     no_worse_than_the_uniform_grid(low_over(floor, height=0.5, light=(1, 1, -6)), 2)
+
+
+@pytest.mark.parametrize(("slope", "pixel"), [(5e-4, 1e-4), (1e-4, 1e-5), (1e-5, 1e-6)])
+def test_a_shadow_far_away_on_a_floor(slope: float, pixel: float) -> None:
+    # Seen so nearly edge-on that a pixel sees as much of the floor as is before it.
+    wide = 24 * pixel
+    camera = Camera(
+        view_point=(0, 100 * slope, 0),
+        view_dir=(0.03 * wide, -slope - 0.4 * pixel, -1),
+        view_width=wide,
+        view_height=wide * 2 / 3,
+    )
+    floor = Box(min_pt=(-1e3, -5, -1e3), max_pt=(1e3, 0, 1e3))
+    above = Box(min_pt=(-300, 150, -103), max_pt=(300, 160, -100), shader=RED)
+    lights = [PointLight(position=(3, 2000, -101))]
+    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, above])
+    no_worse_than_the_uniform_grid(scene)
 
 
 def test_a_shadow_seen_nearly_edge_on() -> None:
@@ -238,18 +256,32 @@ def test_a_light_on_a_ball(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.02])
+@pytest.mark.parametrize("thickness", [0.05, 0.1, 0.3])
+def test_a_wire_on_a_row_of_centres(thickness: float, turn: float) -> None:
+    # All centres see it; of a grid of four or sixteen samples none does.
+    camera = Camera(view_up=(math.sin(turn), math.cos(turn), 0))
+    half = thickness / 6
+    wire = Box(min_pt=(-0.8, -half, -6), max_pt=(0.8, half, -5), shader=RED)
+    wall = Box(min_pt=(-30, -30, -12), max_pt=(30, 30, -11))
+    lights = [PointLight(position=(1, 2, 6))]
+    scene = Scene(camera=camera, width=15, height=15, lights=lights, surfaces=[wall, wire])
+    no_worse_than_the_uniform_grid(scene)
+
+
 @pytest.mark.parametrize("part", [0.1, 0.3, 0.7])
-def test_a_wall_through_a_floor_seen_at_a_low_angle(part: float) -> None:
+@pytest.mark.parametrize("slope", [1e-2, 2e-3])
+def test_a_wall_through_a_floor_seen_at_a_low_angle(slope: float, part: float) -> None:
     # Its foot is so much of a pixel below the top of a row; behind it the floor is far away.
-    step = 0.1 / 18
-    up = -0.01 + part * step
+    step = slope * 10 / 18
+    up = -slope + part * step
     camera = Camera(
-        view_point=(0, 0.1, 0),
+        view_point=(0, 10 * slope, 0),
         view_dir=(0, up, -1),
         proj_normal=(0, 0, 1),
         proj_distance=math.hypot(1, up),
-        view_width=0.1,
-        view_height=0.2 / 3,
+        view_width=18 * step,
+        view_height=12 * step,
     )
     floor = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
     wall = Box(min_pt=(-3, -1, -11), max_pt=(3, 2, -10), shader=RED)

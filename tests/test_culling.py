@@ -146,6 +146,17 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     assert np.array_equal(np.unique(lines.in_rows()), [0, 1])
 
 
+def test_a_row_of_rays_along_an_edge() -> None:
+    # In the plane of the eye and the box's upper edge: an exact tie, and the box is closed.
+    camera = Camera(view_point=(-1, 1, 1), view_dir=(0, -1, -2), view_width=2, view_height=4 / 3)
+    box = Box(min_pt=(-3, -1, 0), max_pt=(-2, 0.5, 1))
+    lights = [PointLight(position=(3, 5, 0))]
+    scene = Scene(camera=camera, width=29, height=19, lights=lights, surfaces=[box])
+    image = render(scene)
+    assert np.array_equal(image, brute_force(scene))
+    assert image[9, 0].any()
+
+
 def test_no_objects() -> None:
     empty = scene()
     assert_same(empty)

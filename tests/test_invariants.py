@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +18,11 @@ from tracer import (
     Scene,
     Sphere,
     Surfaces,
+    antialias,
     render,
     rendering,
 )
-from tracer.arrays import Floats
+from tracer.arrays import Floats, Ints
 from tracer.rendering import render_bands
 
 
@@ -65,21 +67,26 @@ def test_shifted(kind: str, shift: tuple[float, float, float]) -> None:
         assert image[sure] == pytest.approx(expected[sure], abs=3e-14)
 
 
+TIED = {"touching", "duplicated"}
+"""Where the floor's inner side, if it is seen, ties with the bottom of what stands on it."""
+
+
+def in_order(scene: Scene, order: Ints) -> Scene:
+    """The same objects in some order, all of one shader: exact ties go to the first."""
+    shader = Lambertian(diffuse=(0.9, 0.5, 0.1))
+    surfaces = [replace(scene.surfaces[i], shader=shader) for i in order.tolist()]
+    return replace(scene, surfaces=Surfaces.of(surfaces))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_objects_in_another_order(kind: str) -> None:
     rng = np.random.default_rng(1)
     for seed in range(8):
         scene, _ = picture(kind, seed)
-        if kind in {"touching", "duplicated"} and -1 <= scene.camera.view_point[1] <= 0:
-            # The floor's inner side, seen then, ties with the bottom of what stands on it.
+        if kind in TIED and -1 <= scene.camera.view_point[1] <= 0:
             continue
-        # Exact ties between different shaders go to the first: so all have one.
-        shader = Lambertian(diffuse=(0.9, 0.5, 0.1))
-        surfaces = [replace(surface, shader=shader) for surface in scene.surfaces[:]]
-        image = render(replace(scene, surfaces=Surfaces.of(surfaces)))
-        order = rng.permutation(len(surfaces))
-        permuted = Surfaces.of([surfaces[i] for i in order])
-        assert np.array_equal(render(replace(scene, surfaces=permuted)), image)
+        image = render(in_order(scene, np.arange(len(scene.surfaces))))
+        assert np.array_equal(render(in_order(scene, rng.permutation(len(scene.surfaces)))), image)
 
 
 @pytest.mark.parametrize("kind", ["scattered", "rooms", "enormous", "far"])
@@ -137,6 +144,24 @@ def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> No
     bands = [b.copy() for b in render_bands(scene, threads=threads, band_pixels=31)]
     assert len(bands) == scene.height
     assert np.array_equal(np.concatenate(bands), image)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_antialiased_in_another_order_and_in_bands(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of edges in one place any may be found first; pixels are split, however full of them.
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    rng = np.random.default_rng(1)
+    for seed in range(4):
+        scene = random_scene(kind, seed, 36, 24)
+        if kind in TIED and -1 <= scene.camera.view_point[1] <= 0:
+            continue
+        image = render(in_order(scene, np.arange(len(scene.surfaces))), 16, threads=1)
+        shuffled = in_order(scene, rng.permutation(len(scene.surfaces)))
+        assert np.array_equal(render(shuffled, 16, threads=1), image)
+        bands = [b.copy() for b in render_bands(shuffled, 16, threads=1, band_pixels=100)]
+        assert np.array_equal(np.concatenate(bands), image)
 
 
 @pytest.mark.parametrize("samples", [4, 9])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from random_scenes import KINDS, random_scene
 
-from tracer import antialias, render, shadow
+from tracer import Box, Camera, PointLight, Scene, Sphere, antialias, render, shadow
 from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
 from tracer.occluders import Candidates, Occluders, candidates_by_kind
@@ -102,3 +102,43 @@ def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPa
     for seed in range(4):
         render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
     assert looks
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
+    few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What a pixel sees there is larger than all else: every object may shade some of it.
+    rng = np.random.default_rng(0)
+    floor = Box(min_pt=(-1e6, -1, -1e6), max_pt=(1e6, 0, 1e6))
+    balls = [
+        Sphere(center=(x, 0.1, z), radius=0.1)
+        for x, z in rng.uniform((-20, -60), (20, -2), (200, 2)).tolist()
+    ]
+    scene = Scene(
+        camera=Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1)),
+        width=64,
+        height=64,
+        lights=[PointLight(position=(30, 40, 20))],
+        surfaces=[floor, *balls],
+    )
+    asked = found = 0
+    edges, points = Shadows.edges, Candidates.points
+
+    def counted(self: Shadows, hits: Hits, facing: Bools, footprint: Floats) -> Any:
+        nonlocal asked
+        asked += hits.own.size
+        return edges(self, hits, facing, footprint)
+
+    def tried(self: Candidates) -> Any:
+        nonlocal found
+        found += int(self.balls.length.sum())
+        return points(self)
+
+    monkeypatch.setattr(Shadows, "edges", counted)
+    monkeypatch.setattr(Candidates, "points", tried)
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    monkeypatch.setattr(shadow, "_FEW", 10**9 if few else -1)
+    monkeypatch.setattr(shadow, "_MOST", -1)
+    render(scene, samples=4, threads=1)
+    assert 0 < found < 10 * asked
