@@ -129,9 +129,11 @@ def _refine(
     if beyond.size:
         colors[:, beyond], found, more = _beyond(lighting, cells, sides.take(beyond))
         unresolved[more] = True
-        lines = _few(joined([lines, found]), unresolved)
-        kept = np.flatnonzero(~unresolved[sides.cell])
-        sides, colors = sides.take(kept), colors[:, kept]
+        lines = joined([lines, found])
+    # Once more, whatever other cells have found: each is decided alone.
+    lines = _few(lines, unresolved)
+    kept = np.flatnonzero(~unresolved[sides.cell])
+    sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
     lights = seen.lights(lighting, np.append(rest, sides.cell))
     # All of the surface that the middle of a cell sees has been looked at.
