@@ -94,8 +94,13 @@ class Lines(NamedTuple):
         The order in which they were found says nothing; beyond an edge there is more than beyond
         a shadow that hides it.
         """
-        a, b, c = self._unit()
-        lines = self.take(np.lexsort((c, b, a, self.kind, self.cell)))
+        order = np.argsort(self.cell, kind="stable")
+        same = np.diff(self.cell[order]) == 0
+        at = np.flatnonzero(np.append(same, False) | np.append(False, same))
+        shared = self.take(order[at])
+        a, b, c = shared._unit()
+        order[at] = order[at[np.lexsort((c, b, a, shared.kind, shared.cell))]]
+        lines = self.take(order)
         kept = np.ones(lines.cell.size, dtype=np.bool_)
         for back in range(1, _COMPARED):
             at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
