@@ -251,8 +251,9 @@ class _Fragments(NamedTuple):
         return np.repeat(values[self.row], self.counts)
 
     def close(self, view: View) -> Any:
-        """`View.close` of the one object, or for each sample."""
-        return self.spread(view.close[self.owner + (not self.sphere) * view.surfaces.sphere_count])
+        """`View.close` for each sample: one number where that is the least of all."""
+        close = view.close[self.owner + (not self.sphere) * view.surfaces.sphere_count]
+        return self.spread(close) if np.any(close > _LEAST_CLOSE) else _LEAST_CLOSE
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
