@@ -13,9 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, lighting, render
 from tracer.camera import raster_of
 from tracer.outlines import outlines_of
+from tracer.sampling import Samples
+from tracer.visibility import Hits, View
 
 
 def assert_same(scene: Scene) -> None:
@@ -155,6 +157,24 @@ def test_a_row_of_rays_along_an_edge() -> None:
     image = render(scene)
     assert np.array_equal(image, brute_force(scene))
     assert image[9, 0].any()
+
+
+def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    # They are taken a few rows at a time: memory is for pairs of samples and objects.
+    plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
+    lights = [PointLight(position=(0, 2, 0))]
+    scene = Scene(camera=Camera(), width=40, height=30, lights=lights, surfaces=plates)
+    most, visible = 0, lighting.visible
+
+    def counted(view: View, samples: Samples) -> Hits:
+        nonlocal most
+        most = max(most, samples.size)
+        return visible(view, samples)
+
+    monkeypatch.setattr(lighting, "visible", counted)
+    image = render(scene, threads=1)
+    assert 0 < most <= 40 * 30 * 8 / 60
+    assert np.array_equal(image, brute_force(scene))
 
 
 def test_no_objects() -> None:

@@ -140,7 +140,8 @@ def _refine(
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _AT_ONCE:
-        colors[:, beside] = _sample(lights, cells, lines, rest, per_side, mean, near)
+        at_once = lighting.view.at_once(_CHUNK)
+        colors[:, beside] = _sample(lights, cells, lines, rest, per_side, at_once, mean, near)
     else:
         _split(lighting, lights, cells, seen, rest, per_side, mean)
         at = cells.at(near.cell, near.x, near.y)
@@ -179,16 +180,17 @@ def _sample(
     lines: Lines,
     some: Ints,
     per_side: int,
+    at_once: int,
     mean: Floats,
     near: Points,
 ) -> Floats:
     """Put mean radiance (3, n) in the place of that of some cells, from a lattice in each.
 
-    Returns that of other points, which are sampled along with the first.
+    So many samples are taken `at_once`.  Returns radiance of other points, sampled with the first.
     """
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
-    step, colors = max(1, _CHUNK // lattice.size), []
+    step, colors = max(1, at_once // lattice.size), []
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
         held = np.flatnonzero(np.isin(lines.cell, part))
@@ -223,7 +225,7 @@ def _split(
     mean: Floats,
 ) -> None:
     """Put mean radiance (3, n) in the place of that of some cells, from that of their quarters."""
-    step = _CHUNK // 4
+    step = max(1, lighting.view.at_once(_CHUNK) // 4)
     for begin in range(0, some.size, step):
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)

@@ -166,6 +166,17 @@ class Outlines(NamedTuple):
         count: Ints = np.cumsum(first - last)[:height]
         return count
 
+    def layers(self) -> float:
+        """How many objects a pixel may see on average, one behind the other: of the fullest row."""
+        width, height = self.raster.width, self.raster.height
+        frames = self._frames()
+        wide = np.clip(frames.right + 1, 0, width) - np.clip(frames.left - 1, 0, width)
+        first, last = (
+            np.bincount(np.clip(m, 0, height).astype(np.intp), wide, height + 1)
+            for m in (frames.top, np.fmax(frames.bottom + 1, frames.top))
+        )
+        return float(np.cumsum(first - last)[:height].max() / width)
+
     def crossed_twice(self) -> float:
         """Pairs of outlines in a pixel, on average, if they lay anywhere: it may be more than 1."""
         frames = self._frames()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 from math import inf, isqrt
 from typing import NamedTuple, TypeVar
 
@@ -331,12 +331,16 @@ class _Renderer(NamedTuple):
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
         """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
         width, rows = self.bands.picture.scene.width, self.bands.rows(number)
+        height = rows.stop - rows.start
         if out is None:
-            out = np.zeros((rows.stop - rows.start, width, 3))
+            out = np.zeros((height, width, 3))
         if self.columns(number).stop:
-            for left in range(0, width, self.bands.at_once):
-                columns = slice(left, min(left + self.bands.at_once, width))
-                self._part(rows, columns, out[:, columns])
+            at_once = self.lighting.view.at_once(height * width)
+            tall, wide = max(1, at_once // width), min(at_once, self.bands.at_once)
+            for top, left in product(range(0, height, tall), range(0, width, wide)):
+                below, right = min(top + tall, height), min(left + wide, width)
+                here, columns = slice(rows.start + top, rows.start + below), slice(left, right)
+                self._part(here, columns, out[top:below, columns])
         return out
 
     @_QUIET

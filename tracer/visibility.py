@@ -30,6 +30,9 @@ from tracer.scene import Surfaces
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 
+# With more objects behind each other, fewer samples are taken at a time: memory is for pairs.
+_LAYERS = 8.0
+
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
@@ -57,6 +60,8 @@ class View(NamedTuple):
     close : (n,)
         Of all surfaces: how far apart, in sizes of a pixel there, they and others may be in its
         middle that cross in it.
+    layers : float
+        How many objects the samples of a row may meet on average, one behind the other: at most.
     """
 
     raster: Raster
@@ -64,6 +69,11 @@ class View(NamedTuple):
     outlines: Outlines
     eye_inside: Bools
     close: Floats
+    layers: float
+
+    def at_once(self, samples: int) -> int:
+        """So many samples at a time, or fewer where many objects lie behind each other."""
+        return max(1, int(samples * min(1.0, _LAYERS / max(self.layers, 1.0))))
 
 
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
@@ -73,7 +83,14 @@ def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     for k, place in enumerate(eye.tolist()):
         in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])
     eye_inside = np.concatenate([outlines.power <= 0, in_box])
-    return View(raster, surfaces, outlines, eye_inside, _closeness(surfaces, eye, in_box))
+    return View(
+        raster=raster,
+        surfaces=surfaces,
+        outlines=outlines,
+        eye_inside=eye_inside,
+        close=_closeness(surfaces, eye, in_box),
+        layers=outlines.layers(),
+    )
 
 
 def _closeness(surfaces: Surfaces, eye: Floats, inside: Bools) -> Floats:
