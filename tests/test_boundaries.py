@@ -14,7 +14,7 @@ from tracer.lighting import Incoming
 def test_light_that_a_hollow_ball_keeps_out_begins_nowhere_on_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    lights = [PointLight(position=(20, 0, 0)), PointLight(position=(0, 4.99, -1))]
+    lights = [PointLight(position=(20, 0, 0)), PointLight(position=(0, 4, -1))]
     room = Sphere(radius=5)
     scene = Scene(camera=Camera(), width=60, height=60, lights=lights, surfaces=[room])
     asked: list[int] = []
