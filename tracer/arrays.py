@@ -54,7 +54,7 @@ Index: TypeAlias = int | Ints
 
 T = TypeVar("T")
 
-# Candidates at a time that stay in cache.
+# Pairs at a time that stay in cache.
 _BATCH = 1 << 15
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.arrays import Bools, Ints, each, expand, pick
+from tracer.arrays import Bools, Floats, Ints, each, expand, pick
 from tracer.edges import BEND, Kind, Lines, Pencil
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines, Spans
@@ -23,18 +23,19 @@ _NEAR_LIMB = 6.0
 
 
 def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
-    """Spans of all objects in the rows of each pixel, and in the nearest ones above and below.
-
-    The rows are those of the grid that is asked for, and that of the pixel's centre.
-    """
-    place = (np.arange(per_side) + 0.5) / per_side
-    if per_side % 2 == 0:
-        place = np.insert(place, per_side // 2, 0.5)
+    """Spans of all objects in the rows of each pixel, and in the nearest ones above and below."""
+    place = _rows_in(per_side)
     y = np.add.outer(np.arange(top, top + height), place).ravel()
     y = np.concatenate([[top - 1 + place[-1]], y, [top + height + place[0]]])
     spheres, boxes = outlines.sphere_spans(y), outlines.box_spans(y)
     boxes = boxes._replace(owner=boxes.owner + len(outlines.radius))
     return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
+
+
+def _rows_in(per_side: int) -> Floats:
+    """Rows in a pixel, from 0 to 1: those of the grid that is asked for, and that of its centre."""
+    place = (np.arange(per_side) + 0.5) / per_side
+    return place if per_side % 2 else np.insert(place, per_side // 2, 0.5)
 
 
 def crossed(
@@ -47,8 +48,7 @@ def crossed(
     crosses; one that misses some of them crosses wherever it is.
     """
     owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
-    # As `spans_of` has them: even grids have one more.
-    rows = per_side | 1
+    rows = _rows_in(per_side).size
     # The first row of a pixel is that below the pixel above, too.
     above, below = (np.flatnonzero(line % rows == k) for k in (0, rows - 1))
     span = np.concatenate([np.arange(line.size), above, below])
@@ -84,7 +84,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
     Cells that are `rough` only because they see a sphere beside its limb have its line as well,
     and are rough no more.
     """
-    outlines, spheres = view.outlines, len(view.outlines.radius)
+    outlines, spheres = view.outlines, view.surfaces.sphere_count
     at = np.flatnonzero(cells.owner < spheres)
     beside, own = seen.spheres(rough)
     cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)

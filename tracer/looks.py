@@ -192,9 +192,9 @@ def look(
         footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
     # Where so much is seen at once that it is split anyway, all edges of shadows would be many.
     wide = near_lights(light, share * footprint)
-    seen.unresolved[order[hits.sample[wide]]] = True
     reach = footprint
     if wide.size:
+        seen.unresolved[order[hits.sample[wide]]] = True
         reach = footprint.copy()
         reach[wide] = 0
     blocked, found = lighting.shadows.edges(hits, facing, reach)

@@ -155,27 +155,25 @@ class Outlines(NamedTuple):
             between(left, right, self.raster.width),
         )
 
-    def in_rows(self) -> Ints:
+    def in_rows(self) -> Floats:
         """How many objects may be seen in each row of pixels (height,)."""
-        height, seen = self.raster.height, self.in_picture()
-        frames = self._frames()
-        first, last = (
-            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), minlength=height + 1)
-            for m in (frames.top, frames.bottom + 1)
-        )
-        count: Ints = np.cumsum(first - last)[:height]
-        return count
+        return self._over_rows(np.ones(self.radius.size + self.shaped.size))
 
     def layers(self) -> float:
         """How many objects a pixel may see on average, one behind the other: of the fullest row."""
-        width, height = self.raster.width, self.raster.height
-        frames = self._frames()
+        frames, width = self._frames(), self.raster.width
         wide = np.clip(frames.right + 1, 0, width) - np.clip(frames.left - 1, 0, width)
+        return float(self._over_rows(wide).max() / width)
+
+    def _over_rows(self, weight: Floats) -> Floats:
+        """What objects weigh (n,), all in one, that may be seen in each row of pixels (height,)."""
+        height, seen = self.raster.height, self.in_picture()
+        frames = self._frames()
         first, last = (
-            np.bincount(np.clip(m, 0, height).astype(np.intp), wide, height + 1)
-            for m in (frames.top, np.fmax(frames.bottom + 1, frames.top))
+            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), weight[seen], height + 1)
+            for m in (frames.top, frames.bottom + 1)
         )
-        return float(np.cumsum(first - last)[:height].max() / width)
+        return np.asarray(np.cumsum(first - last)[:height])
 
     def crossed_twice(self) -> float:
         """Pairs of outlines in a pixel, on average, if they lay anywhere: it may be more than 1."""
