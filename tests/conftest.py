@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,19 @@ pytest.register_assert_rewrite("uniform_grid")
 def either_reader(request, monkeypatch):
     """All files are read as small ones are, or as large ones."""
     monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+
+
+@pytest.fixture
+def signals_heeded() -> Iterator[None]:
+    """No interrupt is ignored: commands inherit that from nohup, or from a script's background."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+    kinds = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    ignored = [kind for kind in kinds if signal.getsignal(kind) == signal.SIG_IGN]
+    for kind in ignored:
+        signal.signal(kind, signal.SIG_DFL)
+    yield
+    for kind in ignored:
+        signal.signal(kind, signal.SIG_IGN)
 
 
 def open_files() -> int:

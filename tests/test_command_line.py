@@ -271,6 +271,7 @@ def started(scene: Path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.usefixtures("signals_heeded")
 @pytest.mark.parametrize(
     "kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 )
@@ -286,6 +287,7 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     assert picture.read_bytes() == b"precious"
 
 
+@pytest.mark.usefixtures("signals_heeded")
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_while_numpy_is_imported(scene, kind):
     process = subprocess.Popen(
@@ -383,6 +385,7 @@ def on_a_terminal(scene: Path, wait_for: str | None = None) -> str:
     return shown
 
 
+@pytest.mark.usefixtures("signals_heeded")
 def test_a_slow_picture_shows_its_progress(scene):
     scene.write_text(SLOW)
     shown = on_a_terminal(scene, wait_for="row/s")

@@ -176,6 +176,7 @@ def children(process: subprocess.Popen[str]) -> str:
     return Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
 
 
+@pytest.mark.usefixtures("signals_heeded")
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 @pytest.mark.parametrize("when", ["numpy is imported", "the variant is probed"])
 def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
