@@ -19,7 +19,7 @@ from unittest import mock
 import numpy as np
 
 from reference import machine
-from reference.command import HERE, SCENES, parser
+from reference.command import HERE, SCENES, parser, result
 from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
@@ -233,10 +233,12 @@ def main() -> None:
     ).parse_args()
     where = machine.describe()
     found = [_one_sample(options.quick), _antialiased(options.quick)]
-    write_records("ablation", where, found)
+    write_records(result("ablation.csv", quick=options.quick), where, found)
     shown = [_shown(table) for table in found]
     for table in shown:
         print(table.markdown())
+    if options.quick:
+        return
     made = (
         f"Measured by `python -m reference.ablation` on {where}; one process, unless it says two."
     )

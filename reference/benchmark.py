@@ -29,7 +29,7 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.command import HERE, SCENES, built, parser
+from reference.command import HERE, SCENES, built, parser, result
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process, run
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
@@ -423,7 +423,7 @@ def main() -> None:
         found[section] = table
     head = f"# Benchmark\n\nMade by `python -m reference.benchmark` on {where}. {_SPEEDUP}\n"
     report = "\n".join([head, *(table.markdown() for table in found.values())])
-    (HERE / "benchmark.md").write_text(report, encoding="utf-8")
+    result("benchmark.md", quick=options.quick).write_text(report, encoding="utf-8")
     if not options.quick:
         shown = [
             found[whole_process],
@@ -433,7 +433,7 @@ def main() -> None:
         ]
         made = f"Measured by `python -m reference.benchmark` on {where}. {_SPEEDUP}"
         quote(HERE.parent / "README.md", "benchmark", made, shown)
-    write_records("benchmark", where, [*found.values()])
+    write_records(result("benchmark.csv", quick=options.quick), where, [*found.values()])
 
 
 if __name__ == "__main__":

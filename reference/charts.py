@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import matplotlib as mpl
@@ -13,8 +14,6 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patheffects import withStroke
-
-from reference.command import HERE
 
 __all__ = [
     "HALO",
@@ -160,18 +159,18 @@ def headline(figure: Any, title: str, note: str) -> None:
         figure.text(0.03, 1 - below / height, words, va="top", **look)
 
 
-def save(figure: Any, name: str) -> None:
-    """Write a figure as SVG and PNG into this folder."""
-    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None})
-    figure.savefig(HERE / f"{name}.png", dpi=110, pil_kwargs={"optimize": True})
+def save(figure: Any, path: Path) -> None:
+    """Write a figure as SVG and PNG; the path has neither suffix."""
+    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(path.with_suffix(".png"), dpi=110, pil_kwargs={"optimize": True})
     plt.close(figure)
 
 
 def write_csv(
-    name: str, machine: str, header: Sequence[str], rows: Iterable[Sequence[object]]
+    path: Path, machine: str, header: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write numbers into this folder, under a comment that names the machine."""
-    with (HERE / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+    """Write numbers, under a comment that names the machine."""
+    with path.open("w", newline="", encoding="utf-8") as file:
         file.write(f"# {machine}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
@@ -180,7 +179,7 @@ def write_csv(
         )
 
 
-def read_csv(name: str) -> list[list[str]]:
-    """The rows of a table in this folder, without its header."""
-    with (HERE / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+def read_csv(path: Path) -> list[list[str]]:
+    """The rows of a table, without its header."""
+    with path.open(newline="", encoding="utf-8") as file:
         return list(csv.reader(file))[2:]

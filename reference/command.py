@@ -14,7 +14,7 @@ from tracer.reader import printable
 # Its own thread would keep the tracer from using both processors.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "parser", "spare_inputs"]
+__all__ = ["BUILD", "HERE", "SCENES", "built", "parser", "result", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
@@ -29,6 +29,11 @@ def built(name: str) -> Path:
     return BUILD / name
 
 
+def result(name: str, *, quick: bool) -> Path:
+    """Where to write what was measured: this folder, or the build folder if it was `quick`."""
+    return built(name) if quick else HERE / name
+
+
 def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.ArgumentParser:
     """The parser of `python -m module`, described by its docstring.
 
@@ -40,7 +45,8 @@ def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.A
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     if quick:
-        made.add_argument("--quick", action="store_true", help=quick)
+        where = f"{quick}; writes into {BUILD.name}/"
+        made.add_argument("--quick", action="store_true", help=where)
     return made
 
 

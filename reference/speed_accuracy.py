@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import mitsuba as mi
@@ -31,7 +32,7 @@ from tqdm import tqdm
 from converters.variant import LLVM, SCALAR, use
 from reference import alternatives, machine, rivals
 from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
-from reference.command import SCENES, built, parser
+from reference.command import SCENES, built, parser, result
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
@@ -491,7 +492,7 @@ def _scenes(quick: bool) -> dict[str, Scene]:
 _COLUMNS = ("scene", "method", "samples", "process", "rmse", "seconds", "low", "high")
 
 
-def _stored() -> list[Point]:
+def _stored(path: Path) -> list[Point]:
     return [
         Point(
             scene,
@@ -501,7 +502,7 @@ def _stored() -> list[Point]:
             float(error),
             Timing(float(median), float(low), float(high)),
         )
-        for scene, method, samples, whole, error, median, low, high in read_csv("speed_accuracy")
+        for scene, method, samples, whole, error, median, low, high in read_csv(path)
     ]
 
 
@@ -510,9 +511,9 @@ def main() -> None:
     options = parser("reference.speed_accuracy", __doc__, quick="one scene, few samples")
     options.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     chosen = options.parse_args()
-    scenes = _scenes(chosen.quick)
+    scenes, chart = _scenes(chosen.quick), result("speed_accuracy.csv", quick=chosen.quick)
     if chosen.redraw:
-        points = _stored()
+        points = _stored(chart)
     else:
         try:
             use(LLVM)
@@ -525,12 +526,12 @@ def main() -> None:
         for name, scene in tqdm(scenes.items(), unit="scene"):
             points += measure(name, scene, quick=chosen.quick)
         write_csv(
-            "speed_accuracy",
+            chart,
             where,
             _COLUMNS,
             ((p.scene, p.method, p.samples, p.process, p.error, *astuple(p.time)) for p in points),
         )
-    save(_draw(scenes, points, truth_side(chosen.quick) ** 2), "speed_accuracy")
+    save(_draw(scenes, points, truth_side(chosen.quick) ** 2), chart)
 
 
 if __name__ == "__main__":

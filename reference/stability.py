@@ -36,7 +36,7 @@ from reference.charts import (
     save,
     write_csv,
 )
-from reference.command import parser
+from reference.command import parser, result
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
@@ -480,8 +480,9 @@ def main() -> None:
             for x, value in zip(at, values, strict=True)
         ]
     where = machine.describe()
-    write_csv("stability", where, ("panel", "axis", "at", "method", "measure", "value"), rows)
-    save(figure, "stability")
+    chart = result("stability.csv", quick=options.quick)
+    write_csv(chart, where, ("panel", "axis", "at", "method", "measure", "value"), rows)
+    save(figure, chart)
 
 
 if __name__ == "__main__":

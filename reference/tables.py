@@ -58,7 +58,7 @@ def quote(page: Path, mark: str, made: str, found: Sequence[Table]) -> None:
     page.write_text(f"{before}{begin}{made}\n\n{quoted}\n{end}{after}", encoding="utf-8")
 
 
-def write_records(name: str, where: str, found: Sequence[Table]) -> None:
-    """Write all cells as `name`.csv, with the machine in the first line."""
+def write_records(path: Path, where: str, found: Sequence[Table]) -> None:
+    """Write all cells as CSV, with the machine in the first line."""
     records = (record for table in found for record in table.records())
-    write_csv(name, where, ("table", "row", "column", "value", "low", "high"), records)
+    write_csv(path, where, ("table", "row", "column", "value", "low", "high"), records)

@@ -14,16 +14,14 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-import reference.charts
-import reference.command
 from converters.variant import LLVM, use
-from reference import ablation, alternatives, benchmark, minimal, speed_accuracy, stability
+from reference import ablation, alternatives, benchmark, command, minimal, speed_accuracy, stability
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
 from reference.benchmark import growth_exponent
 from reference.povray import to_pov
 from reference.rivals import povray_trace
 from reference.speed_accuracy import Lead, Point, Truth
-from reference.tables import Table
+from reference.tables import Table, quote
 from reference.timing import Task, Timing, interleaved
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
@@ -246,24 +244,32 @@ def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.P
 def test_ablation_of_small_pictures(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(reference.charts, "HERE", tmp_path)
-    monkeypatch.setattr(ablation, "HERE", tmp_path)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(
         ablation, "resized", lambda scene, width, height: resized(scene, width // 10, height // 10)
     )
     monkeypatch.setattr(ablation, "crowd", lambda count, **_: crowd(50, width=32, height=18))
-    marks = "<!-- ablation:begin -->\n", "<!-- ablation:end -->\n"
-    (tmp_path / "README.md").write_text("before\n{}old\n{}after\n".format(*marks))
     monkeypatch.setattr(sys, "argv", ["ablation", "--quick"])
     ablation.main()
-    page = (tmp_path / "README.md").read_text()
-    assert page.startswith(f"before\n{marks[0]}Measured by `python -m reference.ablation` on ")
-    assert page.endswith(f"\n{marks[1]}after\n")
-    assert "old" not in page
+    shown = capsys.readouterr().out
     parts = [*ablation.ONE_SAMPLE, *ablation.ANTIALIASING]
-    assert all(page.count(f"| {part.name} |") == 1 for part in parts)
+    assert all(shown.count(f"| {part.name} |") == 1 for part in parts)
     lines = (tmp_path / "ablation.csv").read_text().splitlines()[2:]
     assert len(lines) == 5 * (1 + len(ablation.ONE_SAMPLE)) + 8 * (1 + len(ablation.ANTIALIASING))
+
+
+def test_a_page_quotes_tables_between_its_marks(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    marks = "<!-- x:begin -->\n", "<!-- x:end -->\n"
+    page.write_text("before\n{}old\n{}after\n".format(*marks))
+    table = Table("Title", "A note.", ("scene", "time"), [("ball", 0.25)])
+    for _ in range(2):
+        quote(page, "x", "Made so.", [table])
+        assert page.read_text() == (
+            f"before\n{marks[0]}Made so.\n\n"
+            "### Title\n\nA note.\n\n| scene | time |\n|---|---|\n| ball | 0.25 |\n\n"
+            f"{marks[1]}after\n"
+        )
 
 
 def test_the_compact_table_has_every_scene_at_every_size() -> None:
@@ -305,7 +311,7 @@ def test_truth_is_rows_of_the_whole_picture(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scene = _small("sticks-perspective", 16, 9)
-    monkeypatch.setattr(reference.command, "BUILD", tmp_path)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(speed_accuracy, "_PIXELS", 16 * 9 // 4)
     truth = Truth.of(scene, 5)
     assert truth.radiance.shape == (2, 16, 3)
@@ -367,7 +373,7 @@ def test_the_chart_says_what_was_measured() -> None:
 def test_speed_accuracy_of_a_small_picture(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(reference.charts, "HERE", tmp_path)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(
         speed_accuracy, "_scenes", lambda quick: {"small": _small("four-spheres", 32, 18)}
     )
@@ -379,7 +385,8 @@ def test_speed_accuracy_of_a_small_picture(
         assert LLVM in capsys.readouterr().err
         return
     speed_accuracy.main()
-    assert {path.suffix for path in tmp_path.iterdir()} == {".svg", ".png", ".csv"}
+    charts = tmp_path.glob("speed_accuracy.*")
+    assert {path.suffix for path in charts} == {".svg", ".png", ".csv"}
     rows = [
         line.split(",") for line in (tmp_path / "speed_accuracy.csv").read_text().splitlines()[2:]
     ]
@@ -396,9 +403,9 @@ def test_speed_accuracy_of_a_small_picture(
 
 
 def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(reference.charts, "HERE", tmp_path)
-    monkeypatch.setattr(sys, "argv", ["stability"])
-    panels = [replace(panel, at=panel.at[[0, -1]]) for panel in stability.PANELS]
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["stability", "--quick"])
+    panels = [replace(panel, at=panel.at[[0, 1, 2, -1]]) for panel in stability.PANELS]
     monkeypatch.setattr(stability, "PANELS", panels)
     stability.main()
     assert {path.suffix for path in tmp_path.iterdir()} == {".svg", ".png", ".csv"}
