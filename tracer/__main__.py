@@ -1,7 +1,7 @@
 """The command line: `python -m tracer SCENE.xml [SCENE.xml ...]`.
 
 NumPy takes longer to import than a small picture to render.  What needs it is imported where it
-is used, so that `run` comes before it, and `--help` and wrong usage do without.
+is used, so that `run` can prepare for it, and `--help` and wrong usage do without.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Pa
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 from tqdm import tqdm  # takes longer to import than a small picture to render
 
-                tqdm.monitor_interval = 0  # a thread of its own; see can_fork
+                tqdm.monitor_interval = 0  # else it starts a thread; see can_fork
                 bar = tqdm(desc=name, total=rows, unit="row", leave=False)
             if bar is not None:
                 bar.update(done - bar.n)
@@ -207,13 +207,13 @@ def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Pa
 def run() -> NoReturn:
     """`main` as a process of its own."""
     heed_signals()
-    # Nothing here multiplies matrices that are worth a thread; starting it would take as long as
-    # rendering a small picture.  Read when NumPy is imported.
+    # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
+    # rendering a small picture.  The variable is read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Importing makes objects by the ten thousand, all of them to stay: seldom look for garbage.
+    # Importing makes tens of thousands of objects, and none is garbage: seldom look for any.
     gc.set_threshold(50_000)
-    # All that can be written is flushed.  Taking NumPy's modules down one by one would add a
-    # tenth to the time of a small picture.
+    # All output is flushed by now.  An orderly exit would take NumPy's modules down one by one,
+    # and add a tenth to the time of a small picture.
     os._exit(main())
 
 

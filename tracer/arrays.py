@@ -1,11 +1,11 @@
 """Values of a group of samples: one for all of them, or an array (n,).
 
-A large object fills arrays of its own, and its data stay single values; small
-objects share arrays, and their data are gathered.  NumPy's broadcasting lets
-the same arithmetic serve both.
+An object that many samples see has arrays of its own, and its data stay single
+values; small objects share arrays, with their data gathered for each sample.
+NumPy's broadcasting lets the same arithmetic serve both.
 
 Vectors are triples of such values (structure of arrays): each operation then
-runs over contiguous memory.  To take some of them, of
+runs over contiguous memory.  To take some elements of
 
     a value, or (n,)             select
     a triple of such values      pick
@@ -54,7 +54,7 @@ Index: TypeAlias = int | Ints
 
 T = TypeVar("T")
 
-# Pairs at a time that stay in cache.
+# How many pairs are worked on at a time, so that their arrays stay in cache.
 _BATCH = 1 << 15
 
 
@@ -76,7 +76,7 @@ def cross(a: Triple, b: Triple) -> Triple:
 
 
 def select(value: T, index: Index | slice) -> T:
-    """The value of some samples of the group."""
+    """Some elements of an array; a single value stays as it is."""
     if np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
         chosen: T = array[index]
@@ -95,7 +95,7 @@ def scaled(vector: Triple, factor: Floats) -> Triple:
 
 
 def spread(value: T, counts: Ints) -> T:
-    """Each element so many times; a single value stays one."""
+    """Repeat each element i of an array counts[i] times; a single value stays as it is."""
     if np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
         repeated: Any = np.repeat(array, counts)
@@ -104,18 +104,18 @@ def spread(value: T, counts: Ints) -> T:
 
 
 def index_where(mask: Bools) -> Ints | slice:
-    """Index of the elements where the mask holds: a slice, if that is everywhere."""
+    """Index of the elements where the mask holds: slice(None) if it holds everywhere."""
     index = np.flatnonzero(mask)
     return slice(None) if index.size == mask.size else index
 
 
 def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
-    """For each i, counts[i] elements: their i, and their place start[i], start[i] + 1, ..."""
+    """For each i, counts[i] pairs of i and a place: start[i], start[i] + 1, ..."""
     return np.repeat(np.arange(counts.size), counts), ranges(start, counts)
 
 
 def ranges(start: Ints | int, counts: Ints) -> Ints:
-    """start[0], start[0] + 1, ... counts[0] of them, then on from start[1], ..."""
+    """Ranges end to end: counts[0] numbers from start[0] on, counts[1] from start[1] on, ..."""
     skip = start - (np.cumsum(counts) - counts)
     places: Ints = np.repeat(skip, counts)
     places += np.arange(places.size)
@@ -123,13 +123,16 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
 
 
 def equal_runs(values: Ints) -> tuple[Ints, Ints]:
-    """Where equal neighbours, none of them -1, begin; and how many there are each time."""
+    """Where each run of equal neighbours begins, and its length; no value may be -1."""
     first = np.flatnonzero(np.diff(values, prepend=-1))
     return first, np.diff(first, append=values.size)
 
 
 def batches(sizes: Ints) -> Iterator[slice]:
-    """Ranges that make up so many pairs at a time as stay in cache, given those of each."""
+    """Slices of consecutive elements, few enough for all their pairs to stay in cache.
+
+    Element i has sizes[i] pairs; a slice has at most `_BATCH`, or is a single element.
+    """
     total = np.cumsum(sizes)
     start = 0
     while start < sizes.size:
@@ -141,18 +144,18 @@ def batches(sizes: Ints) -> Iterator[slice]:
 
 def columns(points: Floats, index: Ints | slice) -> Triple:
     """Some of the points (n, 3), as a triple."""
-    # One index at a time: NumPy takes three times as long for two.
+    # Not points[index, 0]: NumPy takes three times as long to index both axes at once.
     return points[:, 0][index], points[:, 1][index], points[:, 2][index]
 
 
 def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:
-    """Some entries of a table (m, n)."""
+    """Some entries of a table (m, n), one for each pair of row and column."""
     some: NDArray[Any] = table.reshape(-1)[row * table.shape[1] + column]
     return some
 
 
 def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
-    """Set some entries of a contiguous table (m, n)."""
+    """Set some entries of a contiguous table (m, n), one for each pair of row and column."""
     table.reshape(-1)[row * table.shape[1] + column] = value
 
 

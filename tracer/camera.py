@@ -61,7 +61,7 @@ class Raster(NamedTuple):
         return x, y, z
 
     def point_to_scene(self, point: Triple) -> Triple:
-        """The place in the scene of a point that is given as `to_camera` gives it."""
+        """Inverse of `to_camera`: points in the scene's coordinates, from their triple."""
         x, y, z = self.eye.tolist()
         p = self.vector_to_scene(point)
         return x + p[0], y + p[1], z + p[2]
@@ -94,7 +94,7 @@ def raster_of(
 ) -> Raster:
     """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
 
-    `offset` moves every sample by so many pixels to the right and down.
+    `offset`: how many pixels every sample is moved to the right and down.
     """
     ahead = unit(camera.view_dir)
     w = unit(camera.normal)

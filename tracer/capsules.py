@@ -1,9 +1,9 @@
-"""Capsules: all that is as near to a segment as its thickness, against spheres and boxes.
+"""Capsules, all that is within a thickness of a segment, against spheres and boxes.
 
-A capsule around the way from a ball to a light holds all segments from the ball.  An object that
-misses it shades nothing of the ball, and one that cuts through shades all of it: rays in a bundle
-are tried at once, as by shafts (Haines and Wallace, Shaft culling, 1991).  Answers are on the safe
-side of rounding.
+A capsule from the centre of a ball to a light holds all segments from the ball to the light.  An
+object that misses it shades nothing of the ball, and one that cuts right through shades all of it:
+a bundle of rays is tested at once, as by shafts (Haines and Wallace, Shaft culling, 1991).  Answers
+are on the safe side of rounding.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ __all__ = [
 # Relative error of a squared distance that is the difference of two.
 _CANCELLED = 1e-14
 
-# A slope next to nothing.
+# What replaces a zero component of a direction, relative to the lengths around it.
 _NEARLY = 1e-30
 
 
 def sphere_and_capsule(
     start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
 ) -> tuple[Bools, Bools]:
-    """Whether spheres meet, and whether they cut, all that is as near as `thickness` to segments.
+    """Whether spheres meet, and whether they cut, the capsules around segments.
 
-    What is not met blocks no segment between the balls around both ends.  What
-    is cut blocks all of them: somewhere it holds the capsule's full section,
-    and both ends are outside.
+    A sphere that does not meet a capsule blocks no segment between the balls
+    around its ends.  One that cuts it blocks all of them: somewhere it holds the
+    capsule's full cross-section, and both balls are outside it.
     """
     d = each(np.subtract, end, start)
     to_center = each(np.subtract, center, start)
     along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
     to_end2 = distance2 - 2 * along + length2
-    # From the centre to the line, and how far that may be off.
+    # Squared distance from the centre to the line, and how far that may be off.
     aside2, error = distance2 - along * along / length2, _CANCELLED * distance2
     outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
     from_start, from_end = distance2 > outer, to_end2 > outer
     before, behind = along < 0, along > length2
-    # Where the segment is a point, `aside2` is not a number.
+    # Where the segment is a point, `aside2` is NaN: the sphere meets it and does not cut it.
     meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind))
     cuts = from_start & from_end & ~(before | behind) & (aside2 + error < inner)
     return meets, cuts
@@ -63,8 +63,8 @@ def sphere_around_capsule(
 def box_and_capsule(
     start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
 ) -> tuple[Bools, Bools]:
-    """`sphere_and_capsule`, of boxes."""
-    # Parts of the segment in a box that is larger by as much, and in one that is smaller.
+    """`sphere_and_capsule`, for boxes."""
+    # Parts of the segment in a box grown by the thickness on all sides, and in one shrunk by it.
     enter, leave = np.full(2, [-np.inf, np.inf])
     enter_inner, leave_inner = enter, leave
     for k in range(3):
@@ -92,7 +92,7 @@ def box_and_capsule(
 def box_around_capsule(
     start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
 ) -> Bools:
-    """`sphere_around_capsule`, of boxes."""
+    """`sphere_around_capsule`, for boxes."""
     around: Bools = np.ones((), dtype=np.bool_)
     for a, b, least, most in zip(start, end, low, high, strict=True):
         around = around & (np.minimum(a, b) - thickness > least)

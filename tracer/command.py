@@ -24,7 +24,7 @@ def named(text: str) -> str:
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """The type of an argument that is a whole number."""
+    """The type of an argument that is a whole number, `least` or more."""
 
     def whole_number(text: str) -> int:
         if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
@@ -40,7 +40,7 @@ def is_folder(path: str) -> bool:
 
 
 def say(stream: TextIO | None, text: str) -> None:
-    """Print a line at once, if anyone listens: the files that are written matter more."""
+    """Print a line at once, or not at all if that fails: the files that are written matter more."""
     if stream is None:
         return
     encoding = stream.encoding or "utf-8"
@@ -61,7 +61,7 @@ def heed_signals() -> None:
 
 
 def begin() -> None:
-    """All is imported, and files may be half-written: raise KeyboardInterrupt from here on."""
+    """From here on signals raise KeyboardInterrupt: files may be half-written, all is imported."""
     global _begun
     _begun = True
 
@@ -70,7 +70,7 @@ def end(status: int) -> NoReturn:
     """End the process, and with it what it has started."""
     global _begun
     _begun = False
-    # What could not be said would be tried again.
+    # Otherwise Python, as it exits, would try again to print what could not be.
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             with suppress(OSError):
@@ -80,7 +80,7 @@ def end(status: int) -> NoReturn:
 
 def _interrupted(_number: int, _frame: object) -> None:
     """Leave, with nothing half-written."""
-    # NumPy, while it is imported, takes an exception for a fault of its own.
+    # An exception while NumPy is imported would pass for a fault of NumPy's.
     if not _begun:
         os._exit(130)
     raise KeyboardInterrupt

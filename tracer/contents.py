@@ -1,7 +1,7 @@
-"""What the elements of a scene file say: the only module that knows tags.
+"""What the elements of a scene file say: here tags and text become a scene.
 
-Surfaces go straight into flat arrays, and are checked whole in the end.  Every
-fault is noted, in words and with its line, and what can be read is read on.
+Surfaces go straight into flat arrays, and are checked all at once at the end.
+Every fault is noted, in words and with its line, and reading goes on after it.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ __all__ = [
 MAX_FAULTS = 1_000
 """How many faults are told before the reader gives up on a file."""
 
-# To look for the nearest of many names takes milliseconds: how many shaders get a suggestion.
+# How many undefined shaders get a suggestion: each search among many names takes milliseconds.
 _SUGGESTIONS = 30
 
-# What holds numbers: tag -> parameter of the dataclass, how many numbers.
+# The children of an element: tag -> (parameter of its dataclass, how many numbers it holds).
 _Fields = Mapping[str, tuple[str, int]]
 _CAMERA: _Fields = {
     "viewPoint": ("view_point", 3),
@@ -75,13 +75,13 @@ _SHADERS: Mapping[str, tuple[Callable[..., Shader], _Fields]] = {
     "Lambertian": (Lambertian, _LAMBERTIAN),
     "Phong": (Phong, _PHONG),
 }
-# A shader holds no number of its own; it yields its place among the shaders.
+# A shader holds no numbers: 0 says that the parameter is its place among the shaders.
 _SPHERE: _Fields = {"shader": ("shader", 0), "center": ("center", 3), "radius": ("radius", 1)}
 _BOX: _Fields = {"shader": ("shader", 0), "minPt": ("min_pt", 3), "maxPt": ("max_pt", 3)}
 _SURFACES = {"Sphere": _SPHERE, "Box": _BOX}
 
 _SCENE = ("camera", "image", "light", "shader", "surface")
-# They hold elements, and no text.
+# Elements that hold elements, and no text.
 CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 _UNIT_SPHERE = Sphere()
@@ -99,7 +99,7 @@ def quoted(text: str) -> str:
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
-    """What would have been right in place of `name`."""
+    """The remedy for an unknown `name`: the most similar one, or all that are known."""
     from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
 
     names = sorted(islice(known, 256))
@@ -117,9 +117,9 @@ def _words(text: str) -> list[str]:
 
 
 def _is_plain(text: str) -> bool:
-    """Whether nothing but decimal numbers in `text` would satisfy float().
+    """Whether a word of `text` that float() accepts is surely a decimal number.
 
-    It also takes 1_0, nan, inf and infinity, and the digits and spaces of all scripts.
+    float() also accepts 1_0, nan, inf and infinity, and the digits and spaces of all scripts.
     """
     return text.isascii() and "_" not in text and "n" not in text and "N" not in text
 
@@ -133,7 +133,7 @@ def _is_decimal(word: str) -> bool:
 
 
 class LineElement(list["LineElement"]):
-    """Like an `Element` of `xml.etree`, a sequence of its children; and the line it starts in."""
+    """Like an `Element` of `xml.etree` a sequence of its children; it also knows its line."""
 
     __slots__ = ("attrib", "line", "tag", "text")
 
@@ -155,12 +155,13 @@ def _line(element: _Element) -> int:
 
 
 def _giving(parameter: str, element: _Element, fields: _Fields) -> _Element:
-    """The child that gives a parameter of an element; itself where none does."""
+    """The child of `element` that gives a parameter; `element` itself if none does."""
     tags = [tag for tag, field in fields.items() if field[0] == parameter]
     return next((child for child in element if child.tag in tags), element)
 
 
 def _unread(values: Iterable[float]) -> bool:
+    """Whether any is NaN, which stands for a number that could not be read."""
     return any(value != value for value in values)
 
 
@@ -198,7 +199,7 @@ class Faults:
 
 
 class _Rows:
-    """All spheres or all boxes, in flat arrays: two fields, with their lines, and a shader."""
+    """All spheres or all boxes, in flat arrays: two parameters, their lines, shader and index."""
 
     __slots__ = ("first", "index", "lines", "parameters", "second", "shader")
 
@@ -222,7 +223,7 @@ class Contents:
         self.camera = Camera()
         self.size = (1, 1)
         self.lights: list[PointLight] = []
-        # A name gets its place from whoever comes first, a reference or the definition.
+        # A name gets its place in `shaders` when it first occurs, referred to or defined.
         self.places: dict[str, int] = {}
         self.shaders: list[Shader | None] = []
         self.definitions: dict[str, int] = {}
@@ -234,7 +235,7 @@ class Contents:
         self.surface_count = 0
 
     def root(self, element: _Element) -> None:
-        """Check the root, of which only the tag is there so far."""
+        """Check the root's tag and attributes; its children may be still to come."""
         if element.tag != "scene":
             message = f"{short(element.tag)}: the root must be <scene>"
             self.faults.give_up(_line(element), message)
@@ -356,7 +357,7 @@ class Contents:
                 self.shaders.append(Lambertian())
             rows.shader.append(self.white)
         if self.faults.lined:
-            # They are checked later, all at once.
+            # For faults found when all surfaces are checked at once, in `all_surfaces`.
             for parameter in rows.parameters:
                 rows.lines.append(_line(_giving(parameter, element, fields)))
 
@@ -367,8 +368,8 @@ class Contents:
     ) -> dict[str, list[Any]]:
         """What the children of an element say, by parameter of its dataclass: lists of numbers.
 
-        Numbers that cannot be read stand in as NaN, which no file can hold: what validation
-        says about those is dropped, for it was said already.
+        NaN, which no file can hold, stands for numbers that could not be read: what validation
+        says about it is dropped, as that fault is noted already.
         """
         values: dict[str, list[Any]] = {}
         for child in element:

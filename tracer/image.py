@@ -60,13 +60,13 @@ _CELL_BITS = 52 - 7
 
 
 def _bits(x: Floats) -> NDArray[np.int64]:
-    """The bits of each x, counted from those of `_LEAST`: increasing with x."""
+    """The bits of each x as an integer, less those of `_LEAST`: increasing with x."""
     return x.view(np.int64) - _LEAST_BITS
 
 
 @cache
 def _shifts() -> NDArray[np.int64]:
-    """For each cell, what to add to the bits of x so that the leading ones are its code."""
+    """For each cell, what to add to the bits of x so that the leading bits are its code."""
     thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
     start = np.arange((_bits(np.ones(1))[0] >> _CELL_BITS) + 1) << _CELL_BITS
     code = np.searchsorted(thresholds, start, side="right")
@@ -140,7 +140,7 @@ class Packed(NamedTuple):
     data : bytes
         Deflate blocks (RFC 1951) that end on a byte, none of them the last.
     check : int
-        Adler-32 (RFC 1950) of what they hold.
+        Adler-32 (RFC 1950) of the data before compression.
     """
 
     rows: int
@@ -192,7 +192,7 @@ def write_bands(
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
     with whole_file(path) as file:
         file.write(b"\x89PNG\r\n\x1a\n")
-        # 8 bits a channel, RGB, the only methods there are, not interlaced.
+        # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
         _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
         # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
         start, check, written = b"\x78\x5e", 1, 0
@@ -210,7 +210,7 @@ def write_bands(
 
 
 def _adler_of_both(first: int, second: int, size: int) -> int:
-    """Adler-32 of data followed by `size` bytes more, from that of either."""
+    """Adler-32 of two pieces of data end to end, from that of each; `size`: of the second."""
     a, b = first & 0xFFFF, first >> 16
     total = (a + (second & 0xFFFF) - 1) % _ADLER
     return ((b + (second >> 16) + size * (a - 1)) % _ADLER) << 16 | total

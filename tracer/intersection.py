@@ -4,8 +4,8 @@ Every function works on arrays of (ray, object) pairs, element by element, and
 decides each pair alone: what else is in the scene, and in which order or
 batches the pairs come, changes no bit of an answer.
 
-Infinities and NaN are answers on the way: floating-point warnings are for the
-caller to turn off.
+Infinities and NaN arise on the way and are meant: the caller turns off
+floating-point warnings.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ __all__ = [
 OUTSIDE, ON, INSIDE = 1, 0, -1
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
-"""A point this near to a surface, relative to the sizes that went into it, is
-on the surface: some twenty roundings lie between the scene and a hit point."""
+"""A point this near to a surface, relative to the lengths it was computed from,
+is on the surface: some twenty roundings lie between the scene and a hit point."""
 
 
 class Disc(NamedTuple):
-    """A sphere in the plane of a pixel row's rays, as numbers or arrays.
+    """A sphere's section by the plane of a pixel row's rays, as numbers or arrays.
 
     Attributes
     ----------
     hypot2
         Square of the rays' second component in that plane; the first, s, is along the row.
     tilt, bend
-        |centre x ray| is bend - tilt * s.
+        The cross product centre x ray, in that plane a number, is bend - tilt * s.
     along, ahead
         centre . ray is along * s + ahead.
     chord2
@@ -99,8 +99,8 @@ def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
         In units of the direction's length.  With the eye inside (or on) the
         sphere it is the far root.
     rise
-        The cosine between the normal there and the ray, times the radius and
-        the direction's length.
+        The cosine of the angle between the normal there and the ray, without
+        its sign, times the radius and the direction's length.
     """
     length2 = s * s + disc.hypot2
     cross = disc.bend - disc.tilt * s
@@ -146,7 +146,7 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
         near.append(entry)
         far.append(leave)
     outside = [k for k in range(3) if below[k] or above[k]]
-    # The eye of a single box lies between the planes of all other slabs: rays enter none of them.
+    # With a single box, the eye is between the planes of every other slab: no ray enters these.
     entries = outside if outside and not np.ndim(low[0]) else [0, 1, 2]
     enter = near[entries[0]]
     axis = np.full(enter.shape, entries[-1], dtype=np.int8)
@@ -170,7 +170,8 @@ def _slab(low: Floats, high: Floats, d: Floats, *, closed: bool) -> tuple[Floats
     """Where rays enter and leave the slab between two planes, in units of `d`.
 
     `low`, `high`: the planes' places seen from the rays' origins; `d`: the rays' component across.
-    A parallel ray is between the planes for ever, or never; in one of them, if `closed`.
+    A ray parallel to the planes is between them for ever, or never; one that lies in a plane is
+    if the slab is `closed`.
     """
     a, b = low / d, high / d
     entry, leave = np.minimum(a, b), np.maximum(a, b)
@@ -190,9 +191,9 @@ def sphere_side(distance: Floats, radius: Floats, tolerance: Floats) -> NDArray[
 
 
 def sphere_crosses(to_light: Triple, to_center: Triple, radius: Floats) -> Bools:
-    """Whether spheres cross the segments from points to a light, both ends well outside them.
+    """Whether spheres cross segments from points to a light whose ends are well outside them.
 
-    The closest approach lies between the ends, within the sphere.
+    They do where the closest approach to the centre lies between the ends and within the sphere.
     """
     b = dot(to_center, to_light)
     length2 = dot(to_light, to_light)
@@ -221,8 +222,8 @@ def sphere_blocks(
     light_side
         Where the light is: `OUTSIDE`, `ON` or `INSIDE`.
     eye_inside
-        Whether the point is seen from inside the sphere: then what is on the
-        surface is on its inner side.
+        Whether the point is seen from inside the sphere: if it is on the
+        surface, it is then on its inner side.
     """
     blocked = sphere_crosses(to_light, to_center, radius)
     side = sphere_side(np.sqrt(dot(to_center, to_center)), radius, tolerance)
@@ -247,7 +248,7 @@ def box_blocks(
 
     A root strictly between the ends blocks.  Slabs are open: a segment in a
     face is not blocked; a flat plate blocks.  An end within `tolerance` of a
-    face's plane is on it; without one, no end is as near as that.
+    face's plane is on it; without a tolerance, no end may be as near as that.
     """
     enter: Floats | None = None
     leave: Floats | None = None

@@ -4,10 +4,10 @@ Haines and Greenberg (1986) divide a cube around the light; here the cells are
 those of an octahedral map (Engelhardt and Dachsbacher 2008): each octant of
 directions is projected onto its face of |x| + |y| + |z| = 1, where planes through
 the light are straight lines.  An object is listed in the cells that its bounding
-box can touch, less those that a plane keeps apart from it; with it, how far it
-reaches there, which rules out most of a cell's points.
+box can touch, less those that a plane through the light separates from it.  Listed
+with it is the rectangle it lies in, which rules out most of a cell's points.
 
-All bounds are interval arithmetic and valid with the light beside, on or inside
+All bounds are by interval arithmetic and valid with the light beside, on or inside
 an object: they leave out only pairs that cannot meet.
 """
 
@@ -27,15 +27,16 @@ from tracer.visibility import Hits
 
 __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 
-# A plane towards a cell under a smaller angle to the sphere's centre is too uncertain.
+# At a smaller angle between a cell and a sphere's centre, the tangent plane towards the cell is too
+# uncertain.
 _LEAST_ANGLE = 1e-5
 
 # With n objects an octant has 4 sqrt(n) cells along each side, up to the first of these; more
 # objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill.
 _SIDE_FEW, _SIDE_MOST = 128, 320
 
-# Of so few cells, or so large a part of all, hardly one is apart from an object whose bounding box
-# can touch it.
+# If an object's bounding box touches no more cells than this, or at least this part of all, planes
+# would separate hardly any of them from the object: none is tried.
 _FEW_CELLS, _MOST_CELLS = 12, 0.5
 
 # Bounds in cells are float32, widened by more than that rounds.
@@ -48,13 +49,13 @@ Bounds: TypeAlias = NDArray[np.float32]
 
 
 class _Extents(NamedTuple):
-    """Bounding boxes of all objects, spheres first, and a little more.
+    """Bounding boxes of all objects, spheres first, a little enlarged.
 
     Attributes
     ----------
     low, high : (3, n)
     seen : (n,)
-        Which of them may be seen: nothing else needs light.
+        Which objects may be seen: nothing else needs light.
     """
 
     low: Floats
@@ -71,7 +72,7 @@ class _Extents(NamedTuple):
         return cls(low - slack, high + slack, seen)
 
     def around(self, light: Floats) -> _Extents:
-        """As seen from a light (3,)."""
+        """The same boxes seen from a light (3,)."""
         slack = SLACK * np.abs(light).sum()
         low, high = self.low - (light + slack)[:, None], self.high - (light - slack)[:, None]
         return _Extents(low, high, self.seen)
@@ -112,7 +113,7 @@ class LightBuffer(NamedTuple):
     near: Floats
 
     def locate(self, to_light: Triple) -> tuple[Floats, Ints, Bounds]:
-        """Points' distance from the light (1-norm), cells, and the bounds to ask for there."""
+        """Points' distances from the light (1-norm), their cells, and bounds to ask for there."""
         x, y, z = each(np.abs, to_light)
         total = x + y + z
         inverse = 1 / total
@@ -127,7 +128,7 @@ class LightBuffer(NamedTuple):
         return total * (1 + SLACK), cell, _query_bounds(i, i, j, j)
 
     def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints, Bounds]:
-        """Balls' distance (1-norm), pairs of a ball and a cell that it reaches into, and bounds."""
+        """Balls' greatest distances (1-norm), pairs of ball and cell it reaches, and bounds."""
         x, y, z = to_light
         total = sum(each(np.abs, to_light)) + 2 * radius
         none = np.zeros(0, dtype=np.intp)
@@ -157,32 +158,32 @@ class LightBuffer(NamedTuple):
         return self.first[cell + 1] - self.first[cell]
 
     def objects(self, cell: Ints, within: Bounds) -> tuple[Ints, Ints]:
-        """Pairs of a cell (n,) and an object listed there that may lie `within` (n, 4) of it."""
+        """Pairs of a place in `cell` (n,) and an object there that may meet `within` (n, 4)."""
         count = self.lengths(cell)
         owner, place = expand(count, self.first[cell])
         meet = self.bounds.take(place, axis=0) >= within.take(owner, axis=0)
-        # Four answers as one number: much faster than to ask for all in each row.
+        # The four answers of a row as one integer: much faster than all(axis=1).
         at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
         return owner[at], self.listed[place[at]]
 
 
 def _query_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """Rectangles as -right, left, -bottom, top: bounds of objects that meet them are no less."""
+    """Rectangles as (-right, left, -bottom, top): `_object_bounds` of what meets them are >=."""
     within = np.empty((left.size, 4), dtype=np.float32)
     within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
     return within
 
 
 def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """Rectangles that objects lie in, as -left, right, -top, bottom, and a little wider."""
+    """Rectangles that objects lie in, a little enlarged, as (-left, right, -top, bottom)."""
     return _query_bounds(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 class _Octant(NamedTuple):
-    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances.
+    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances (1-norm).
 
     Bit k of the octant's number is set where the way to the light is negative
-    along axis k, that is, where points lie beyond it.
+    along axis k, that is, where points lie beyond the light.
     """
 
     number: int
@@ -215,10 +216,10 @@ class _Listing(NamedTuple):
         The octant's.
     scale, shift : (2,)
         From octahedral coordinates to cells.
-    objects, nearest, bounds : (n,)
+    objects, nearest, bounds : (n,), (n,), (n, 4)
         What may shade something there, its least distance to the light, and `LightBuffer.bounds`.
     cell, place : (m,)
-        Pairs of one of the cells, and of one of the objects.
+        Pairs of a cell of the octant and an index into `objects`.
     """
 
     number: int
@@ -325,7 +326,7 @@ def _octahedral(low: Triple, high: Triple) -> Floats:
     np.divide(x1, x1 + (y0 + z0), out=bounds[1])
     np.divide(y0, y0 + (x1 + z1), out=bounds[2])
     np.divide(y1, y1 + (x0 + z0), out=bounds[3])
-    # Around the light itself there is no bound: all of the octant.
+    # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
     whole = np.array([[0.0], [1.0], [0.0], [1.0]])
     around = np.isnan(bounds)
     if around.any():
@@ -341,7 +342,7 @@ def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
 
 
 def _reach(octant: _Octant, seen: Ints) -> Floats:
-    """Farthest point (n,) from the light of any seen object but each itself.
+    """For each object, the distance (n,) from the light to the farthest point of any other seen.
 
     What begins farther away shades nothing.
     """
@@ -368,7 +369,7 @@ class _Grid(NamedTuple):
         return self.sign[0] * u, self.sign[1] * v, self.sign[2] * (1 - u - v)
 
     def planes(self, normal: Triple) -> Triple:
-        """Planes as a + b column + c row >= 0."""
+        """Planes through the light, given by their normals, as a + b column + c row >= 0."""
         x, y, z = (n * sign for n, sign in zip(normal, self.sign, strict=True))
         u, v = self.origin.tolist()
         return x * u + y * v + z * (1 - u - v), (x - z) / self.scale[0], (y - z) / self.scale[1]
@@ -400,8 +401,8 @@ def _apart(
     square = dot(aside, aside)
     turn = np.sqrt((1 - sine * sine) / square)
     tangent = each(np.subtract, scaled(m, sine), scaled(aside, turn))
-    # Not a number with the light inside: not apart.  Nor with the cell so nearly straight
-    # ahead that rounding turns the plane by more than the slack.
+    # NaN with the light inside: not apart.  Nor with the cell so nearly towards the centre that
+    # rounding turns the plane by more than the slack.
     beyond = _beyond(grid.planes(tangent), column[at], row[at])
     apart[at] = beyond & (square > _LEAST_ANGLE**2)
 
@@ -419,7 +420,7 @@ def _apart(
 
 
 def _distinct(values: Ints, count: int) -> tuple[Ints, Ints]:
-    """The distinct ones of values below `count`, and the place of each value among them."""
+    """The distinct values, all of them below `count`, and the place of each value among them."""
     there = np.zeros(count, dtype=np.bool_)
     there[values] = True
     return np.flatnonzero(there), (np.cumsum(there) - 1)[values]
@@ -449,7 +450,7 @@ class LightBufferFinder(NamedTuple):
     def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
     ) -> Iterator[Candidates]:
-        """See `Finder.candidates`; no shadow is certain here."""
+        """See `Finder.candidates`; `dark` is left as it is."""
         own = hits.own
         points = hits.points(slice(None))
         for number, buffer in enumerate(self.buffers):
@@ -474,7 +475,7 @@ def _listed(
     buffer: LightBuffer, own: Ints, cell: Ints, distance: Floats, within: Bounds
 ) -> tuple[Ints, Ints]:
     """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
-    # Most cells hold nothing, or the object itself.
+    # Most cells hold nothing, or the point's own object alone.
     sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
     none = np.zeros(0, dtype=np.intp)
@@ -490,7 +491,7 @@ def _listed(
 
 
 def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
-    """Each pair once, though it shares several cells; `count` objects there are."""
+    """Each pair (point, object) once, though they share several cells; `count`: of all objects."""
     pair = np.sort(point * count + occluder)
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
 

@@ -40,8 +40,8 @@ __all__ = [
 ]
 
 
-# On the bell exp(-x^2): the change of x that one sample still follows, where it is as good as
-# zero, and where it underflows.
+# On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
+# the bell is as good as zero, and the x where it underflows.
 _SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
 
 
@@ -72,17 +72,17 @@ class Lighting(NamedTuple):
 class Incoming(NamedTuple):
     """Light as it comes in at points, whatever lies between: all (lights, n).
 
-    With n the normal, l the way to the light and p that from the eye, none of
-    them of unit length but n:
+    Here n is the unit normal, l the vector to the light and p that from the eye
+    to the point, neither of unit length.
 
     Attributes
     ----------
     n_dot_l
-        n . l; minus infinity where the object is seen from inside and keeps the light outside.
+        n . l; minus infinity where the object is seen from inside and the light is not inside it.
     length2
         l . l.
     l_dot_p
-        l . p, where there are highlights.
+        l . p, where there are highlights; not set elsewhere.
     """
 
     n_dot_l: Floats
@@ -90,7 +90,7 @@ class Incoming(NamedTuple):
     l_dot_p: Floats
 
     def part(self, place: slice) -> Incoming:
-        """That at some of the points."""
+        """The light at some of the points."""
         return Incoming(*(m[:, place] for m in self))
 
 
@@ -129,7 +129,7 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
                 dot(to_light, (p[0], p[1], p[2]), l_dot_p)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
-                # Nowhere is that light about to begin, as it is where n . l is zero.
+                # Not zero, which would be a terminator: a place where light begins.
                 n_dot_l[np.broadcast_to(group.of(kept_out), n_dot_l.shape)] = -np.inf
     return result
 
@@ -140,7 +140,7 @@ def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
     `light`, `lit` (lights, n): what comes in there, and whether it reaches the points.
     """
     lighting, group = highlights.lighting, highlights.group
-    # Light that falls on the points, and its highlights: what shaders make of it comes last.
+    # Sums over the lights, without the shaders' colours: intensity times n.l, and times highlight.
     fallen: list[Floats] = []
     mirrored: list[Floats] = []
     for number, (intensity, reached) in enumerate(
@@ -174,13 +174,14 @@ def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
 def narrow_highlights(
     highlights: Highlights, light: Incoming, facing: Bools, footprint: Floats
 ) -> Iterator[Ints]:
-    """Points where there may be a highlight too narrow for one sample of so large a footprint.
+    """Points whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
-    Light that they face may reach some of it, even where it does not reach them.
+    All lights that they face count: one that does not reach a point may reach
+    other parts of its footprint.
 
-    Around its middle a highlight is the bell exp(-p a^2 / 2) of the angle a
-    between normal and half vector, which bends with the surface and with the
-    directions to light and eye.
+    Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of
+    the angle a between normal and half vector.  That changes as the surface
+    curves, and as the directions to light and eye turn.
     """
     if not highlights.present:
         return
@@ -215,7 +216,7 @@ class Highlights(NamedTuple):
     glossy, exponent
         Numbers, or (n,).
     distance, n_dot_v : (n,)
-        See `Hits.distance_and_cosine`; nothing without highlights.
+        See `Hits.distance_and_cosine`; empty without highlights.
     """
 
     lighting: Lighting
@@ -235,7 +236,7 @@ class Highlights(NamedTuple):
         group: Group,
         sights: tuple[Floats, Floats] | None = None,
     ) -> Highlights:
-        """Gather what is needed; `sights` of the hits are used if they are there."""
+        """Gather what is needed; `sights`: `Hits.distance_and_cosine`, if computed already."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
         shines = bool(glossy.any())
@@ -252,7 +253,7 @@ class Highlights(NamedTuple):
     def of_light(
         self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
     ) -> Floats:
-        """(n.h)^p of a light at some of the points; what follows `at` is of these alone."""
+        """(n.h)^exponent of a light at the points `at`; what follows `at` is of these alone."""
         group, distance = self.group, self.distance[at]
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
@@ -267,7 +268,7 @@ class Highlights(NamedTuple):
 
 
 def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None) -> Floats:
-    """Radiance (3, n) at samples, towards the eye; into zeros, if they are given."""
+    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
     light = incoming(lighting, hits)
@@ -282,7 +283,7 @@ def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None)
 
 
 def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
-    """Add the light of one more source, as seen by each point (n,), to three channels."""
+    """Add one more light, with a weight (n,) for each point, to three channels."""
     if not total:
         total.extend(strength * weight for strength in intensity)
         return
@@ -291,7 +292,7 @@ def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
 
 
 def _returned(total: list[Floats], colors: Floats, group: Group) -> Triple:
-    """The light, if there is any, that surfaces return, of colours (3,) or (3, spans)."""
+    """The light, if there is any, times the surfaces' colours, (3,) or (3, spans)."""
     if not total:
         nothing = np.zeros(group.sample.size)
         return nothing, nothing, nothing

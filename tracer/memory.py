@@ -17,9 +17,10 @@ def keep_heap() -> None:
     """Let the C library keep freed memory for the next array, in large pages.
 
     Fresh pages cost more than the arithmetic on them.  Freeing one block of
-    nearly 32 MB moves glibc's thresholds (M_MMAP_THRESHOLD in mallopt(3)) so
-    that smaller ones are reused from then on.  The next one comes from the heap,
-    and NumPy asks for large pages there (madvise(2)).  Neither is ever touched.
+    nearly 32 MB raises glibc's thresholds (M_MMAP_THRESHOLD in mallopt(3)), so
+    that smaller blocks are kept and reused from then on.  The second block comes
+    from the heap, where NumPy thus asks for large pages (madvise(2)).  Neither
+    block is ever touched.
     """
     for size in (_MOST, _MOST - (1 << 16)):
         np.empty(size, dtype=np.uint8)

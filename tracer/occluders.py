@@ -1,6 +1,6 @@
-"""What stands between lights and points: the data that all of the shadow test shares.
+"""What stands between lights and points: the data that all parts of the shadow test share.
 
-Objects have one number each, spheres first, then boxes.
+Objects are numbered together, spheres first, then boxes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = [
 Array = TypeVar("Array", bound=NDArray[Any])
 
 SLACK = 1e-9
-"""Bounds are wider by so much of all sizes around: far more than all roundings."""
+"""Bounds are widened by this much of the coordinates involved: far more than all roundings."""
 
 
 class Occluders(NamedTuple):
-    """All surfaces, as whatever may cast a shadow, and the lights.
+    """All surfaces, as what may cast shadows, and the lights.
 
     Attributes
     ----------
@@ -42,18 +42,18 @@ class Occluders(NamedTuple):
     eye : (3,)
     lights : (lights, 3)
     side : (lights, n)
-        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`; to each box
-        `INSIDE`, or else `ON`, as it may be: its own rounding then counts as well.
+        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`.  To each box
+        `INSIDE`, or else `ON`, as it might be on it: the light's rounding then counts as well.
     on_plane : (lights, n)
         Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
-        Which of them are seen from inside, and which may be seen at all.
+        Which surfaces are seen from inside, and which may be seen at all.
     middle, radius : three (n,) and (n,)
         A ball around each.
     size : (n,)
-        The size of each object's coordinates (1-norm), which rounding goes with.
+        How large each object's coordinates are (1-norm): rounding is in proportion.
     slack : (n,)
-        More than rounding displaces a point on each object.
+        More than rounding can displace a point on each object.
     """
 
     surfaces: Surfaces
@@ -77,7 +77,7 @@ class Balls(NamedTuple):
     owner : (m,)
         The object.
     start, length : (m,)
-        The points.
+        Its points: `length` of them, from `start` on.
     middle, radius : three (m,) and (m,)
     """
 
@@ -99,7 +99,7 @@ class Balls(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """What may keep lights from points, not yet tried: there is at least one.
+    """Objects that may keep lights from points, still to be tested: at least one.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Candidates(NamedTuple):
         return bool(self.balls.length.max() == 1)
 
     def spread(self, values: Array) -> Array:
-        """What belongs to balls, for each of their points."""
+        """Values of balls, for each of their points."""
         if self.single:
             return values
         repeated: Any = np.repeat(values, self.balls.length)
@@ -146,9 +146,9 @@ class Finder(Protocol):
         facing : (lights, n)
             Which points face which light.
         dark : (lights, n)
-            Set where a shadow is certain; what is found may leave that out.
+            Set where a shadow is certain: no candidates need be found there.
         footprint : (n,), optional
-            What may shade anything so near to a point is of interest.
+            Find what may shade anything within this distance of each point.
         """
         ...
 
@@ -162,7 +162,7 @@ def point_candidates(
     occluder: Ints,
     footprint: Floats | None,
 ) -> Candidates:
-    """Candidates for single points, each at `p`; `own` (n,): the object of all hits."""
+    """Candidates for single points, each at `p`; `own` (n,): the object that each hit is on."""
     owner = own[point]
     radius = occluders.slack[owner]
     if footprint is not None:
@@ -179,7 +179,7 @@ def candidates_by_kind(
     occluder: Ints,
     footprint: Floats | None,
 ) -> Iterator[Candidates]:
-    """`point_candidates` of one light: spheres, then boxes; `points`, `own`: of all hits."""
+    """`point_candidates` of one light: spheres, then boxes.  `points` and `own` are of all hits."""
     spheres = occluders.surfaces.sphere_count
     for of_kind in (occluder < spheres, occluder >= spheres):
         at = np.flatnonzero(of_kind)

@@ -31,7 +31,7 @@ __all__ = [
 # More than all roundings of a plane's coefficients, relative to their size.
 _ROUNDING = 1e-12
 
-# Of boxes of so few pixels across, or down, the frame is as good as the silhouette.
+# For boxes of at most so many pixels across, or down, the frame is as good as the silhouette.
 _SMALL = 8.0
 
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
@@ -48,7 +48,7 @@ class Spans(NamedTuple):
     row : (n,)
         Index into the rows asked for; ascending.
     left, right : (n,)
-        In pixels from the picture's left edge, clipped to a pixel around the picture.
+        In pixels from the picture's left edge, clipped to one pixel beyond either edge.
     """
 
     owner: Ints
@@ -58,7 +58,7 @@ class Spans(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Rectangles of the picture (n,) that objects lie in; of none, `top` is beyond `bottom`."""
+    """Bounding rectangles (n,) in the picture: off it, or upside down, for what is not in view."""
 
     top: Floats
     bottom: Floats
@@ -73,14 +73,14 @@ class Outlines(NamedTuple):
     ----------
     raster : Raster
     center, radius, power : three (s,), (s,), (s,)
-        Of spheres: seen from the eye, in the camera's axes; power is the squared distance
-        of the centre less that of the surface.
+        Of spheres: seen from the eye, in the camera's axes; power is
+        |centre|^2 - radius^2, as in `Disc`.
     sphere_frames : Frames
     edges : three (6, b)
         Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
         frame says enough.
     shaped : (b,)
-        Whether a box has such planes; without, its frame is its outline.
+        Whether a box has such planes; if not, its frame serves as its outline.
     box_frames : Frames
     """
 
@@ -119,11 +119,12 @@ class Outlines(NamedTuple):
         for k in range(6):
             slope = self.edges[0][k][box]
             tilted, level = self.edges[1][k][box] * g, self.edges[2][k][box]
-            # Inside, slope * s + tilted + level >= 0, up to rounding: it has the last word where
-            # the plane contains the whole row.
+            # Inside, slope * s + tilted + level >= 0, up to rounding.  The slack for that decides
+            # where the plane contains the whole row.
             tilt = np.abs(self.edges[1][k][box])
             slack = _ROUNDING * (tilt * (np.abs(g) + self.raster.depth) + np.abs(level))
-            # A level plane, of slope 0, lets all of the row in or none; without one it is 0 / 0.
+            # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
+            # Without a plane it is 0 / 0, which fmax ignores.
             bound = -(tilted + level + slack) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
@@ -131,7 +132,7 @@ class Outlines(NamedTuple):
         return self._clip(owner, row, left, right, pad)
 
     def in_picture(self) -> NDArray[np.bool_]:
-        """Which objects, spheres first, may be seen (up to what hides them)."""
+        """Which objects, spheres first, may be seen if nothing hides them."""
         top, bottom, left, right = self._frames()
         width, height = self.raster.width, self.raster.height
         seen: NDArray[np.bool_] = (
@@ -160,13 +161,13 @@ class Outlines(NamedTuple):
         return self._over_rows(np.ones(self.radius.size + self.shaped.size))
 
     def layers(self) -> float:
-        """How many objects a pixel may see on average, one behind the other: of the fullest row."""
+        """How many objects at most lie behind a pixel, on average over the fullest row."""
         frames, width = self._frames(), self.raster.width
         wide = np.clip(frames.right + 1, 0, width) - np.clip(frames.left - 1, 0, width)
         return float(self._over_rows(wide).max() / width)
 
     def _over_rows(self, weight: Floats) -> Floats:
-        """What objects weigh (n,), all in one, that may be seen in each row of pixels (height,)."""
+        """Total weight (height,) of the objects that may be seen in each row of pixels."""
         height, seen = self.raster.height, self.in_picture()
         frames = self._frames()
         first, last = (
@@ -176,20 +177,20 @@ class Outlines(NamedTuple):
         return np.asarray(np.cumsum(first - last)[:height])
 
     def crossed_twice(self) -> float:
-        """Pairs of outlines in a pixel, on average, if they lay anywhere: it may be more than 1."""
+        """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
         frames = self._frames()
         top, bottom = (np.clip(m, 0, self.raster.height) for m in (frames.top, frames.bottom))
-        # As wide as they are high, more or less, and crossed on both sides.
+        # An outline about as wide as it is high runs through some 4 * height pixels.
         share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
         return float(share.sum() ** 2 - (share**2).sum())
 
     def _frames(self) -> Frames:
-        """Those of all objects, spheres first."""
+        """The frames of all objects, spheres first."""
         pairs = zip(self.sphere_frames, self.box_frames, strict=True)
         return Frames(*(np.concatenate(pair) for pair in pairs))
 
     def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
-        # One column more on either side than the picture has: antialiasing looks there.
+        # One column more than the picture has on either side: antialiasing looks there.
         left = np.maximum(left - pad, -1.0)
         right = np.minimum(right + pad, self.raster.width + 1.0)
         keep = np.flatnonzero(left <= right)
@@ -245,7 +246,7 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     before = divisor > 0
     low = np.where(before, a, np.where(along > 0, a, -np.inf))
     high = np.where(before, b, np.where(along > 0, np.inf, b))
-    # Nothing at all: the plane misses the sphere, or it lies behind.
+    # No rays at all: the plane misses the sphere, or the disc lies behind the eye.
     miss = (chord2 < 0) | (before & (ahead < 0))
     whole = (power <= 0) & (chord2 >= 0)
     # What rounding left undecided covers the row: wider is always safe.
@@ -324,7 +325,7 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
     ends = (min_pt - raster.eye).T, (max_pt - raster.eye).T
 
     def component(axis: list[float]) -> Floats:
-        # Corners share what each of the two planes across an axis adds.
+        # The four corners in each of the two planes across an axis share one product.
         x, y, z = ([end[k] * axis[k] for end in ends] for k in range(3))
         return np.array([x[i & 1] + y[i >> 1 & 1] + z[i >> 2] for i in range(8)])
 
@@ -335,11 +336,11 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
 def _silhouettes(
     raster: Raster, min_pt: Floats, max_pt: Floats, small: float
 ) -> tuple[Triple, NDArray[np.bool_], Frames]:
-    """Planes (6, n) through the eye and each silhouette edge, whether they are there, and frames.
+    """Planes (6, n) through the eye and silhouette edges, which boxes have them (n,), and frames.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
-    They are there for boxes of more than so many pixels across and down.
+    Boxes of more than `small` pixels, both across and down, have them.
     """
     planes = np.zeros((3, 6, len(min_pt)))
     if not len(min_pt):

@@ -1,13 +1,13 @@
 """From a scene file to a :class:`~tracer.scene.Scene`.
 
-The file is parsed as a stream, and of its tree only a piece is ever held: the
-children of the root are taken in as they end.
+The file is parsed as a stream, and only a part of its tree is ever held: each
+child of the root is taken in, and dropped, once it has ended.
 
 Every fault of a file is found and told in a line of its own, as
 ``FILE:LINE: element: what is wrong; what would be right``.  Line numbers take
 time, so a large file is read without them first, and again from its start if
-it has any fault.  The reader holds against the limits below whatever it is
-given, so that no file can exhaust the memory or the reader's patience.
+it has any fault.  All that is read is held against the limits below, so that
+no file can exhaust memory or time.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ MAX_TOKEN = 1 << 20
 MAX_NESTING = 64
 """Deepest nesting, and most children of anything but the scene."""
 
-# What is held of a tree of this size stays in the processor's cache.
+# Bytes parsed at a time: so few that the part of the tree they make stays in cache.
 _CHUNK = 1 << 14
 
-# From this size on, what a reading without line numbers saves is more than its imports take.
+# From this many bytes on, reading without line numbers saves more time than its imports take.
 _LARGE = 1 << 17
 
-# What would be right, where what is wrong says enough.
+# What would be right, for errors where expat's message alone tells.
 _REMEDIES = {
     expat.errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
     expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
@@ -78,7 +78,7 @@ class SceneFileError(ValueError):
         super().__init__("\n".join(self.lines))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # An exception is copied by calling its class with `args`: here that is the message.
+        # By default an exception is copied as cls(*args), and `args` holds only the message.
         return type(self), (self.lines,), self.__dict__
 
 
@@ -143,14 +143,14 @@ def _opened(path: str, faults: Faults) -> IO[bytes]:
 
 
 class _LineReader:
-    """Takes the parser's events; every element knows its line."""
+    """Makes elements that know their lines from the parser's events."""
 
     def __init__(self, faults: Faults) -> None:
         self.faults = faults
         self.contents = Contents(faults)
         self.parser = expat.ParserCreate()
         self.open: list[LineElement] = []
-        # Whether the text since the last tag is told as a fault: a long one comes in pieces.
+        # Whether stray text since the last tag is noted already: a long one comes in pieces.
         self.strayed = False
 
     def read(self, file: IO[bytes]) -> Scene | None:
@@ -186,7 +186,7 @@ class _LineReader:
         return self.contents.scene()
 
     def remedy(self, message: str, file: IO[bytes]) -> str:
-        """What would make it XML."""
+        """What would make the file XML, given what expat says is wrong."""
         index = self.parser.ErrorByteIndex
         file.seek(0)
         big_endian = file.read(2) in (b"\xfe\xff", b"\0<")
@@ -208,7 +208,7 @@ class _LineReader:
             return "save the file as UTF-8"
         if b"\0" < after[:1] < b" " and not after[:1].isspace():
             return "remove the control character"
-        # Neither in an element nor in a tag there is nothing to be written otherwise.
+        # Outside all elements and tags there is no text in which < or & could be escaped.
         outside = not self.open and before.rfind(b"<") <= before.rfind(b">")
         if message in _REMEDIES and not (
             outside and message == expat.errors.XML_ERROR_INVALID_TOKEN
@@ -219,13 +219,13 @@ class _LineReader:
         return "a scene file holds <scene> ... </scene>"
 
     def doctype(self, _name: str, system: str | None, _public: str | None, declares: bool) -> None:
-        # Entities may stand for a thousand others each; attributes take quadratic time.
+        # Nested entities grow exponentially, and declared attributes take quadratic time.
         if declares:
             self.faults.give_up(
                 self.parser.CurrentLineNumber,
                 "DOCTYPE: declarations are not allowed; write out what entities stand for",
             )
-        # It would not be read: entities that it may define would be skipped, some in silence.
+        # That file would not be read, and entities it defines be skipped, some in silence.
         if system is not None:
             self.faults.give_up(
                 self.parser.CurrentLineNumber,
@@ -273,19 +273,19 @@ class _LineReader:
             self.contents.take(element)
 
 
-# The beginning of a file in UTF-8: nothing in it is hidden from a search for bytes.
+# The beginning of a file that is surely UTF-8, where a search for ASCII bytes misses nothing.
 _PLAIN = (
     rb"(?i)(\xef\xbb\xbf)?"
     rb"(<\?xml version=[\"']1\.0[\"']( encoding=[\"']utf-8[\"'])? ?\?>|(?!<\?xml))[^\0]*\Z"
 )
 
 
-class _Unclear(Exception):  # noqa: N818 - not an error: whatever it is, the other reader tells it
-    """The file is not for a reading without lines."""
+class _Unclear(Exception):  # noqa: N818 - not an error: the other reader tells what it is
+    """The file may have a fault: it has to be read with line numbers."""
 
 
 class _AnyFault(Faults):
-    """Raises `_Unclear` at the first."""
+    """Raises `_Unclear` at the first fault."""
 
     lined = False
 
@@ -297,9 +297,9 @@ class _AnyFault(Faults):
 
 
 def _without_lines(file: IO[bytes]) -> Scene | None:
-    """The scene in a large file without faults; None for any other, at its start again.
+    """The scene of a large file without faults; or None, with the file at its start again.
 
-    It takes half the time: the tree is made in C, which knows no lines.
+    This takes half the time of `_LineReader`: the tree is made in C, without line numbers.
     """
     if os.fstat(file.fileno()).st_size < _LARGE:
         return None
@@ -313,7 +313,7 @@ def _without_lines(file: IO[bytes]) -> Scene | None:
 
 
 def _parse(file: IO[bytes], contents: Contents) -> None:
-    """Take in a file to its end; raise `_Unclear` unless it is faultless so far."""
+    """Take in a file to its end; raise `_Unclear` as soon as it may have a fault."""
     from xml.etree.ElementTree import (  # takes some milliseconds
         ParseError,
         TreeBuilder,
@@ -326,10 +326,10 @@ def _parse(file: IO[bytes], contents: Contents) -> None:
     end, given, taken = b"", 0, 0
     try:
         while chunk := file.read(_CHUNK):
-            # Declarations stand before the root, and this parser would obey them.
+            # A DOCTYPE stands before the root, and this parser would obey its declarations.
             if not given and (not re.match(_PLAIN, chunk) or b"<!DOCTYPE" in chunk):
                 raise _Unclear
-            # It swallows the attributes of this name.
+            # This parser swallows attributes of this name, which are a fault.
             if b"xmlns" in end + chunk:
                 raise _Unclear
             end = chunk[-8:]
@@ -349,7 +349,7 @@ def _parse(file: IO[bytes], contents: Contents) -> None:
 
 
 def _take_children(contents: Contents, scene: Element, count: int) -> bool:
-    """Take in the first children of the root, and delete them; whether there are any."""
+    """Take in the first `count` children of the root, and delete them; whether there are any."""
     contents.root(scene)
     texts = {element.tail for element in scene.iter()}
     texts.update(element.text for element in scene.iter() if element.tag in CONTAINERS)

@@ -16,19 +16,19 @@ __all__ = ["CENTRES", "Lattice", "Samples"]
 class Samples(NamedTuple):
     """Sample positions, row by row, from the picture's upper left corner.
 
-    They are in pixels of the raster whose rays they are: a `Lattice` has one of its own, with as
-    many columns and rows in every pixel.
+    The unit is the pixel of the raster that gives their rays: for a `Lattice` that is a finer
+    one, with the lattice's columns and rows in every pixel of the picture.
 
     Attributes
     ----------
     y : (rows,)
         Ascending.
     x : (columns,) or (n,)
-        Position along the row, ascending in each.
+        Position along the row, ascending within each row.
     row : (n,), optional
-        Index into `y`, ascending; without it, every row holds all of `x`, a pixel apart.
+        Index into `y`, ascending; without it, every row holds all of `x`, one pixel apart.
     shift : (rows,)
-        How far each row is moved to the right, where there is no `row`.
+        How far each row is moved to the right; used only without `row`.
     """
 
     y: Floats
@@ -69,7 +69,7 @@ class Samples(NamedTuple):
             np.clip(start, 0, columns, out=start)
             np.clip(stop, 0, columns, out=stop)
             return spans.row * columns + start, np.maximum(stop - start, 0)
-        # Rows one after the other on one axis, so far apart that no span reaches into the next.
+        # Lay the rows end to end on one axis, so far apart that no span reaches into the next.
         ends = (self.x, spans.left, spans.right)
         stride = 4 * (max(float(np.abs(end).max(initial=0)) for end in ends) + 2)
         key = self.row * stride + self.x
@@ -81,20 +81,21 @@ class Samples(NamedTuple):
 class Lattice(NamedTuple):
     """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2).
 
-    Edges of most directions are met as evenly by any square grid; but by one that is not turned
-    all at once where they follow its rows or columns, as edges of boxes do.  Of this one few
-    points in a pixel are above or beside each other, and yet it fits all pixels: it is a rank-1
-    lattice of five points (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008), so
-    many times across the pixel and down.  A quarter turn leaves it as it is, so what is smooth
-    is averaged as well as by a grid in rows and columns.  Every other row of pixels has its mirror
-    image: an edge that follows one of its own directions does so in half of its pixels.
+    Where edges follow the rows or columns of an upright grid, as those of boxes often do, they pass
+    a whole row of points at once; in most other directions all square grids do equally well.  In
+    this one few points of a pixel share a row or a column, and yet it repeats from pixel to
+    pixel: it is a rank-1 lattice of five points (Dammertz and Keller, Image synthesis by rank-1
+    lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps it
+    onto itself, so what is smooth is averaged as well as by an upright grid.  Every other row of
+    pixels has its mirror image: an edge along one of its own directions meets those in only half
+    of the pixels.
 
     Attributes
     ----------
     columns : int
         Points in each row.
     rows : int
-        One for the centre alone, else five times as many.
+        1 for the centre alone, else 5 * `columns`.
     """
 
     columns: int
@@ -102,10 +103,10 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, per_side: int) -> Lattice:
-        """One that errs less than a grid of per_side x per_side points in rows and columns.
+        """A lattice that errs less than an upright grid of per_side x per_side points.
 
-        A quarter more points than these do for the mean error; the largest is a matter of chance,
-        hence one lattice of five more across and down.
+        A quarter more points than the grid's are enough for the mean error; the largest error is a
+        matter of chance, hence one more repetition of the five points across and down.
         """
         columns = (per_side + 1) // 2 + 1
         return cls(columns, 5 * columns)
@@ -116,7 +117,7 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Samples:
-        """Those in a rectangle of pixels, in steps of one of its rows and columns."""
+        """The points in a rectangle of pixels, in units of the lattice's rows and columns."""
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (each.astype(np.float64) + 0.5 for each in (row, column))

@@ -49,12 +49,12 @@ _DEGENERATE = 1e-10
 
 
 class Fault(NamedTuple):
-    """One thing wrong: the field, in words what is wrong and what would be right."""
+    """One fault: the field, and a message that says what is wrong and what would be right."""
 
     field: str
     message: str
     surface: int | None = None
-    """Which surface (in file order), where the fault lies in one of many."""
+    """Index, in file order, of the surface at fault, if the fault lies in one of many."""
 
     def __str__(self) -> str:
         where = "" if self.surface is None else f"surface {self.surface}: "
@@ -75,7 +75,7 @@ class SceneError(ValueError):
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # An exception is copied by calling its class with `args`: here that is the message.
+        # By default an exception is copied as cls(*args), and `args` holds only the message.
         return type(self), (self.faults,), self.__dict__
 
 
@@ -148,7 +148,7 @@ def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
 
 
 def _size(value: int, name: str, faults: list[Fault]) -> int:
-    """As a Python integer: products of NumPy's overflow."""
+    """The size as a Python int: products of NumPy's integers may overflow."""
     try:
         size = int(operator.index(value))
     except TypeError:
@@ -157,7 +157,7 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
     if size < 1:
         faults.append(Fault("image", f"{name} must be a whole number of at least 1, is {size}"))
     elif size > MAX_PIXELS:
-        # It may have so many digits that neither float() nor str() takes it.
+        # The message leaves it out: it may have more digits than float() or str() accepts.
         faults.append(Fault("image", f"{name} must be at most {MAX_PIXELS}"))
     return size
 
@@ -358,7 +358,7 @@ def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints | None = None) -> It
 class Surfaces(Sequence[Sphere | Box]):
     """All surfaces of a scene, as arrays; also a sequence of Sphere and Box.
 
-    The arrays are copies, and read-only.  Equal are those that are equal as sequences.
+    The arrays are read-only copies.  Two objects are equal if they are equal as sequences.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ class Surfaces(Sequence[Sphere | Box]):
     ------
     SceneError
         For arrays that do not fit together; for a radius that is not positive, minPt > maxPt,
-        or what is not finite.
+        or a number that is not finite.
     """
 
     __slots__ = (
@@ -468,8 +468,8 @@ class Surfaces(Sequence[Sphere | Box]):
         return {name: getattr(self, name) for name in self.__slots__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Unpickled arrays have equal data types, not NumPy's own: with these, `ufunc.at` takes a
-        # general way, twenty times as slow, and all that is computed from them inherits it.
+        # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
+        # generic path, twenty times as slow, and every array computed from them inherits it.
         for name, value in state.items():
             own = isinstance(value, np.ndarray)
             setattr(self, name, value.view(value.dtype.type) if own else value)
@@ -505,7 +505,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @property
     def sphere_count(self) -> int:
-        """How many are spheres: where all have one number each, these come first."""
+        """How many are spheres: where all surfaces are numbered together, these come first."""
         return len(self.radius)
 
     @property
@@ -546,12 +546,12 @@ class Surfaces(Sequence[Sphere | Box]):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
             return NotImplemented
-        # Equal shaders have one number, wherever they are in either's tuple.
+        # Equal shaders get the same number, wherever they stand in the two tuples.
         numbers: dict[Shader, int] = {}
         return all(map(np.array_equal, self._in_order(numbers), other._in_order(numbers)))
 
     def _in_order(self, numbers: dict[Shader, int]) -> Iterable[NDArray[Any]]:
-        """All arrays, with spheres and boxes in order, and shaders by number."""
+        """All arrays, spheres and boxes each in file order, and shaders as their `numbers`."""
         shader = np.array([numbers.setdefault(s, len(numbers)) for s in self.shaders], np.intp)
         for index, places, *values in (
             (self.sphere_index, self.sphere_shader, self.center, self.radius),
@@ -561,7 +561,7 @@ class Surfaces(Sequence[Sphere | Box]):
                 yield array[np.argsort(index)]
 
     def __hash__(self) -> int:
-        # Part of what is equal in equal ones: to hash all of it would take long.
+        # Length and first surface are enough for a hash: all the arrays would take long.
         return hash((len(self), self[:1]))
 
     def __repr__(self) -> str:
@@ -583,8 +583,8 @@ class Scene:
     Raises
     ------
     SceneError
-        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are no integers,
-        and parts that are of another type.
+        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are not integers,
+        or parts of the wrong type.
     """
 
     camera: Camera = field(default_factory=Camera)

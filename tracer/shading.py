@@ -24,7 +24,7 @@ _CANCELLED = 1e-3
 # If |l + v|^2 is less, it is rounding alone.
 _OPPOSITE = 1e-24
 
-# How many times as large the rounding of n.h may be in a highlight.
+# How many times larger the rounding of n.h may become in a highlight.
 _SHOWS = 256.0
 
 
@@ -63,8 +63,8 @@ def highlight(
     exponents up to 1e6.
 
     As n.h is (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v, cosines alone do
-    for most points.  The others are those where a high exponent shows its rounding,
-    and those where l and v almost cancel.
+    for most points.  Vectors are needed where a high exponent amplifies the
+    rounding of n.h, and where l and v almost cancel.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def highlight(
 
 
 def _highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floats:
-    """The same from unit vectors.
+    """The same from unit vectors, with smaller errors.
 
     With a = |n - h|^2 the cosine is 1 - a / 2, and
     (n.h)^p = exp(p log1p(-a / 2)) keeps the digits that n.h itself has lost.
@@ -98,7 +98,7 @@ def _highlight(n: Triple, light: Triple, view: Triple, exponent: Floats) -> Floa
     square = dot(h, h)
     e = each(np.subtract, n, scaled(h, 1 / np.sqrt(square)))
     loss = -0.5 * dot(e, e)
-    # A zero exponent is a highlight everywhere, whatever the logarithm.
+    # With a zero exponent the highlight is 1 everywhere, whatever the logarithm.
     power = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(loss)))
-    # Light straight from behind touches the surface at most: h is only rounding there.
+    # Where l = -v, light can only graze the surface, and h is nothing but rounding.
     return np.where(square > _OPPOSITE, power, 0.0)

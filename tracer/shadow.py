@@ -1,10 +1,10 @@
 """Which points the lights reach.
 
-All shadow segments end at a light, so an object can only block those that pass
-it on their way.  The pairs of points and objects for which that cannot be ruled
-out are found in one of two ways, whichever has less to do: from coarse to fine
-in the picture, or by light buffers; or they are known from a look nearby.  All
-end in the same exact test.
+All shadow segments end at a light, so an object can be ruled out for many of
+them at once.  The pairs of points and objects that remain are found in one of
+two ways, whichever has less to do: from coarse to fine in the picture
+(`stretches`), or by light buffers; near points that were looked at before, they
+are taken from a cache.  All pairs go through the same exact test.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
 
-# Stretches are used for up to `_FEW` objects; beyond that, for up to `_MOST` that have
-# `_PIXELS_EACH` pixels each (`_SPLIT_EACH`, where pixels are split).
+# Stretches are used for up to `_FEW` objects; beyond that, for up to `_MOST` if there are
+# `_PIXELS_EACH` pixels for each object (`_SPLIT_EACH`, where pixels are split).
 _PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 2000, 400, 1024, 64
 
 
@@ -53,7 +53,8 @@ class Shadows(NamedTuple):
     def blocked(self, hits: Hits, facing: Bools) -> Bools:
         """Whether other objects than their own keep lights from points that face them.
 
-        `facing` and the answer: (lights, n); it is of no meaning where they do not face.
+        `facing` and the answer: (lights, n).  Where a point does not face a light, the answer has
+        no meaning.
         """
         dark = np.zeros(facing.shape, dtype=np.bool_)
         blocked = np.zeros(facing.shape, dtype=np.bool_)
@@ -66,9 +67,9 @@ class Shadows(NamedTuple):
     def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, ShadowEdges]:
         """`blocked`, and where it may change within a distance `footprint` (n,) of a point.
 
-        Listed are the objects whose shadow's edge may be so near: they block, as they are or when
-        grown by the footprint, or have the light so near to their surface; and they do not block
-        when shrunk by it.  Where another blocks even so, all that is near is dark.
+        Listed are the objects whose shadow's edge may be as near as that.  They block as they are,
+        or when grown by the footprint, or have the light within it of their surface; and they do
+        not block when shrunk by it.  Where any object does even then, all that is near is dark.
         """
         blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)
@@ -85,9 +86,10 @@ class Shadows(NamedTuple):
             p = hits.points(point)
             candidates = point_candidates(self.occluders, own, p, point, light, occluder, footprint)
             does = self._blocks(hits, candidates, point, light, occluder)
-            # A point on a hollow sphere is outside of one that is smaller: that says nothing.
+            # A point on a sphere's inner side is outside the shrunk one: the answer of that alone,
+            # without `does`, says nothing.
             must = does & self._blocks(hits, candidates, point, light, occluder, -reach)
-            # Nor does one with the light on it.
+            # Nor does that of a sphere with the light on its surface.
             on = entries(self.occluders.side, light, occluder) == ON
             must &= ~(on & (occluder < self.occluders.surfaces.sphere_count))
             put(blocked, light[does], point[does], True)
@@ -104,13 +106,14 @@ class Shadows(NamedTuple):
 
     @property
     def caches(self) -> bool:
-        """Whether it pays to cache shadow edges: stretches take neighbours together, not apart."""
+        """Whether it pays to cache shadow edges: not for stretches, which take points together."""
         return isinstance(self.finder, LightBufferFinder)
 
     def cached(self, found: Sequence[ShadowEdges], place: Ints) -> Callable[[Ints], Shadows]:
-        """For samples near points whose shadow edges were found: these, given the point of each.
+        """A function from the point near each sample to `Shadows` that use what is known there.
 
-        `place` (points,): where the points are among all found, or -1 where nothing is seen.
+        `found`: the points' shadow edges; `place` (points,): where each point is among all of
+        these, or -1 where nothing is seen.
         """
         assert isinstance(self.finder, LightBufferFinder)
         known = ShadowCache.of(self.finder, found, place)
@@ -125,11 +128,11 @@ class Shadows(NamedTuple):
         occluder: Ints,
         larger: Floats | None = None,
     ) -> Bools:
-        """Whether objects keep lights from points: those of `candidates`, one by one.
+        """Whether objects keep lights from points: the exact test of `candidates`, pair by pair.
 
-        `larger` (n,) is added to the objects' sizes on all sides.
+        `point`, `light`, `occluder`: their `points()`; `larger` (n,) grows objects on all sides.
         """
-        # A ball around one point has it for its middle.
+        # A ball around one point is centred on it.
         p = candidates.balls.middle if candidates.single else hits.points(point)
         end = each(candidates.spread, columns(self.occluders.lights, candidates.light))
         block = self._boxes_block if self._of_boxes(candidates) else self._spheres_block
@@ -148,7 +151,7 @@ class Shadows(NamedTuple):
         occluder: Ints,
         larger: Floats | None,
     ) -> Bools:
-        """`_blocks`, from points `p` to the lights at `end`, of boxes."""
+        """`_blocks` for boxes, from points `p` to the lights at `end`."""
         surfaces = self.occluders.surfaces
         box = candidates.occluder - surfaces.sphere_count
         corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
@@ -167,7 +170,7 @@ class Shadows(NamedTuple):
                 self._tolerance(pick(p, at), light[at], occluder[at]),
             )
         if larger is not None:
-            # A box smaller than nothing is none.
+            # A box shrunk to less than nothing blocks nothing.
             blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocks
 
@@ -180,7 +183,7 @@ class Shadows(NamedTuple):
         occluder: Ints,
         larger: Floats | None,
     ) -> Bools:
-        """`_blocks`, from points `p` to the lights at `end`, of spheres."""
+        """`_blocks` for spheres, from points `p` to the lights at `end`."""
         occluders, surfaces = self.occluders, self.occluders.surfaces
         to_light = each(np.subtract, end, p)
         center = columns(surfaces.center, candidates.occluder)
@@ -213,10 +216,10 @@ class Shadows(NamedTuple):
         return blocks
 
     def _to_light(self, candidates: Candidates) -> Floats:
-        """How far lights are from the objects, along some axis; for each point.
+        """How far objects must grow to reach their light, for each point; negative with it inside.
 
-        An object that is larger by as much has the light inside.  It may then hold the whole of a
-        segment, and block nothing, where the object itself blocks it.
+        An object grown by more holds the light.  It may then hold the whole of a segment, and
+        block nothing, where the object itself blocks it.
         """
         surfaces, light = self.occluders.surfaces, columns(self.occluders.lights, candidates.light)
         if not self._of_boxes(candidates):
@@ -234,7 +237,7 @@ class Shadows(NamedTuple):
         reach = balls.radius + occluders.slack[candidates.occluder]
         result = entries(occluders.on_plane, candidates.light, candidates.occluder)
         for middle, a, b in zip(balls.middle, low, high, strict=True):
-            # From the nearer of two planes.
+            # The distance from the nearer of the two planes.
             offset = np.abs(middle - 0.5 * (a + b))
             offset -= 0.5 * (b - a)
             result |= np.abs(offset, out=offset) <= reach
@@ -253,9 +256,9 @@ class Shadows(NamedTuple):
 
 
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
-    """Prepare for the shadows in a picture, whose pixels may be split."""
+    """Prepare the shadows in a picture; `split`: whether its pixels may be split."""
     pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
-    # Neighbours in a row make stretches; more rows of as many make only more of them.
+    # Stretches lie along rows: more pixels across make them longer, more rows only more numerous.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
     return Shadows(occluders, stretch_finder(occluders) if few else light_buffer_finder(occluders))

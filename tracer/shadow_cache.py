@@ -20,13 +20,13 @@ from tracer.visibility import Hits
 
 __all__ = ["ShadowCache", "ShadowEdges"]
 
-# What is known of a light at a point that faces it: that it reaches all, or nothing, that is near;
-# or else objects are listed.
+# What is known of a light near a point: nothing, that it reaches everything there, that it reaches
+# nothing there, or that objects are listed that may keep it from some of it.
 _UNKNOWN, _LIT, _DARK, _LISTED = range(4)
 
 
 class ShadowEdges(NamedTuple):
-    """What may keep lights from what is near some points, on the same objects.
+    """What may keep lights from what is near some points, each on its own object.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class ShadowEdges(NamedTuple):
     own : (n,)
         The object that each is on.
     footprint : (n,)
-        How near.
+        Within which distance of each point is near.
     facing, dark : (lights, n)
         Which points face which light, and where it reaches nothing that is near.
     point, light, occluder : (m,)
@@ -53,20 +53,20 @@ class ShadowEdges(NamedTuple):
 
 
 class ShadowCache(NamedTuple):
-    """Finds what may shade samples by what is known of points that they are near.
+    """Finds what may shade samples by what is known of points near them.
 
     Attributes
     ----------
     finder : LightBufferFinder
         For samples of which nothing is known.
     near : (samples,)
-        Each sample's point, of those that follow.
+        The point that each sample is near: an index into all that follows.
     own, p, footprint : (points,), (3, points), (points,)
         See `ShadowEdges`.
     state : (lights, points)
-        What is known of a light.
+        What is known of each light near each point: `_UNKNOWN` and so on.
     first, length : (lights, points)
-        Where the objects that may keep it away begin in `listed`, and how many they are.
+        Where the objects that may keep the light away begin in `listed`, and how many they are.
     listed : (m,)
     """
 
@@ -84,9 +84,9 @@ class ShadowCache(NamedTuple):
     def of(
         cls, finder: LightBufferFinder, found: Sequence[ShadowEdges], place: Ints
     ) -> ShadowCache:
-        """Gather points, given their `place` (points,) among all found, or -1 for those unseen.
+        """Gather points, given the `place` (points,) of each among all found; -1 for those unseen.
 
-        Samples are near none so far.
+        No samples are given yet: `near` is empty.
         """
         shape = len(found[0].dark), place.size
         known = cls(
@@ -124,6 +124,7 @@ class ShadowCache(NamedTuple):
         """See `Finder.candidates`."""
         near, own = self.near[hits.sample], hits.own
         state = self.state.take(near, axis=1)
+        # Elsewhere it becomes _UNKNOWN, which is 0.
         state *= self._inside(hits.p, own, near, footprint)
         unknown = facing & (state == _UNKNOWN)
         if unknown.any():
@@ -146,7 +147,7 @@ class ShadowCache(NamedTuple):
                 )
 
     def _inside(self, p: Floats, own: Ints, near: Ints, footprint: Floats | None) -> Bools:
-        """Whether all that is asked about hits is known: they lie on the same object, and near."""
+        """Whether hits, with their footprints, are near their points, and on the same object."""
         away = each(np.subtract, rows(p, slice(None)), rows(self.p, near))
         reach = self.footprint[near]
         if footprint is not None:

@@ -1,9 +1,10 @@
 """What may shade points, found from coarse to fine.
 
-One test decides, for whole objects, for blocks and tiles of the picture, for
-stretches of neighbouring points, each in a ball: the segments from a ball to a
-light lie in a capsule, which an object misses, meets or cuts.  Missed, it casts no shadow
-there; cut, the shadow is certain; only what is met goes to the next finer step.
+Points are held by balls: around whole objects, then around what is seen of one in
+a block and in a tile of the picture, at last around stretches of neighbouring points.
+All segments from a ball to a light lie in a capsule.  An object that misses it casts
+no shadow there; the others go on to the next finer step.  One that cuts the capsule of
+a stretch certainly shades all of it.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ from tracer.visibility import Hits
 
 __all__ = ["StretchFinder", "stretch_finder"]
 
-# Points in a stretch at most, long and short; pixels along the sides of a tile, and tiles along
-# those of a block.
+# Most points in a long stretch, and in a short one; pixels along each side of a tile, and tiles
+# along each side of a block.
 _LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 
-# Pairs of objects that are tried at a time.
+# How many pairs of objects are tried at a time.
 _OBJECT_PAIRS = 1 << 17
 
 
@@ -116,11 +117,11 @@ class _Search(NamedTuple):
     balls : Balls
         The stretches (m,).
     margin : (m,)
-        What a footprint adds to their radius.
+        What the footprints of their points add to the radius.
     asked : (lights, m)
         Whether any of their points may still be lit.
     dark : (lights, n)
-        Whether a point certainly is not.
+        Whether a point is certainly in shadow.
     """
 
     occluders: Occluders
@@ -133,9 +134,9 @@ class _Search(NamedTuple):
     def of_tiles(
         self, lists: _OccluderLists, blocks: _Tiles, tiles: _Tiles
     ) -> tuple[Ints, Ints, Ints]:
-        """Light, tile and object that may come between: for blocks first, then for their tiles."""
+        """Lights, tiles, and objects that may come between: by blocks, then by their tiles."""
         lights, objects = self.occluders.side.shape
-        # Every block for every light.
+        # A row of keys for each light, with one for each block.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
         place, listed = expand(lists.first[key + 1] - lists.first[key], lists.first[key])
         light, block = np.divmod(place, blocks.owner.size)
@@ -146,7 +147,7 @@ class _Search(NamedTuple):
     def _in_tiles(
         self, lists: _OccluderLists, tiles: _Tiles, light: Ints, tile: Ints, occluder: Ints
     ) -> tuple[Ints, Ints, Ints]:
-        """Of these, the ones whose object may come between."""
+        """Those of the given lights, tiles and objects whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
         meets, _ = _near(self.occluders, lists, middle, radius, light, occluder)
         near = np.flatnonzero(meets)
@@ -155,7 +156,7 @@ class _Search(NamedTuple):
     def of_stretches(
         self, lists: _OccluderLists, light: Ints, stretch: Ints, occluder: Ints
     ) -> Candidates:
-        """Cut the stretches that may be shaded into short ones, and keep those that still may.
+        """Cut the stretches that may be shaded into short ones; return those that still may be.
 
         Sets `dark` where shadow is certain.
         """
@@ -177,14 +178,15 @@ class _Search(NamedTuple):
         return Candidates(balls.take(near), light[near], occluder[near])
 
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
-        """All points of some stretches are in shadow."""
+        """Mark all points of some stretches as in shadow."""
         start, length = balls.start[mask], balls.length[mask]
         put(self.dark, np.repeat(light[mask], length), ranges(start, length), True)
 
 
 def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
     """Put balls around stretches of points of some objects."""
-    # The points of a row lie on a line, or on an arc of less than half a circle.
+    # Points of a row lie on a line, or on an arc of less than half a circle: the ball on the chord
+    # between the ends holds them.
     a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
     half = each(lambda a, b: 0.5 * (a + b), a, b)
     middle = hits.raster.point_to_scene(half)
@@ -205,7 +207,7 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
 def _is_short(middle: Triple, chord: Triple, center: Triple) -> Bools:
     """Whether arcs, seen from the origin inside their circles, are surely less than half of these.
 
-    They are where the centre and the origin are on the same side of the chord.
+    They are if the circle's centre and the origin are on the same side of the chord.
     """
     along = dot(middle, chord) / dot(chord, chord)
     away = each(lambda m, d: m - along * d, middle, chord)
@@ -260,7 +262,7 @@ class _Tiles(NamedTuple):
     owner : (m,)
         The object.
     first, length : (m,)
-        The places of its stretches in their order, or its tiles.
+        Its stretches, as places in the order that `_tiles` gives, or its tiles.
     middle, radius : three (m,) and (m,)
     """
 
@@ -272,7 +274,7 @@ class _Tiles(NamedTuple):
 
     @classmethod
     def around(cls, owner: Ints, key: Ints, middle: Triple, radius: Floats) -> _Tiles:
-        """Put what lies next to each other and has the same key in one ball."""
+        """Put neighbours with the same key in one ball."""
         first, length = equal_runs(key)
         low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
         high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
@@ -282,7 +284,7 @@ class _Tiles(NamedTuple):
 
 
 def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[_Tiles, _Tiles, Ints]:
-    """Sort stretches by where they begin: into blocks, and tiles in these; and their order."""
+    """Sort stretches by where they begin: into blocks, into tiles of these, and in what order."""
     column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE
     row = hits.row[run] // _TILE
     block = hits.owner[run]

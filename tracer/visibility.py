@@ -30,20 +30,22 @@ from tracer.scene import Surfaces
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 
-# With more objects behind each other, fewer samples are taken at a time: memory is for pairs.
+# With more objects than this behind each other, fewer samples are taken at a time: memory grows
+# with the pairs of both.
 _LAYERS = 8.0
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
-# Surfaces that cross within a pixel are no farther apart in its middle than its size, over the
-# cosines under which they are seen: those of faces are told, but for extremes.
+# Surfaces that cross within a pixel are no farther apart at its centre than the pixel's size over
+# the cosines of the angles at which they are seen: for boxes these are known, and kept within
+# limits; spheres have the least.
 _LEAST_CLOSE, _MOST_CLOSE = 64.0, 16384.0
 
 # Samples farther apart, in pixels, are no neighbours.
 _GAP = 4.0
 
-# From so many samples on, an object is worth arrays of its own, with its data as numbers.
+# With this many samples or more, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 16384
 
 
@@ -58,10 +60,10 @@ class View(NamedTuple):
     eye_inside : (n,)
         Of all surfaces, spheres first, those that are seen from inside.
     close : (n,)
-        Of all surfaces: how far apart, in sizes of a pixel there, they and others may be in its
-        middle that cross in it.
+        Of all surfaces: how far from another that crosses it within a pixel each may be, along the
+        ray through the pixel's centre, in sizes of a pixel at that distance.
     layers : float
-        How many objects the samples of a row may meet on average, one behind the other: at most.
+        How many objects at most lie behind a sample, on average over any row.
     """
 
     raster: Raster
@@ -72,12 +74,12 @@ class View(NamedTuple):
     layers: float
 
     def at_once(self, samples: int) -> int:
-        """So many samples at a time, or fewer where many objects lie behind each other."""
+        """How many samples to take at a time: fewer where many objects lie behind each other."""
         return max(1, int(samples * min(1.0, _LAYERS / max(self.layers, 1.0))))
 
 
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
-    """How surfaces look from the eye of a picture's rays, for pixels that may be split."""
+    """Prepare surfaces to be seen from a raster's eye; `split`: whether pixels may be split."""
     outlines, eye = outlines_of(raster, surfaces, split), raster.eye
     in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
     for k, place in enumerate(eye.tolist()):
@@ -94,7 +96,7 @@ def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
 
 
 def _closeness(surfaces: Surfaces, eye: Floats, inside: Bools) -> Floats:
-    """`View.close`: for boxes, twice one over the least cosine under which a face is seen."""
+    """`View.close`: for boxes, 2 / (the least cosine at which a face may be seen)."""
     low, high = surfaces.min_pt - eye, surfaces.max_pt - eye
     farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=1))
     heights = np.where(inside[:, None], np.minimum(-low, high), np.maximum(low, -high))
@@ -117,11 +119,11 @@ class Group(NamedTuple):
     owner : int, or (spans,)
         Which object they see (spheres first): one, or one for each span.
     counts : (spans,)
-        Samples in each span: those in one row that see one object.
+        How many samples each span has: those in one row that see one object.
     face
         Of boxes, the axis of the face: a number, or (n,); 3 for spheres.
     sign, level
-        Of faces: whether they look up (1) or down (-1) that axis, and their place there.
+        Of faces: whether they look up (1) or down (-1) that axis, and their coordinate on it.
     n : three
         The unit normal towards the eye, in the camera's axes.
     lift
@@ -145,11 +147,11 @@ class Group(NamedTuple):
         return not (isinstance(self.face, int) and self.face == 3)
 
     def spread(self, values: Any) -> Any:
-        """What belongs to the one object, or to spans, for each of the samples."""
+        """Values of spans, repeated for each of their samples; of one object, as they are."""
         return spread(values, self.counts)
 
     def of(self, values: NDArray[Any]) -> Any:
-        """What belongs to objects, spheres first, for each of the samples."""
+        """Values of objects, spheres first, for each of the samples that see them."""
         return self.spread(values[self.owner])
 
 
@@ -163,8 +165,9 @@ class Hits(NamedTuple):
         Points seen from the eye, in the camera's axes.
     groups : list of Group
     first : (runs + 1,)
-        Where each run begins, of those of all groups: neighbours in one row, on one object and
-        one face, nowhere more than `_GAP` apart.
+        Where each run of points begins, through all groups, and the end of the last.  A run is on
+        one object and one face, in one row; samples at any positions (with `Samples.row`) are
+        nowhere more than `_GAP` apart in it.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
@@ -190,7 +193,7 @@ class Hits(NamedTuple):
         return np.concatenate([np.zeros(0, dtype=np.intp), *(g.sample for g in self.groups)])
 
     def distance_and_cosine(self, group: Group) -> tuple[Floats, Floats]:
-        """Distance from the eye, and cosine between the normal and the way there, (n,)."""
+        """Distance from the eye, and cosine between the normal and the way to the eye, (n,)."""
         x, y, z = self.p[:, group.part]
         distance = np.sqrt(dot((x, y, z), (x, y, z)))
         if group.flat:
@@ -203,13 +206,16 @@ class Hits(NamedTuple):
 
 
 def visible(view: View, samples: Samples) -> Hits:
-    """Nearest surface at each sample; of exactly equal ones the first in the file."""
+    """The nearest surface at each sample; at exactly equal distances, the first in the file."""
     groups = _fragments(view, samples)
     return _hits(view, samples, _seen(view, groups, _nearest(samples, groups)))
 
 
 def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits, Hits]:
-    """What is `visible`, and what is so near behind that it may come first `size` pixels away."""
+    """What is `visible`, and what is so close behind it that the two may cross nearby.
+
+    Nearby is within the cell of the sample, a square of `size` pixels around it.
+    """
     groups = _fragments(view, samples)
     nearest = _nearest(samples, groups)
     seen = _seen(view, groups, nearest)
@@ -218,7 +224,7 @@ def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits,
 
 
 class _Fragments(NamedTuple):
-    """Pairs (sample, object): where rays meet objects, whatever is before them.
+    """Pairs (sample, object): where rays meet objects, hidden or not.
 
     Attributes
     ----------
@@ -229,9 +235,9 @@ class _Fragments(NamedTuple):
         Each span's row, and how many samples there are.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
-        units of the direction's length.
+        units of the direction's length, infinite for a miss.
     detail : (n,)
-        Of spheres, what `sphere_hit` says of the normal; of boxes, the axis of the face.
+        Of spheres, the `rise` of `sphere_hit`; of boxes, the axis of the face.
     """
 
     sphere: bool
@@ -244,11 +250,11 @@ class _Fragments(NamedTuple):
     detail: NDArray[Any]
 
     def where(self, mask: Bools) -> _Fragments:
-        """Those where the mask holds."""
+        """The pairs where the mask holds."""
         return self.take(np.flatnonzero(mask))
 
     def take(self, index: Ints) -> _Fragments:
-        """Some of them, in order."""
+        """Some of the pairs, in order."""
         if index.size == self.t.size:
             return self
         return self._replace(
@@ -260,34 +266,34 @@ class _Fragments(NamedTuple):
         )
 
     def spread(self, values: Any) -> Any:
-        """What belongs to the one object, or to spans, for each sample."""
+        """Values of spans, repeated for each of their samples; of one object, as they are."""
         return spread(values, self.counts)
 
     def of_rows(self, values: Floats) -> Floats:
-        """What belongs to rows, for each sample."""
+        """Values of rows, for each of the samples."""
         return np.repeat(values[self.row], self.counts)
 
     def close(self, view: View) -> Any:
-        """`View.close` for each sample: one number where that is the least of all."""
+        """`View.close` for each sample; a single number if all have the least."""
         close = view.close[self.owner + (not self.sphere) * view.surfaces.sphere_count]
         return self.spread(close) if np.any(close > _LEAST_CLOSE) else _LEAST_CLOSE
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
-    """All that rays may meet."""
+    """All pairs of samples and objects that the outlines do not rule out."""
     s = samples.across(view.raster)
     return [*_sphere_fragments(view, samples, s), *_box_fragments(view, samples, s)]
 
 
 def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
-    """The distance (n,) of the first fragment of each sample; None if there is but one object."""
+    """The distance (n,) of each sample's nearest fragment; None if all are of one large object."""
     if len(groups) == 1 and isinstance(groups[0].owner, int):
         return None
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for i, group in enumerate(groups):
         if isinstance(group.owner, int):
-            # No sample meets the same object twice.
+            # No sample meets the same object twice, so there is no need for minimum.at.
             before = nearest[group.sample] if i else np.finfo(np.float64).max
             nearest[group.sample] = np.minimum(before, group.t)
         else:
@@ -296,7 +302,7 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
 
 
 def _seen(view: View, groups: list[_Fragments], nearest: Floats | None) -> list[_Fragments]:
-    """Of all fragments those that are seen, given the distance of each sample's first."""
+    """Of all fragments those that are seen, given the distance of each sample's nearest."""
     if nearest is None:
         # Nothing can hide a lone object.
         return [groups[0].where(groups[0].t < np.inf)]
@@ -313,7 +319,7 @@ def _close_behind(
     nearest: Floats | None,
     size: float,
 ) -> list[_Fragments]:
-    """Fragments that lie so near behind the first of their samples as `visible_and_behind` says."""
+    """Fragments as close behind the nearest of their samples as `visible_and_behind` says."""
     if nearest is None:
         return []
     raster = view.raster
@@ -328,7 +334,8 @@ def _close_behind(
     for group in groups:
         first = nearest[group.sample]
         step = pixel * np.maximum(select(ahead, group.sample), group.close(view))
-        # No direction is shorter than the window is far: few are left for their lengths.
+        # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
+        # of directions are then computed for these few alone.
         most = first * (1 + 2 * step / raster.depth)
         at = np.flatnonzero((group.t > first) & (group.t < most))
         _, y = samples.at(group.sample[at])
@@ -414,7 +421,7 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
 
 
 def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
-    """One point (3,), or points (spans, 3) each so many times, seen from the eye."""
+    """One point (3,), or points (spans, 3) repeated for their samples, seen from the eye."""
     x, y, z = (spread(points[..., k] - eye[k], counts) for k in range(3))
     return x, y, z
 
@@ -431,7 +438,7 @@ def _faces(
 ) -> Iterator[tuple[_Fragments, Index, Floats]]:
     """Fragments, the axis of the face, and whether that looks up (1) or down (-1).
 
-    Those of boxes are told apart if there are many; spheres have 3 for the axis.
+    If there are many of boxes, they are split by face; spheres have 3 for the axis.
     """
     if group.sphere:
         yield group, 3, np.ones(())
@@ -451,10 +458,10 @@ def _faces(
 
 
 def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> Bools:
-    """Whether the face of boxes that is seen across an axis looks down: one answer, or (n,)."""
+    """Whether the faces of boxes that may be seen across an axis look down: one answer, or (n,)."""
     raster, owner = view.raster, group.owner
     inside = view.eye_inside[view.surfaces.sphere_count :][owner]
-    # The face that looks towards the eye; seen from inside, ahead of the ray.
+    # From outside, the face that looks towards the eye is seen; from inside, that ahead of the ray.
     down = group.spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis])
     if inside.any():
         g = raster.down(samples.y)
@@ -473,7 +480,7 @@ def _hit(
     place: slice,
     p: Floats,
 ) -> Group:
-    """What is seen of one group; fills in the points (3, n), seen from the eye."""
+    """The hits of one group of fragments; fills in their points `p` (3, n), seen from the eye."""
     raster, outlines, surfaces = view.raster, view.outlines, view.surfaces
     np.multiply(part.t, part.s, out=p[0])
     np.multiply(part.t, part.of_rows(raster.down(samples.y)), out=p[1])
@@ -488,7 +495,7 @@ def _hit(
             n = [flip * m for m in n]
         level, lift = np.zeros(()), part.detail * inverse
     else:
-        # One face of each box, or one of each sample.
+        # The same face for all boxes, or one for each sample.
         one = isinstance(face, int)
         box = owner if one else part.spread(owner)
         low, high = entries(surfaces.min_pt, box, face), entries(surfaces.max_pt, box, face)
@@ -513,7 +520,7 @@ def _hit(
 
 
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
-    """What is seen: faces one by one, and the runs of all groups one after the other."""
+    """Hits of fragments that are seen: their groups, face by face, and the runs of these."""
     faces = [face for group in fragments if group.t.size for face in _faces(view, samples, group)]
     ends = np.cumsum([0] + [part.t.size for part, *_ in faces]).tolist()
     p = np.empty((3, ends[-1]))
