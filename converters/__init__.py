@@ -1,1 +1,1 @@
-"""Taking scenes on into Mitsuba 3, and holding the tracer against it."""
+"""Conversion of scenes to Mitsuba 3, and comparison of the tracer with it."""

@@ -62,10 +62,10 @@ MAX_DIFFERENCE = 1e-4
 MAX_MEDIAN = 1e-6
 """Largest median of these differences."""
 
-# Largest coordinate that float32 copes with, where what is seen is 10 units large.
+# Largest coordinate, with what is seen scaled to 10 units, at which float32 is accurate enough.
 _LARGEST = 1e4
 
-# The oracle judges no more pixels than these; where more differ, Mitsuba stays the judge.
+# The oracle, being slow, judges at most this many pixels; if more differ, Mitsuba stays the judge.
 _MOST_JUDGED = 5000
 
 
@@ -80,7 +80,7 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """What came of a comparison.
+    """The result of a comparison.
 
     Attributes
     ----------
@@ -98,9 +98,9 @@ class CheckResult:
     variant : str
         Mitsuba's.
     reasons : tuple of str
-        Why Mitsuba errs on some pixels; empty if it does not.
+        Why Mitsuba is not trusted on the judged pixels; empty if there are none.
     judged : int
-        How many those are: there the oracle is the judge in its place.
+        How many pixels are held against the oracle in place of Mitsuba.
     tracer_seconds, mitsuba_seconds : float
         Rendering times, warm where that makes a difference.
     """
@@ -119,7 +119,7 @@ class CheckResult:
 
     @property
     def judged_by(self) -> str:
-        """Who has the last word on this scene."""
+        """What the tracer is held against on this scene."""
         return "Mitsuba and the oracle" if self.judged else "Mitsuba"
 
     @property
@@ -128,7 +128,7 @@ class CheckResult:
         return faults(self.figures, self.mask)
 
     def report(self) -> str:
-        """All of it in a few lines, for people."""
+        """The result in a few lines of text."""
         f = self.figures
         lines = [
             f"{self.name}: {'DIFFERS' if self.faults else 'agrees'}",
@@ -148,7 +148,7 @@ class CheckResult:
 
 
 def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
-    """What of a comparison is out of tolerance, in words."""
+    """Which figures of a comparison are out of tolerance, in words."""
     share = float(mask.mean())
     limits = (
         (measured.ssim >= MIN_SSIM, f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}"),
@@ -194,7 +194,7 @@ def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
     chosen = use(variant).variant
     mi = importlib.import_module("mitsuba")
     importlib.import_module("converters.plugins")
-    # Every run would warn that Python plugins are slow in scalar variants.
+    # Otherwise every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
     loaded = mi.load_string(text)
 
@@ -210,7 +210,7 @@ def stock_ssim(scene: Scene, samples: int = 64, variant: str | None = None) -> f
     """SSIM of the stock flavour's picture against the exact one's, in square pixels."""
     square = replace(scene, height=square_height(scene))
     approximate = _loaded(stock(square, samples), variant)().image
-    # Without the noise of lights picked at random, few samples do.
+    # The exact flavour has no noise from lights picked at random: few samples are enough.
     return figures(approximate, render_mitsuba(square, min(samples, 4), variant)).ssim
 
 
@@ -229,7 +229,7 @@ def edge_mask(scene: Scene, image: Floats) -> Bools:
     return mask
 
 
-# A place whose square overflows counts as not seen.
+# Squares may overflow: such a place counts as not seen.
 @np.errstate(all="ignore")
 def doubts(scene: Scene) -> tuple[str, ...]:
     """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
@@ -323,7 +323,7 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
 
 
 def _judge(scene: Scene, image: Floats, mitsuba: Floats, mask: Bools) -> tuple[Floats, int]:
-    """Mitsuba's picture, by the oracle where the tracer's differs; how many pixels those are."""
+    """Mitsuba's picture, but the oracle's where the tracer differs; how many pixels those are."""
     differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > MAX_DIFFERENCE) & ~mask)
     if not 0 < len(differ) <= _MOST_JUDGED:
         return mitsuba, 0

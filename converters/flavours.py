@@ -19,10 +19,10 @@ __all__ = ["Normalisation", "exact", "normalisation", "square_height", "stock"]
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
 
-# What a hit may err by, in roundings (2^-24) of the largest length in the scene.
+# Largest error of a hit point, in roundings (2^-24) of the largest length in the scene.
 _TOLERANCE_ROUNDINGS = 100
 
-# float32 ends here.
+# The largest float32.
 _LARGEST = float(np.finfo(np.float32).max)
 
 # Least half thickness of a box, relative to the largest coordinate.
@@ -42,7 +42,7 @@ class Normalisation:
 
 
 def normalisation(scene: Scene) -> Normalisation:
-    """What brings the part of a scene that is seen to the origin, about 10 units large."""
+    """Moves the part of a scene that is seen to the origin, and scales it to 10 units."""
     points = visible_points(scene)
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else bounds(scene.surfaces)
     extent = float((high - low).max())
@@ -58,7 +58,7 @@ def _element(head: str, *children: str) -> str:
 
 
 def _plugin(kind: str, plugin: str, *children: str, name: str | None = None) -> str:
-    """A plugin with its parameters; the name is for references to it."""
+    """A plugin with its parameters; `name` is the id for references to it."""
     label = "" if name is None else f" id={quoteattr(name)}"
     return _element(f"{kind} type={quoteattr(plugin)}{label}", *children)
 
@@ -69,7 +69,7 @@ def _to_world(*steps: str) -> str:
 
 
 def _number(name: str, value: float) -> str:
-    """A number as it is written; a ValueError if Mitsuba could not hold it."""
+    """The text of a number; raises ValueError if it is beyond float32."""
     if not abs(value) <= _LARGEST:
         raise ValueError(
             f"cannot be converted: {name} would be {value:g}, and Mitsuba's numbers end at"
@@ -178,7 +178,7 @@ scene file has p, this one has {scale:.6g} (p - c), c = ({center}).
 """
 
 
-# What overflows is told where it is written.
+# `_number` raises for what overflows.
 @np.errstate(all="ignore")
 def exact(scene: Scene, samples: int = 1) -> str:
     """A scene as Mitsuba XML, exact, by this project's plugins.
@@ -295,7 +295,7 @@ _SQUARE = """- the film: pixels must be square, so {width} x {height} of them sh
 """
 
 
-# What overflows is told where it is written.
+# `_number` raises for what overflows.
 @np.errstate(all="ignore")
 def stock(scene: Scene, samples: int = 64) -> str:
     """A scene as Mitsuba XML, approximate, by stock plugins.
@@ -374,7 +374,7 @@ def _stock_emitter(light: PointLight, gain: float, seen: Floats) -> str:
 
 
 def _distance2(light: PointLight, seen: Floats) -> float:
-    """The squared distance at which a light is right: least squares over the points (n, 3) seen."""
+    """Squared distance at which a light's strength is right: least squares over points (n, 3)."""
     if not len(seen):
         return 1.0
     inverse = 1 / np.maximum(((seen - light.position) ** 2).sum(axis=1), 1e-12)

@@ -39,7 +39,7 @@ from converters.variant import use
 if mi.variant() is None:
     use()
 
-# Film coordinates are float32: a pixel's centre comes back off by up to 1e-4 pixels of 1000.
+# Film coordinates are float32: across 1000 pixels, a centre comes back off by up to 1e-4 pixels.
 _CENTER_SLACK = 1e-3
 
 
@@ -172,7 +172,7 @@ def _log1p(x: mi.Float) -> mi.Float:
 
 
 def _exit(box: mi.ScalarBoundingBox3f, p: mi.Point3f, d: mi.Vector3f) -> mi.Float:
-    """Distance from a point inside a box to beyond it."""
+    """Distance from a point inside a box to a little beyond it, in direction `d`."""
     size = dr.max(box.max - box.min)
     inverse = dr.rcp(dr.select(dr.abs(d) > 1e-20, d, 1e-20))
     far = dr.maximum((box.min - p) * inverse, (box.max - p) * inverse)
@@ -205,7 +205,7 @@ class EveryLight(mi.SamplingIntegrator):
             ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
             value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
             facing = valid & dr.any(value > 0)
-            # Not from the light itself: it may lie on a surface.
+            # It starts a little before the light, which may lie on a surface.
             reach = dr.minimum(ds.dist - self.tolerance, _exit(scene.bbox(), si.p, ds.d))
             shadow_ray = mi.Ray3f(si.p + reach * ds.d, -ds.d)
             first = scene.ray_intersect_preliminary(shadow_ray, active=facing)

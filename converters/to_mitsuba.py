@@ -13,7 +13,7 @@ and loads with mitsuba.load_file after "import converters.plugins".
 Converting needs no Mitsuba. --render and --check need it ("pip install .[reference]").
 """
 
-# What imports NumPy or Mitsuba is imported where it is used, so that `run` comes before it.
+# What imports NumPy or Mitsuba is imported where it is used, so that `run` heeds signals before.
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _ready(variant: str | None) -> bool:
 
 def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Path]:
     """Where each result goes; a ValueError says why that is wrong usage."""
-    # A folder such as / has no name to replace; reading it will tell that it is none.
+    # A path such as / has no name to replace; reading it will fail later, with a clear message.
     beside = [scene.parent / f"{scene.stem}{suffix}" for scene in scenes]
     if output is None:
         targets = beside

@@ -1,4 +1,4 @@
-"""What keeps one scene from being converted or rendered, told so that the others go on."""
+"""Errors that keep one scene from being converted or rendered, reported while others go on."""
 
 from __future__ import annotations
 

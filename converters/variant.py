@@ -1,7 +1,7 @@
 """Which Mitsuba variant this machine can run: LLVM where it works, else scalar.
 
 The ``llvm_ad_rgb`` variant needs a shared libLLVM.  Without one Mitsuba says so, but with some
-versions (15 and 16, for instance) the whole process is aborted by the first kernel.  So a child
+versions of LLVM (15 and 16, for instance) the first kernel aborts the whole process.  So a child
 process tries a small kernel first, once for each process that asks.
 """
 
@@ -22,7 +22,7 @@ __all__ = ["LLVM", "SCALAR", "Choice", "choose", "use"]
 LLVM = "llvm_ad_rgb"
 SCALAR = "scalar_rgb"
 
-# The two things that unusable versions are known to stumble over: a maximum, and a ray query.
+# With the two operations at which unusable versions are known to fail: a maximum, and a ray query.
 _KERNEL = f"""
 import drjit as dr
 import mitsuba as mi

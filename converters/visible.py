@@ -1,7 +1,7 @@
 """A few points that the camera sees: enough to know where a scene is and how large.
 
-Mitsuba computes in float32, so where a scene lies and how large it is decides how well it comes
-out; and its point lights fall off, so their strength can be right at one depth only.
+Mitsuba computes in float32, so its accuracy depends on where a scene lies and how large it is; and
+its point lights fall off, so their strength can be right at one distance only.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def window_point(raster: Raster, column: float, row: float) -> Floats:
 def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[float, int]:
     """Distance to the first surface along one ray, and its index in the file.
 
-    Where the ray meets none, the distance is infinite and the index any.
+    Where the ray meets none, the distance is infinite and the index means nothing.
     """
     to_center = surfaces.center - origin
     along = to_center @ direction

@@ -50,7 +50,7 @@ _NEVER, _ALWAYS = -1, 1 << 40
 
 _SAMPLES = 64
 
-# Shorter times are measured more often: so many times in all, or until they add up to seconds.
+# Rounds for all; short times are measured up to `_MOST` times, until they add up to these seconds.
 _ROUNDS, _MOST, _ENOUGH = 3, 9, 1.0
 
 
@@ -62,7 +62,7 @@ class Part:
     ----------
     name : str
     instead : sequence of (object, str, object)
-        What has an attribute, which, and its value instead.
+        What to patch: an object, the name of its attribute, and the value in its place.
     processes : int
     """
 
@@ -83,12 +83,12 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
 
 
 def _forgotten(_: Seen, lighting: Lighting, __: Ints) -> Lights:
-    """What shades samples is sought anew."""
+    """What may shade samples is sought anew, whatever looks have found."""
     return lambda _: lighting
 
 
 def _alike(_: Lines, cells: Ints, x: Floats, __: Floats) -> tuple[Floats, Points]:
-    """All points stand for as much, whatever lies between them."""
+    """All points in a cell have the same share, whatever lines lie between them."""
     none = np.zeros(0)
     nowhere = none.astype(np.intp)
     shares = np.full((cells.size, x.size), 1 / x.size)
@@ -96,7 +96,7 @@ def _alike(_: Lines, cells: Ints, x: Floats, __: Floats) -> tuple[Floats, Points
 
 
 def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:
-    """One point within limbs, in the middle, in place of two; with half of the share each."""
+    """One point within limbs, in the middle, in place of two: given twice, with half the share."""
     share, x, y = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c).areas_and_moments()
     share, x, y = np.repeat([[share / 2, x, y]], 2, axis=0).swapaxes(0, 1)
     return share, x / np.maximum(2 * share, 1e-9), y / np.maximum(2 * share, 1e-9)
@@ -146,7 +146,7 @@ ANTIALIASING = [
 
 @contextmanager
 def without(part: Part) -> Iterator[None]:
-    """Do without a part for a while."""
+    """Patch the tracer to do without a part, as long as this lasts."""
     with ExitStack() as stack:
         for where, name, value in part.instead:
             stack.enter_context(mock.patch.object(where, name, value))
@@ -197,7 +197,7 @@ def _antialiased(quick: bool) -> Table:
 
 
 def _timed(scene: Scene, parts: Sequence[Part], samples: int, quick: bool) -> dict[str, Timing]:
-    """Pictures without each of the parts, in turns."""
+    """Time pictures without each of the parts, in turns."""
     tasks: dict[str, Task] = {
         part.name: on_copies(partial(_render, part=part, samples=samples), scene, _MOST)
         for part in parts
@@ -213,7 +213,7 @@ def _render(scene: Scene, part: Part, samples: int) -> Floats:
 
 
 def _shown(table: Table) -> Table:
-    """Times of all rows but the first as multiples of it; errors with as many places."""
+    """Times of all rows but the first as multiples of it; errors with six decimals."""
     every = table.rows[0]
 
     def cell(value: object, whole: object) -> object:

@@ -1,4 +1,4 @@
-"""What the tracer does not do: the usual ways, kept beside the charts that judge them.
+"""What the tracer does not do: the usual methods, kept for the charts that judge them.
 
 A plain renderer of the same model (every ray against every object) whose
 arithmetic, sphere intersection and shadow offset can be chosen.  In 50-digit
@@ -46,7 +46,7 @@ Roots: TypeAlias = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
 """From origin, direction, centre and radius to near and far t (NaN: none)."""
 
 ShadowStart: TypeAlias = Callable[[Array, Array], tuple[Array, float]]
-"""From hit point and normal to where the shadow ray starts, and the least distance."""
+"""From hit point and normal to where the shadow ray starts, and the least t that blocks."""
 
 
 def float32(values: ArrayLike) -> Array:
@@ -161,7 +161,7 @@ def render(
         Where shadow rays start.  If absent they start at the hit point, and
         the object itself is left out, which is exact for convex objects.
     offset : (float, float)
-        Moves every sample by so many pixels to the right and down.
+        Moves every sample, in pixels to the right and down.
 
     Returns
     -------
@@ -241,7 +241,7 @@ def _render(
 
 
 def _directions(scene: Scene, cast: Arithmetic, offset: tuple[float, float]) -> Array:
-    """Camera rays (3, pixels), as far as the window."""
+    """Camera rays (3, pixels), from the eye to the window."""
     camera, width, height = scene.camera, scene.width, scene.height
     ahead = _unit(cast(camera.view_dir))
     w = _unit(cast(camera.normal))

@@ -49,7 +49,7 @@ def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
     return float(slope)
 
 
-# Short times vary most: so many times the rounds, or until they add up to so many seconds.
+# Short times vary most: up to `_MORE` times the rounds, until they add up to `_ENOUGH` seconds.
 _MORE, _ENOUGH = 5, 0.5
 
 
@@ -152,7 +152,7 @@ def warm(rounds: int, quick: bool) -> Table:
 
 
 def compact(table: Table) -> Table:
-    """`warm` in a row for each scene, beside the exact flavour; of the stock one the mean."""
+    """`warm` with a row for each scene: over the exact flavour, and the mean over the stock one."""
     columns: dict[str, dict[str, tuple[Timing, Timing]]] = {}
     over_stock: dict[str, list[float]] = {}
     for place, ours, theirs, _, _, over in table.rows:
@@ -238,7 +238,7 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
 
 
 def crowded(rounds: int, quick: bool) -> Table:
-    """The same when the objects crowd together."""
+    """The same, for the tracer alone, where the objects crowd together."""
     counts = (10, 1000) if quick else (10, 100, 1000, 10_000, 100_000)
     rows: list[tuple[object, ...]] = []
     for kind, words in CROWDS.items():
@@ -284,7 +284,8 @@ def loading(rounds: int, quick: bool) -> Table:
     count = 1000 if quick else 100_000
     path = built("many.xml")
     path.write_text(to_xml(crowd(count)))
-    # As in a small process: etree's many objects would have Python look through all of Mitsuba's.
+    # As in a small process: etree makes many objects, and each garbage collection that these set
+    # off would go through all of Mitsuba's as well.
     gc.collect()
     gc.freeze()
     found = interleaved(
@@ -391,7 +392,7 @@ def limit(rounds: int, quick: bool) -> Table:
 
 
 Section: TypeAlias = Callable[[int, bool], Table]
-"""Measures in so many rounds, quickly or not."""
+"""Measures one table, given how many rounds, and whether to be quick."""
 
 
 def tables(*, quick: bool) -> Iterator[tuple[Section, Table]]:

@@ -31,7 +31,7 @@ __all__ = [
 HALO = [withStroke(linewidth=3, foreground="white")]
 """Keeps text legible across lines."""
 
-# Of labels, in points.
+# Font size of labels, in points.
 _SIZE = 9
 
 plt.rcParams.update(

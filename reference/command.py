@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from tracer.reader import printable
 
-# Its own thread would keep the tracer from using both processors.
+# Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
 __all__ = ["BUILD", "HERE", "SCENES", "built", "parser", "result", "spare_inputs"]
@@ -20,7 +20,7 @@ HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 
 BUILD = HERE.parent / "build"
-"""Where what can be made again is kept; not under version control."""
+"""Folder for files that can be made again; not under version control."""
 
 
 def built(name: str) -> Path:

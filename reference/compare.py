@@ -33,7 +33,7 @@ _WINDOW = 7
 _OVER = 1e-3
 # Smaller panels are enlarged, pixel by pixel.
 _PANEL = 300
-# Those of which is known, before they are decoded, how many bits a channel they have.
+# Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 _MARGIN, _LABEL = 8, 24
 _PAPER, _INK = (250, 250, 250), (30, 30, 30)

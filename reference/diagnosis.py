@@ -3,7 +3,7 @@
 Each kind that can be predicted from the right picture is a hypothesis: for
 every pixel and channel an interval of 8-bit codes in which the other picture's
 would lie.  The hypothesis that leaves the fewest pixels unexplained is the
-diagnosis, if it leaves few enough.  What is left is told by where the
+diagnosis, if it leaves few enough.  All other kinds are told apart by where the
 difference lies, which sign it has, and whether it ends sharply or fades.
 """
 
@@ -24,7 +24,7 @@ Codes: TypeAlias = NDArray[np.int16]
 
 GAMMA = 2.2
 
-# A hypothesis may leave so many pixels unexplained for each that differs.
+# A hypothesis may leave this part of the differing pixels unexplained.
 _EXACT, _SUBPIXEL = 0.02, 0.1
 # Neighbours further apart than this, in codes, have an edge between them.
 _EDGE = 8
@@ -50,7 +50,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, slots=True)
 class _Hypothesis:
-    """What A would be: a code between `low` and `high` in every place, (h, w, 3)."""
+    """What A would be like: codes between `low` and `high`, (h, w, 3)."""
 
     kind: str
     text: str
@@ -125,7 +125,7 @@ def _unexplained(a: Codes, guess: _Hypothesis) -> int:
 
 
 def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
-    """What moves whole pixels or maps each level to another."""
+    """Hypotheses that move whole pixels, or map levels to other levels."""
     for kind, text, image in (
         ("mirrored", "A is mirrored: left and right are swapped.", b[:, ::-1]),
         ("flipped", "A is upside down: row 0 should be the top.", b[::-1]),
@@ -146,7 +146,7 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
 
 
 def _tones(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
-    """Levels that are mapped to other levels."""
+    """Hypotheses that map levels to other levels."""
     # B's light is known to within the half level by which it was rounded.
     low, high = linear(np.maximum(b - 0.5, 0)), linear(b + 0.5)
 
@@ -258,7 +258,7 @@ def _between(shift: float) -> set[int]:
 
 
 def _regional(a: Codes, b: Codes) -> Diagnosis:
-    """By where the difference lies, its sign, and how it ends."""
+    """Diagnosis by where the difference lies, its sign, and how it ends."""
     change = a - b
     differs: Bools = np.abs(change).max(axis=2) > 2
     if not differs.any():

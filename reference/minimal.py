@@ -61,7 +61,7 @@ class Minimal:
         raster = raster_of(scene.camera, scene.width, scene.height)
         u, v, w = raster.axes
         shader = surfaces.shader_index
-        # Kept, for the pointers below are to them.
+        # Kept alive: the pointers below point into these arrays.
         self._arrays = {
             "sphere": np.column_stack([surfaces.center, surfaces.radius]),
             "box": np.hstack([surfaces.min_pt, surfaces.max_pt]),

@@ -69,7 +69,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class _Hit:
-    """A root: where, and how far from none (`clear`, a length)."""
+    """A root at distance t; `clear` is how far (a length) the ray is from having none."""
 
     t: Decimal
     normal: Vector
@@ -80,7 +80,7 @@ class _Hit:
 
 @dataclass(frozen=True, slots=True)
 class _Miss:
-    """No root: by how much (a length), and where it would be."""
+    """No root: `clear` is by how much (a length), t where it would be."""
 
     t: Decimal
     clear: Decimal
@@ -118,7 +118,7 @@ class Oracle:
             upward = _HALF - Decimal(y) / self._height
             ray = _add(self._center, _scale(self._across, across), _scale(self._upward, upward))
             size = _length(ray)
-            # A direction in an axis plane is in it exactly.
+            # A direction that lies in an axis plane, to 50 digits, lies in it exactly.
             return self._judge(_settle(_scale(ray, 1 / size), _EQUAL))
 
     def picture(self) -> list[list[Verdict]]:
@@ -178,7 +178,7 @@ class Oracle:
         return _size(self._surfaces[i]) + _length(self._eye) + abs(t)
 
     def _same_face(self, i: int, hit: _Hit, j: int | None, other: _Hit) -> bool:
-        """Whether two roots are of one sphere, or of coplanar faces: an honest tie."""
+        """Whether two roots are of equal spheres, or of coplanar faces: an exact tie."""
         if j is None or hit.plane != other.plane:
             return False
         if hit.plane is not None:
@@ -193,7 +193,7 @@ class Oracle:
     def _reached(
         self, seen: int, hit: _Hit, point: Vector, light: Vector, rounding: Decimal
     ) -> tuple[bool, Decimal]:
-        """Whether a light reaches the point, and the margin of that."""
+        """Whether a light reaches the point, and by what margin."""
         segment = _sub(light, point)
         distance = _length(segment)
         if distance == 0:
@@ -247,7 +247,7 @@ def _reflect(shader: Shader, n: Vector, light: Vector, view: Vector) -> Vector:
 
 
 def _meet_sphere(sphere: Sphere, eye: Vector, d: Vector, inside: bool) -> _Hit | _Miss:
-    """The textbook quadratic; d is a unit vector."""
+    """From the point of closest approach, half a chord back or on; d is a unit vector."""
     center, radius = _vector(sphere.center), Decimal(sphere.radius)
     to_center = _sub(center, eye)
     middle = _dot(to_center, d)
@@ -268,7 +268,7 @@ def _meet_sphere(sphere: Sphere, eye: Vector, d: Vector, inside: bool) -> _Hit |
 
 
 def _meet_box(box: Box, eye: Vector, d: Vector, inside: bool) -> _Hit | _Miss:
-    """Closed slabs, the face of the entry (of the exit from inside)."""
+    """Closed slabs: the hit is where the ray enters the box, or from inside where it leaves."""
     low, high = _sub(_vector(box.min_pt), eye), _sub(_vector(box.max_pt), eye)
     near, far, gap = _slabs(low, high, d, closed=True)
     enter, leave = max(near), min(far)

@@ -34,11 +34,11 @@ __all__ = ["FOLDER", "SCENES", "WIDTH", "load_small", "main", "manifest", "scene
 FOLDER = HERE / "mitsuba"
 WIDTH = 160
 
-# Steps of the stored radiance, 1e-6: below every tolerance, and the files compress.
+# Stored radiance is rounded to steps of 1e-6: below every tolerance, and the files compress better.
 _STEP = 2.0**-20
 
 
-# Samples a pixel when the two flavours are compared; enough for lights picked at random.
+# Samples a pixel when the two flavours are compared: enough against the noise of picking lights.
 _STOCK_SAMPLES = 36
 
 

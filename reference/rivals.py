@@ -35,7 +35,7 @@ __all__ = [
     "tracer_command",
 ]
 
-# What a script that renders one scene with Mitsuba comes to.
+# What anyone's script to render one scene with Mitsuba amounts to.
 _MITSUBA = """
 import sys
 import mitsuba as mi
@@ -134,7 +134,7 @@ def _triangles(scene: Scene) -> tuple[Floats, Floats]:
     s, golden = scene.surfaces, (1 + np.sqrt(5)) / 2
     ring = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     ball = np.array([np.roll(v, k) for k in range(3) for v in ring]) / np.hypot(1, golden)
-    # Of a convex body, three vertices as near to each other as can be span a face.
+    # Three vertices that are nearest neighbours of each other span a face of the icosahedron.
     near = np.linalg.norm(ball[:, None] - ball, axis=2) < 1.1
     sides = [
         (i, j, k)
@@ -164,7 +164,7 @@ def povray_installed() -> bool:
 
 
 def povray_command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
-    """POV-Ray without a window, from a scene description, written here, to a PNG."""
+    """POV-Ray, without a window, from a scene description, which this writes, to a PNG."""
     source = target.with_suffix(".pov")
     source.write_text(to_pov(scene, exposure))
     size = (f"+W{scene.width}", f"+H{scene.height}")
@@ -172,7 +172,7 @@ def povray_command(scene: Scene, target: Path, *options: str, exposure: float = 
 
 
 def povray_linear(scene: Scene, target: Path, *options: str) -> list[str]:
-    """The same to a PNG of 16 bits that `povray_picture` reads."""
+    """`povray_command` to a linear PNG of 16 bits, which `povray_picture` reads."""
     linear = ("+FN16", "File_Gamma=1.0")
     return povray_command(scene, target, *linear, *options, exposure=1 / _POVRAY_WHITE)
 
@@ -184,8 +184,9 @@ def povray_picture(target: Path) -> Floats:
 
 
 def povray_trace(command: Sequence[str]) -> float:
-    """Run POV-Ray; the seconds that it says it spent on tracing alone, at least half of one
-    millisecond: it rounds to whole ones.
+    """Run POV-Ray; the seconds that it says it spent on tracing alone.
+
+    It rounds them to milliseconds; 0 counts as half of one.
 
     Raises
     ------

@@ -68,14 +68,14 @@ _RIVALS = {_SCALAR, _POVRAY, *_LLVM.values()}
 # From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.01, 5), (0.003, 6), (0.001, 7))
 
-# A point that is expected to take longer is left out; a shorter one is timed again and again
-# for so many seconds, or so many times.
+# Seconds: a point that is expected to take longer than the first is left out; a short one is timed
+# again and again, until its times add up to the second, at most `_ROUNDS` times.
 _TOO_LONG, _ENOUGH, _ROUNDS = 2.5, 0.3, 15
 
-# Pixels, about, whose errors are measured.
+# About how many pixels of a picture the error is measured over.
 _PIXELS = 1 << 14
 
-# Where times are compared, as near as can be: rounding to 8 bits errs by about as much.
+# The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
 _LEVEL = 1e-3
 
 
@@ -105,8 +105,8 @@ class Point:
 def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0)) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 
-    They are the pixels of a picture so many times as large, rendered one
-    sample a pixel and averaged; where that is too large, of several.
+    They are the pixels of a picture `side` times as large, rendered at one
+    sample a pixel and averaged; of several smaller ones, where that is too large.
     """
     width, height = scene.width, scene.height
     apart = 1
@@ -234,7 +234,7 @@ def _sweep(
 
 
 def _next(seconds: Sequence[float]) -> float:
-    """How long four times as many samples will take; of the first time, most is the start."""
+    """Expected time for four times as many samples; of the first time, most is starting up."""
     if not seconds:
         return 0.0
     before = seconds[-2] if len(seconds) > 1 else 0.75 * seconds[-1]
@@ -254,7 +254,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
     traced: list[float] = []
 
     def kept(method: str, task: Task) -> Task:
-        """The same, of which the first picture is kept."""
+        """The same task; its first picture is kept."""
 
         def draw(k: int) -> None:
             pictures.setdefault(method, np.asarray(task(k)))

@@ -46,9 +46,10 @@ Method: TypeAlias = Callable[[Scene], Floats]
 
 # Half a level of an 8-bit picture near white: where errors begin to be seen.
 _VISIBLE = 1 / 512
+# Smaller errors are drawn as this one; a curve ends where errors stay above the second.
 _DIGITS = 1e-17
 _LOST = 0.3
-# Points above a panel for the names of what is lost.
+# Points above a panel for the names of curves that end there.
 _ROOM = 48
 
 
@@ -56,7 +57,7 @@ _ROOM = 48
 
 
 def distant(distance: float) -> Scene:
-    """A unit sphere, so many radii away; no silhouette and no shadow in view."""
+    """A unit sphere, `distance` radii away; no silhouette and no shadow in view."""
     away = np.array([2.0, -3.0, 6.0]) / 7
     return Scene(
         camera=Camera(
@@ -74,7 +75,7 @@ def distant(distance: float) -> Scene:
 
 
 def limb(distance: float) -> Scene:
-    """The millionth of a radius at both sides of the sphere's limb; exact rays."""
+    """A millionth of a radius on both sides of a sphere's limb; float64 holds the rays exactly."""
     return Scene(
         camera=Camera(
             view_point=(1.0, 0.0, distance),
@@ -204,7 +205,7 @@ class Panel:
     methods: tuple[str, ...]
     guides: tuple[tuple[str, int, str], ...] = ()
     nearby: tuple[float, ...] = (1.0,)
-    """A point is the worst of the scenes at these multiples of its place."""
+    """A point shows the worst of the scenes at these multiples of its place on the axis."""
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
@@ -237,7 +238,8 @@ PANELS = (
         largest_error,
         ("float64, multiplied out", "float32, closest approach", *_MITSUBA),
         (("ε · offset", 1, "above"), ("ε · offset²", 2, "above")),
-        # Multiplied out, one rounding decides for the whole picture (none, at a round number).
+        # Multiplied out, |o - c|^2 is rounded once for all pixels, and not at all where the offset
+        # is a round number: so several are tried.
         nearby=tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist()),
     ),
     Panel(

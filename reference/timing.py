@@ -19,7 +19,7 @@ Task: TypeAlias = Callable[[int], object]
 
 _Name = TypeVar("_Name", bound=Hashable)
 
-# Threads of the task before, Mitsuba's above all, look out for more work for some 10 ms (seconds).
+# Seconds between tasks: threads of the one before, Mitsuba's above all, spin for some 10 ms.
 _PAUSE = 0.02
 
 
@@ -76,7 +76,7 @@ def on_copies(picture: Callable[[Scene], object], scene: Scene, rounds: int) -> 
 
 
 def run(*command: str) -> None:
-    """Run a process to its good end, in silence."""
+    """Run a process, in silence; raises if it fails."""
     subprocess.run(command, check=True, capture_output=True)
 
 

@@ -90,7 +90,7 @@ def resized(scene: Scene, width: int, height: int) -> Scene:
 
 
 def lit_by(scene: Scene, count: int) -> Scene:
-    """The same scene under so many lights, spread over the sky."""
+    """The same scene under `count` lights, spread over the sky."""
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
     y = np.linspace(8, 3, count)
     lights = tuple(
@@ -101,7 +101,7 @@ def lit_by(scene: Scene, count: int) -> Scene:
 
 
 def afresh(scene: Scene, k: int) -> Scene:
-    """A copy that shares no array with `scene`, seen from a hair's breadth beside."""
+    """A copy that shares no array with `scene`; its eye is moved by k 1e-5 window widths."""
     camera, s = scene.camera, scene.surfaces
     x, y, z = camera.view_point
     return replace(

@@ -45,7 +45,7 @@ __all__ = [
 __version__ = "1.0.0"
 
 if not TYPE_CHECKING:
-    # Imported when it is first used, so that `python -m tracer` begins before NumPy is there.
+    # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
         "SceneFileError": "tracer.reader",
         "load_scene": "tracer.reader",

@@ -1,13 +1,20 @@
 """Antialiasing: samples on either side of an edge, weighted by their share of the pixel.
 
-Most pixels see one smooth surface: there the sample at the centre, with a
-correction for curvature, is worth more than any number of samples.  Where one
-edge crosses a pixel, its place is known in closed form, and a sample on either
-side is enough (two next to a limb, where light falls off).  A pixel that holds
-more is split into four, and so on (Whitted 1980); in the last of its parts samples lie on a
-lattice that is as good as the grid asked for, and those between the same edges
-stand for their exact area together.  What a look has found is known of all
-samples near it.  Pictures that are full of edges are lattices everywhere.
+A *cell* is a pixel or a part of one.  A *look* at it takes the sample in its
+middle, and finds the straight *lines* that edges draw across it (see `looks`;
+outlines are found by `crossings`, whether a middle sees the object or not).
+
+Most cells see one smooth surface: there that sample, with a correction for
+curvature, is worth more than any number of samples.  Where one line crosses a
+cell, a sample on either side is enough (two on a sphere within its limb, where
+light falls off).  A cell that holds more is *unresolved*: it is split into
+quarters, which are looked at in turn, and so on (Whitted 1980).  The last parts
+get samples on a lattice that is as good as the grid asked for; those between the
+same lines stand for their exact area together.
+
+Where light buffers find the shadows, what a look has found of them serves all
+samples in its cell.  In pictures full of edges there are no looks, and all pixels
+have the lattice.
 """
 
 from __future__ import annotations
@@ -26,25 +33,25 @@ from tracer.sampling import CENTRES, Lattice
 
 __all__ = ["antialiased", "dense", "splittings"]
 
-# Samples in cells that are split at a time.
+# Samples that are taken at a time in unresolved cells.
 _CHUNK = 1 << 16
 
-# Pixels that are looked at, at a time.
+# Pixels that are looked at together.
 _STRIP = 3 << 15
 
-# A correction for curvature may be off by a part of itself; where that could show, split.  Grids
-# err less with the power 3/2 of the samples along each side.
+# A cell is split where its correction for curvature may err by more than this, in radiance, over
+# the power 3/2 of the samples along each side: so fast the error of grids falls.
 _CURVATURE = 1e-2
 
-# Cells that stand for so many samples along each side are not split any more: looks would cost
-# more than the samples they save.
+# Cells in which the grid asked for has no more samples along each side than this are not split any
+# more, but sampled: looks would cost more than the samples they save.
 _AT_ONCE = 3
 
-# With more pairs of outlines in a pixel, for each sample that is asked for, samples everywhere do
-# for less than looks.
+# With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
+# everywhere cost less than looks.
 _DENSE = 0.006
 
-# Lines in a cell that are told apart; samples see to the others.
+# Of the lines in a cell, this many divide it into regions; the others are left to its samples.
 _LINES = 4
 
 
@@ -57,18 +64,18 @@ def dense(outlines: Outlines, per_side: int) -> bool:
 
 
 def splittings(per_side: int) -> int:
-    """How often pixels are split to be looked at again, where they need it."""
+    """How many times over pixels are split into quarters and looked at, where they need it."""
     return 0 if per_side <= _AT_ONCE else 1 + splittings((per_side + 1) // 2)
 
 
 def antialiased(
     lighting: Lighting, rows: slice, columns: slice, per_side: int, out: Floats
 ) -> None:
-    """Radiance, averaged over each pixel of a rectangle, into zeros (rows, columns, 3).
+    """Write radiance, averaged over each pixel of a rectangle, into zeros `out` (rows, columns, 3).
 
-    To err no more than per_side x per_side samples in a grid in every pixel.
+    It errs no more than per_side x per_side samples in a grid in every pixel would.
     """
-    # A pixel more on every side: the curvature is that between neighbours.
+    # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     spans = spans_of(lighting.view.outlines, top, height, per_side)
     if not spans.owner.size:
@@ -83,7 +90,7 @@ def antialiased(
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
     seen = Seen.of(height * width)
-    # As much at a time as the processor's cache holds.
+    # Strip by strip, each as large as the processor's cache holds.
     step, across = max(1, _STRIP // width), slice(left, left + width)
     for first in range(0, height, step):
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
@@ -115,9 +122,10 @@ def _refine(
     per_side: int,
     wanted: Bools,
 ) -> None:
-    """Put mean radiance (3, n) in the place of that of cells that hold more than a smooth surface.
+    """Correct the mean radiance (3, n) of cells that hold more than one smooth surface.
 
-    `seen` is what their centres see.
+    `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
+    asked for.  `wanted` (n,): where means are of interest.
     """
     rough = cells.error > cells.tolerance
     lines = joined([*outlines_across(lighting.view, cells, seen, rough), *seen.lines])
@@ -130,13 +138,13 @@ def _refine(
         colors[:, beyond], found, more = _beyond(lighting, cells, sides.take(beyond))
         unresolved[more] = True
         lines = joined([lines, found])
-    # Once more, whatever other cells have found: each is decided alone.
+    # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
     lines = _few(lines, unresolved)
     kept = np.flatnonzero(~unresolved[sides.cell])
     sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
     lights = seen.lights(lighting, np.append(rest, sides.cell))
-    # All of the surface that the middle of a cell sees has been looked at.
+    # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _AT_ONCE:
@@ -154,7 +162,7 @@ def _refine(
 
 
 def _few(lines: Lines, unresolved: Bools) -> Lines:
-    """Different lines, a few in each cell, sorted by cell; marks cells with more than one."""
+    """Different lines, at most `_LINES` a cell, sorted by cell; several leave it `unresolved`."""
     lines = lines.distinct()
     first, count = equal_runs(lines.cell)
     unresolved[lines.cell[first[count > 1]]] = True
@@ -162,9 +170,9 @@ def _few(lines: Lines, unresolved: Bools) -> Lines:
 
 
 def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Lines, Ints]:
-    """Radiance (3, n) of points, lines in their cells there, and cells that hold more."""
+    """Look around points beyond lines: radiance (3, n), lines in their cells, unresolved cells."""
     cell, x, y = sides.cell, sides.x, sides.y
-    # From anywhere in a cell, one of twice the size holds all of it.
+    # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
     seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = joined(seen.lines)
@@ -184,9 +192,10 @@ def _sample(
     mean: Floats,
     near: Points,
 ) -> Floats:
-    """Put mean radiance (3, n) in the place of that of some cells, from a lattice in each.
+    """Replace the mean radiance (3, n) of some cells by that of a lattice of samples in each.
 
-    So many samples are taken `at_once`.  Returns radiance of other points, sampled with the first.
+    `at_once`: how many samples, about, are taken together.  Returns the radiance of the points
+    `near`, which are sampled with the first of them.
     """
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
@@ -224,7 +233,7 @@ def _split(
     per_side: int,
     mean: Floats,
 ) -> None:
-    """Put mean radiance (3, n) in the place of that of some cells, from that of their quarters."""
+    """Replace the mean radiance (3, n) of some cells by that of their quarters, looked at anew."""
     step = max(1, lighting.view.at_once(_CHUNK) // 4)
     for begin in range(0, some.size, step):
         part = some[begin : begin + step]

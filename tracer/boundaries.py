@@ -1,7 +1,11 @@
 """What divides the surface that a cell of the picture sees: shadows, ridges and terminators.
 
-Where each is follows from the point in the cell's middle, and from how points on
-the plane that touches the surface there move across the cell.
+A ridge is where two faces of a box meet, a terminator where light begins on a
+sphere.  The *footprint* of a cell is the radius of what it sees of a surface.
+
+Each line's place follows from the point seen in the cell's middle, and from how
+points of the tangent plane there move across the cell.  Where straight lines do
+not tell all, the cell is marked `unresolved`.
 """
 
 from __future__ import annotations
@@ -35,37 +39,38 @@ from tracer.visibility import Group, Hits
 
 __all__ = ["Patches", "footprint_of", "intersections", "near_lights"]
 
-# What a cell sees may reach so far from its middle, as a part of the way to a light.
+# Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
 
-# The least cosine that a footprint is told for: what is more nearly edge-on may reach anywhere.
+# Least cosine between normal and sight that footprints are computed with: edge-on they have no end.
 _EDGE_ON = 1e-12
 
-# What a cell sees towards a horizon ends this much nearer than there.
+# Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
 
-# Surfaces are the same if their inverse distances differ by less of themselves across a cell.
+# Surfaces coincide if their inverse distances differ by less than this part across a cell.
 _ALIKE = 1e-9
 
 
 def _half_angle(raster: Raster, size: float) -> float:
-    """Under which half of a cell of a size is seen, from corner to corner, in radians."""
+    """Angle under which the eye sees half the diagonal of a cell of a size, in radians."""
     return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
 
 
 def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size: float) -> Floats:
-    """Radius (n,) on the surface, around each point, of what a cell of a size sees.
+    """Footprints (n,): radii, around the points of a group, of what cells of a size see.
 
-    `n_dot_v` (n,): the cosine between the normal and the way to the eye; `radius`: of all objects.
+    `n_dot_v` (n,): the cosine between the normal and the way to the eye; `radius`: of all spheres.
     """
     angle = _half_angle(hits.raster, size)
     half = hits.p[2, group.part] * angle
     if group.flat:
-        # Towards a horizon, what the far end of a cell sees is farther away by more.
+        # The far end of the cell sees the face at a smaller cosine: by up to the angle.
         n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
         return half / n_dot_v / np.maximum(1 - angle / n_dot_v, _NEARLY)
     footprint = half / n_dot_v
-    # A sphere turns away no faster than its limb is near: that is for the few points next to it.
+    # However small the cosine, from the limb a width of `half` covers no more of the sphere than
+    # sqrt(2 half radius): a bound that only the few points next to the limb need.
     of_sphere = group.of(radius)
     at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
     footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
@@ -73,14 +78,11 @@ def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size
 
 
 def near_lights(light: Incoming, footprint: Floats) -> Ints:
-    """Points at which so much of the surface is seen, as a light is near, that no line tells of it.
-
-    `footprint` (n,): the radius of what is seen around each.
-    """
+    """Points with so large a `footprint` (n,), or so near to a light, that cells must be split."""
     reach2 = (footprint / _WIDE) ** 2
     most, near = reach2.max(initial=0), np.zeros(footprint.size, dtype=np.bool_)
     for length2 in light.length2:
-        # Nearly always there is none.
+        # Nearly always no point is near.
         if length2.min(initial=np.inf) < most:
             near |= length2 < reach2
     return np.flatnonzero(near)
@@ -92,7 +94,9 @@ def intersections(
     """Where surfaces meet those close `behind`; marks `unresolved` where that is no straight line.
 
     In units of the ray's direction d, the distance t of a plane is n.p / n.d: 1 / t is linear in
-    the picture.  What it is on one surface less what it is on the other is a line.
+    the picture.  The two surfaces meet on the line where their 1 / t are equal.
+
+    `cell`: the cell of each sample, as in `unresolved`.
     """
     if not behind.groups:
         return
@@ -107,7 +111,7 @@ def intersections(
     a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
     lines = Lines(cell[sample], np.full(sample.size, Kind.EDGE), a, b, c)
     reach, off = lines.reach(), off_first + off_second
-    # Of surfaces that coincide, nothing but rounding says which is seen.
+    # Where surfaces coincide, rounding alone decides which is seen.
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
     straight = ~alike & (lines.turn(off) <= BEND)
     unresolved[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
@@ -115,7 +119,10 @@ def intersections(
 
 
 def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Triple, Floats]:
-    """Vectors whose product with rays is 1 / t, and how far that may be off in a cell's corners."""
+    """Vectors whose product with a ray is 1 / t on its surface; errors of that in cells' corners.
+
+    `at` (n,): which of the hits; a sphere counts as its tangent plane, which causes the errors.
+    """
     vectors, off = np.empty((3, at.size)), np.zeros(at.size)
     for group in hits.groups:
         here = np.flatnonzero((at >= group.part.start) & (at < group.part.stop))
@@ -125,14 +132,14 @@ def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Tri
             out[here] = component / height
         if not group.flat:
             radius = select(group.of(surfaces.radius), at[here] - group.part.start)
-            # As far as the surface leaves its tangent plane, along the ray.
+            # By how much the sphere leaves its tangent plane, measured along the ray.
             reach2 = (p[2] * _half_angle(hits.raster, size)) ** 2 * dot(p, p) / height**2
             off[here] = reach2 / (2 * radius * np.abs(height)) * hits.raster.depth / p[2]
     return (vectors[0], vectors[1], vectors[2]), off
 
 
 class Patches(NamedTuple):
-    """What the centres of cells see, of one group.
+    """What cells see of one group of hits: the surface around the point in each cell's middle.
 
     Attributes
     ----------
@@ -142,7 +149,7 @@ class Patches(NamedTuple):
     footprint : (n,)
         See `footprint_of`.
     size : float
-        Of the cells, in pixels.
+        Width of the cells, in pixels.
     """
 
     lighting: Lighting
@@ -161,16 +168,16 @@ class Patches(NamedTuple):
         return lift * p[2] / self.hits.raster.depth
 
     def steps(self, at: Ints, rays: Triple | None = None) -> tuple[Triple, Triple]:
-        """How some points move on the planes that touch their surface, across their cells and down.
+        """Steps of some points on their tangent planes, across their cells and down.
 
-        They are ray differentials (Igehy 1999).  With `rays` to the points from elsewhere: how
-        these change, but for their length.
+        They are ray differentials (Igehy 1999), in the scene's axes.  With `rays`, which lead to
+        the points from elsewhere: steps of these rays, up to their length.
         """
         raster, group = self.hits.raster, self.group
         p, n, height = rows(self.hits.p, group.part.start + at), pick(group.n, at), self.height(at)
         steps = []
         for k, step in enumerate((raster.step_u, raster.step_v)):
-            # Along the window, and then along the sight as far as the plane needs.
+            # Parallel to the window, and then along the sight until back on the plane.
             aside = p[2] / raster.depth * (step * self.size)
             ahead = aside * n[k] / height
             x, y, z = scaled(p, ahead)
@@ -181,12 +188,12 @@ class Patches(NamedTuple):
         return steps[0], steps[1]
 
     def sagitta(self, at: Ints) -> Triple | None:
-        """How far the steps leave the surface in the corners of some cells; on a plane, nowhere."""
+        """Vectors from the tangent plane to the surface in some cells' corners; None if flat."""
         if self.group.flat:
             return None
         p = rows(self.hits.p, self.group.part.start + at)
         radius = select(self.group.of(self.lighting.view.surfaces.radius), at)
-        # As far as the surface has turned from its tangent plane, along the ray.
+        # By how much the sphere leaves its tangent plane, measured along the ray.
         along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
         return self.hits.raster.vector_to_scene(scaled(p, along))
 
@@ -197,7 +204,10 @@ class Patches(NamedTuple):
         return p[0] - x, p[1] - y, p[2] - z
 
     def shadows(self, light: Ints, at: Ints, occluder: Ints, unresolved: Bools) -> Lines:
-        """Edges of shadows; marks `unresolved` where they are not straight."""
+        """Edges of shadows; marks `unresolved` where they are not straight.
+
+        `light`, `at`, `occluder` (m,): triples of a light, a point and what may shade around it.
+        """
         surfaces, lights = self.lighting.view.surfaces, self.lighting.positions
         spheres = surfaces.sphere_count
         rays = self.from_light(light, at)
@@ -208,14 +218,14 @@ class Patches(NamedTuple):
         radius = surfaces.radius[ball]
         discs, turn, near = pencil.take(on).discs(center, radius)
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
-        # A cell that sees more than the sphere is large may hold all of its shadow.
+        # A footprint larger than the sphere may hold the whole of its shadow.
         odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
         unresolved[discs.cell[odd & near]] = True
         discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
         on = np.flatnonzero(occluder >= spheres)
         if not on.size:
             return discs
-        # Every box and light once.
+        # Silhouettes are found once for each pair of a light and a box.
         pair, place = np.unique(light[on] * len(surfaces) + occluder[on], return_inverse=True)
         number, box = np.divmod(pair, len(surfaces))
         box, apex = box - spheres, lights[number]
@@ -228,9 +238,9 @@ class Patches(NamedTuple):
         return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
 
     def near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
-        """Lights, and points at which a sphere turns away from them."""
+        """Pairs of a light and a point of a sphere whose footprint the terminator may cross."""
         reach = self.footprint / self.group.of(self.lighting.view.surfaces.radius)
-        # Most points are told by the least that any of them needs.
+        # One bound for all points leaves few of them to look at one by one.
         most = reach.max() * np.sqrt(light.length2.max(initial=0))
         number, at = np.divmod(np.flatnonzero(np.abs(light.n_dot_l) <= most), reach.size)
         n_dot_l, length2 = light.n_dot_l[number, at], light.length2[number, at]
@@ -245,10 +255,11 @@ class Patches(NamedTuple):
         tolerance: float,
         unresolved: Bools,
     ) -> Iterator[Lines]:
-        """Where light, and its highlight, begin, as spheres are `near_terminator`.
+        """Lines at which lights, and their highlights, begin on spheres.
 
-        Light that begins so slowly that one sample is off by less is left out. Marks `unresolved`
-        where the line is not straight.
+        `light`, `at`: the pairs that `near_terminator` found.  Left out is light that begins so
+        slowly that a single sample errs by less than `tolerance`.  Marks `unresolved` where the
+        line is not straight.
         """
         lighting, group = self.lighting, self.group
         materials, shader = lighting.materials, lighting.shader
@@ -256,8 +267,8 @@ class Patches(NamedTuple):
         diffuse = select(group.of(materials.diffuse.max(axis=0)[shader]), at)
         diffuse = diffuse * lighting.intensities.max(axis=1)[light]
         glossy = np.broadcast_to(select(group.of(materials.glossy[shader]), at), at.shape)
-        # A ramp that begins in the middle of a cell adds to its mean an eighth of what it changes
-        # across the cell; where it begins along an arc, that is off by as much of its sagitta.
+        # A ramp that begins in the middle of a cell adds an eighth of its rise across the cell to
+        # the mean.  If it begins along an arc, a straight line errs by an eighth of `off`, below.
         change = self.footprint[at] / select(radius, at) * diffuse
         total = np.bincount(at, change, self.cell.size)[at]
         shown = np.flatnonzero(glossy | (total > 8 * tolerance))
@@ -267,7 +278,7 @@ class Patches(NamedTuple):
         ray, r = self.from_light(light, at), -select(radius, at)
         across, down = self.steps(at)
         a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.n_dot_l[light, at]
-        # What may shade the other side has been sought only if light falls on this one.
+        # The look has sought what may shade the surface only for lights that its middle faces.
         kind = np.where(c > 0, Kind.SHADOW, Kind.EDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
         normal = self.hits.raster.vector_to_scene(pick(group.n, at))

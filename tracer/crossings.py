@@ -1,4 +1,7 @@
-"""Outlines across the picture: which pixels each may cross, and the lines they draw in cells."""
+"""Outlines across the picture: which pixels each may cross, and the lines they draw in cells.
+
+So objects are found as well that the samples in the middles of pixels miss.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,18 @@ from tracer.visibility import View
 
 __all__ = ["crossed", "outlines_across", "spans_of"]
 
-# A limb that turns by less in a cell (radians) passes for straight: for each unit of radiance that
-# a sample may be off.
+# A limb passes for straight if it turns by less than this, in radians, times the tolerance.
 _TURN = 57.0
 
-# From a limb on, in halves of a cell, light is a function of the distance from it.
+# Within this distance of its limb, in half cells, light on a sphere is a function of the distance.
 _NEAR_LIMB = 6.0
 
 
 def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
-    """Spans of all objects in the rows of each pixel, and in the nearest ones above and below."""
+    """Spans of all objects in the scan lines of some rows of pixels, and in one more either way.
+
+    Each pixel has several scan lines: see `_rows_in`.  Row 0 of the spans is the one above.
+    """
     place = _rows_in(per_side)
     y = np.add.outer(np.arange(top, top + height), place).ravel()
     y = np.concatenate([[top - 1 + place[-1]], y, [top + height + place[0]]])
@@ -33,7 +38,7 @@ def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
 
 
 def _rows_in(per_side: int) -> Floats:
-    """Rows in a pixel, from 0 to 1: those of the grid that is asked for, and that of its centre."""
+    """Scan lines in a pixel, from 0 to 1: rows of the grid that is asked for, and the centre's."""
     place = (np.arange(per_side) + 0.5) / per_side
     return place if per_side % 2 else np.insert(place, per_side // 2, 0.5)
 
@@ -43,13 +48,15 @@ def crossed(
 ) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: pixels that an outline may cross.
 
-    Seen in rows of samples: between the leftmost and the rightmost place at which
-    an object begins (or ends) in a pixel's rows and the next ones its outline
-    crosses; one that misses some of them crosses wherever it is.
+    An outline is known by where the object's spans begin and end: in the scan
+    lines of a row of pixels, and in the nearest one above and below.  The outline
+    crosses the pixels from the leftmost to the rightmost of these beginnings, and
+    likewise of the ends.  If some of these lines miss the object, its outline
+    closes in between: then it may cross any pixel in which the object is.
     """
     owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
     rows = _rows_in(per_side).size
-    # The first row of a pixel is that below the pixel above, too.
+    # A pixel's first scan line is also the nearest one below the pixel above, and so on.
     above, below = (np.flatnonzero(line % rows == k) for k in (0, rows - 1))
     span = np.concatenate([np.arange(line.size), above, below])
     row = line // rows
@@ -81,8 +88,9 @@ def crossed(
 def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Iterator[Lines]:
     """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
 
-    Cells that are `rough` only because they see a sphere beside its limb have its line as well,
-    and are rough no more.
+    `rough` (n,): cells in which the light bends too much for one sample.  If that is because they
+    see a sphere beside its limb, they get the limb's line, whether it crosses them or not, and are
+    marked rough no more.
     """
     outlines, spheres = view.outlines, view.surfaces.sphere_count
     at = np.flatnonzero(cells.owner < spheres)

@@ -1,4 +1,4 @@
-"""How light bends across cells: what the mean of one differs from the sample in its middle."""
+"""How light bends across cells: by how much a cell's mean differs from the sample in its middle."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ __all__ = ["curvature", "extrapolated"]
 
 
 def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
-    """What to add to centres (3, height * width) for the mean of pixels, and how far it may be off.
+    """What to add to the samples at pixels' centres for the pixels' means, and its error (n,).
 
-    The mean of f over a pixel is f + (f_xx + f_yy) / 24 and more of higher order.  Derivatives are
-    differences, where both neighbours see the same.  What is said of pixels on the rim has no
-    meaning.
+    `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.
+
+    The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
+    are differences between a pixel and its neighbours, where both of these see the same as it
+    does; where only one does, the difference counts as error.  Results for pixels on the rim are
+    meaningless.
     """
     count = key.size
     total, error = np.empty(radiance.shape), np.zeros(count)
@@ -24,7 +27,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
         isolated[middle] &= ~(before | after)
-        # There are few edges: what is wrong there is put right there.
+        # Edges are few: differences are taken everywhere, and those across edges put right.
         edge = np.flatnonzero(~same)
         one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
         change = np.zeros(one_sided.size)
@@ -44,22 +47,24 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
-    # Surfaces that coincide may change from one ray to the next.
+    # A pixel unlike all its neighbours is suspect: of surfaces that coincide, rounding may show now
+    # one and now the other.
     error[isolated] = np.inf
     return total, error
 
 
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
-    """`curvature` of quarters of cells, from what the cells' centres and theirs see.
+    """`curvature` of quarters of cells, from what the cells' centres and their own see.
 
-    Of the cells radiance (3, n) and key (n,); of their quarters fine (3, 4 n) and keys (4 n,).
+    Of the cells `radiance` (3, n) and `key` (n,); of their quarters `fine` (3, 4 n) and `keys`
+    (4 n,).
 
-    Where all see the same, the mean lies beyond that of the quarters' centres by a third of the
-    way there from the cell's (Richardson's extrapolation).
+    Where all see the same, the cell's mean is that of its quarters' centres, plus a third of its
+    difference from the cell's centre (Richardson's extrapolation).
     """
     fine, keys = fine.reshape(3, -1, 4), keys.reshape(-1, 4)
     alike = (keys == key[:, None]).all(axis=1)
     bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
-    # What that leaves out is of higher order in their size.
+    # What this leaves out is of higher order in the cells' size; half of the correction covers it.
     error = np.abs(bend).max(axis=0) / 2
     return np.repeat(bend, 4, axis=1), np.repeat(error, 4)

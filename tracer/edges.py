@@ -1,8 +1,12 @@
-"""Edges in closed form: the lines that outlines and shadows draw across a pixel.
+"""Edges in closed form: the lines that outlines and shadows draw across a cell of the picture.
 
-Whatever bounds what is seen touches a sphere or an edge of a box, in a pencil
-of rays from the eye or from a light.  How far a pixel's ray passes it by, and
-how fast that changes across the pixel, gives a straight line.
+A *cell* is a square of the picture: a pixel, or a part of one.  Positions in a
+cell are x and y from -1/2 to 1/2, so its middle is at 0, 0.  Edges are
+approximated there by straight *lines*, c + a x + b y = 0.
+
+The rays that draw an outline start at the eye, those that draw a shadow's edge
+at a light; they touch a sphere or an edge of a box.  By how much the ray through
+the cell's middle misses it is c; how that changes across the cell is a and b.
 """
 
 from __future__ import annotations
@@ -20,31 +24,31 @@ __all__ = ["BEND", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 BEND = 0.2
 """A line that turns by less (in radians) across a cell passes for straight."""
 
-# Slopes of a line are at least so much of each other: then nothing divides by nearly zero.
+# The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
 _LEAST_SLOPE = 1e-4
 
-# A share of a cell, or a variance in it, that is nothing but rounding.
+# An area, as a share of its cell, or a variance in it, that is nothing but rounding.
 _TINY = 1e-12
 
-# Lines that are nowhere farther apart, in cells, count as one: a light near the eye
+# Lines that are nowhere farther apart than this, in cells, count as one: a light near the eye
 # throws its shadows right behind the outlines.
 _SAME = 0.02
 
-# A line is compared with fewer than so many before it in its cell.
+# A line is compared with fewer than this many of those sorted before it in its cell.
 _COMPARED = 6
 
 
 class Kind(IntEnum):
-    """What a line divides, from the side of its cell's middle."""
+    """What a line divides, and whether a look at the cell (see `looks`) covers both sides."""
 
     LIMB = 0
-    """A sphere from what is behind it; towards it the light on the sphere falls off as a root."""
+    """A sphere from what is behind it; light on the sphere varies as the root of the distance."""
 
     EDGE = 1
-    """A surface from what has not been looked at yet: another surface, or what light it gets."""
+    """A surface from what the look does not cover: another one, or a part that may be lit."""
 
     SHADOW = 2
-    """A surface in one light from the same in another."""
+    """A surface's part in a light from its part out of it: the look covers both."""
 
 
 class Lines(NamedTuple):
@@ -52,7 +56,12 @@ class Lines(NamedTuple):
 
     Attributes
     ----------
-    cell, kind, a, b, c : (n,)
+    cell : (n,)
+        The cell that each lies in.
+    kind : (n,)
+        Its `Kind`.
+    a, b, c : (n,)
+        Of any scale; along a limb, negative on the sphere's side.
     """
 
     cell: Ints
@@ -73,7 +82,7 @@ class Lines(NamedTuple):
         return crosses
 
     def crossing(self) -> Lines:
-        """Those that do."""
+        """The lines that pass through their cells."""
         return self.take(np.flatnonzero(self.crosses()))
 
     def differ(self, other: Lines) -> Bools:
@@ -85,14 +94,14 @@ class Lines(NamedTuple):
         return differ
 
     def _unit(self) -> Triple:
-        """a, b and c, where the most that a x + b y differs from zero in a cell is 1."""
+        """a, b and c, scaled so that `reach` is 1."""
         return scaled((self.a, self.b, self.c), 1 / self.reach())
 
     def distinct(self) -> Lines:
-        """Sorted by cell, and by what they are: those that are not the same as one before.
+        """Sorted by cell: of lines that are the same only the first, by kind, then a, b and c.
 
-        The order in which they were found says nothing; beyond an edge there is more than beyond
-        a shadow that hides it.
+        So the order in which they were found changes nothing; and of an edge and a shadow in one
+        place the edge is kept, for less is known of what lies beyond it.
         """
         order = np.argsort(self.cell, kind="stable")
         same = np.diff(self.cell[order]) == 0
@@ -109,21 +118,25 @@ class Lines(NamedTuple):
         return lines.take(np.flatnonzero(kept))
 
     def reach(self) -> Floats:
-        """The most that a x + b y differs from zero in a cell."""
+        """The largest |a x + b y| in a cell: a line crosses its cell where |c| is less."""
         reach: Floats = 0.5 * (np.abs(self.a) + np.abs(self.b))
         return reach
 
     def turn(self, off: Floats) -> Floats:
-        """How far each turns in its cell (radians), if c is `off` so far in the corners."""
-        # An arc is off by an eighth of its turn at the ends, and twice as far in the corners.
+        """How far each turns across its cell (radians), being an arc, not a straight line.
+
+        `off` (n,): by how much that changes c in the corners.
+        """
+        # As long as the cell, an arc leaves its tangent by an eighth of its turn at the ends; in
+        # the corners, by twice as much.
         turn: Floats = 4 * off / self.reach()
         return turn
 
     def areas_and_moments(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
 
-        A step at the line, integrated in x and in y, is max(z, 0)^2 / (2 a b): what is in the
-        cell is the sum over its corners, with signs in turn.
+        The step function of z = c + a x + b y, integrated in x and in y, is max(z, 0)^2 / (2 a b):
+        its integral over the cell is the sum over the corners, with alternating signs.
         """
         a, b, c = self._scaled()
         share, moment_x, moment_y = np.zeros(a.size), np.zeros(a.size), np.zeros(a.size)
@@ -139,9 +152,9 @@ class Lines(NamedTuple):
     def gauss_points(self) -> tuple[Floats, Floats, Floats]:
         """Shares, x and y (2, n): two points for the cell's part where z = -(c + a x + b y) > 0.
 
-        Within a limb light is a function of s = sqrt(z).  The points are those of Gauss's
-        quadrature, found from the moments of s: the means of 1, s, s^2 and s^3 are exact.  Each
-        lies in the middle of its line of equal z.
+        On a sphere near its limb light is a function of s = sqrt(z).  The points are those of
+        Gauss's quadrature, found from the moments of s: the means of 1, s, s^2 and s^3 are exact.
+        Each lies in the middle of its line of equal z.  Shares are of the whole cell.
         """
         a, b, c = (-m for m in self._scaled())
         x, y = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])[:, :, None]
@@ -168,7 +181,7 @@ class Lines(NamedTuple):
         return shares, x - along * b, y + along * a
 
     def _scaled(self) -> tuple[Floats, Floats, Floats]:
-        """a, b and c, the larger of a and b being 1, and none of them nearly 0."""
+        """a, b and c, scaled: the larger of |a| and |b| is 1, the smaller not nearly 0."""
         size = np.maximum(np.abs(self.a), np.abs(self.b))
         a, b = (
             np.copysign(np.maximum(np.abs(m / size), _LEAST_SLOPE), m) for m in (self.a, self.b)
@@ -177,7 +190,7 @@ class Lines(NamedTuple):
 
 
 def joined(lines: Iterable[Lines]) -> Lines:
-    """All lines in one."""
+    """All of them as one `Lines`."""
     none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
     parts = [Lines(none, none, nothing, nothing, nothing), *lines]
     cell, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("cell", "kind"))
@@ -188,24 +201,26 @@ def joined(lines: Iterable[Lines]) -> Lines:
 def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:
     """How far c is off in the corners because the surface is curved.
 
-    `gradient`: of c, by where the point lies; `sagitta`: how far the surface leaves its tangent
-    plane in the corners, or None.
+    `gradient`: of c, as the point moves; `sagitta`: the vector by which the surface leaves its
+    tangent plane in the corners, or None for a plane.
     """
     return np.zeros(gradient[0].size) if sagitta is None else np.abs(dot(gradient, sagitta))
 
 
 class Pencil(NamedTuple):
-    """Rays from one apex through cells.
+    """Rays through the middles of cells: one for each pair of a cell and an object.
 
     Attributes
     ----------
     kind : Kind
+        Of the lines that these rays draw.
     cell : (n,)
     ray : three (n,)
+        From its apex: from the eye to the window, or from a light to the point that is seen.
     across, down : three (n,), or numbers
-        How the ray changes from one side of the cell to the other.
+        How the ray changes from the cell's left side to its right, and from its top to its bottom.
     sagitta : three (n,), optional
-        How far it is off in the corners, for the cell's surface is curved.
+        By how much the ray's end is off in the corners, where the surface is curved.
     """
 
     kind: Kind
@@ -222,61 +237,65 @@ class Pencil(NamedTuple):
         return Pencil(self.kind, self.cell[index], pick(self.ray, index), across, down, sagitta)
 
     def discs(self, center: Triple, radius: Floats) -> tuple[Lines, Floats, Bools]:
-        """Outlines of spheres, one for each ray, and how far they turn in the cell (radians).
+        """The outline of one sphere for each ray: a line, and how far it turns (n,) in radians.
 
-        The last says which may cross the cell, however they turn.
+        The third array (n,) says which may cross their cells, as lines or, where they turn by more
+        than `BEND`, as arcs.  `center`: as seen from the apex.
         """
         length2 = dot(self.ray, self.ray)
         nearest = dot(center, self.ray) / length2
         offset = each(lambda c, d: c - nearest * d, center, self.ray)
         distance, along = np.sqrt(dot(offset, offset)), nearest * np.sqrt(length2)
         c, scale = _beyond_limb(distance, along, radius)
-        # Across the ray, at that scale: how far the cell's sides lead out of it, and around it.
+        # Two vectors across the ray, away from the sphere's centre and around it: their products
+        # with a step of the ray are lengths, measured as c is.
         out = scaled(offset, -scale / (distance * np.sqrt(length2)))
         around = scaled(cross(out, self.ray), 1 / np.sqrt(length2))
         a, b = dot(out, self.across), dot(out, self.down)
         turn_a, turn_b = dot(around, self.across), dot(around, self.down)
-        # What leads along the ray makes all of it larger.
+        # A step along the ray lengthens it, and c in proportion.
         a += c * dot(self.ray, self.across) / length2
         b += c * dot(self.ray, self.down) / length2
-        # Seen at right angles from the centre the outline is straight.
+        # Cotangent of the angle to the centre: the outline is straight where that is 90 degrees.
         curvature = along / (distance * scale)
-        # Of a line that turns, it takes more to say that it passes the cell by; of one around the
-        # ray itself nothing is known.
+        # An arc may cross the cell where its tangent does not: c is held against the farthest that
+        # the cell reaches in any direction.  A ray through the centre (NaN) rules nothing out.
         half = 0.5 * (np.sqrt(a * a + turn_a * turn_a) + np.sqrt(b * b + turn_b * turn_b))
         within = ~(np.abs(c) >= half)
         size = np.sqrt(a * a + b * b)
-        # From the cell's middle to the line, at most to its rim, it turns as well.
+        # The tangent is taken where the line is nearest to the cell's middle, or at the rim before
+        # it: on the way there the arc has turned.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
         turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
         bend = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
         a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
         c -= turned * turned * curvature / 2
-        # A chord as long as the cell lies so far inside a flat arc on average.
+        # On average over the length of a cell, a flat arc lies this far inside its tangent.
         c += np.where(np.abs(bend) < size, bend / 24, 0)
         lines = self._lines(a, b, c)
-        # With both sides of the disc in the cell there is another line.
+        # Where the disc's other side reaches into the cell as well there is a second line.
         both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
         turned = np.abs(bend) / size + lines.turn(sagitta_error(out, self.sagitta))
         turn = np.where(both, np.inf, turned)
         return lines, turn, lines.crosses() | (within & (turn > BEND))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
-        """The same of boxes: planes three (6, n) contain the edges of their outlines.
+        """The outline of one box for each ray: lines that cross their cells, and their turns.
 
-        The last says where a plane is missing (zero).
+        `planes`: the normals, three (6, n), of the planes through the apex that hold the outline's
+        edges, pointing inwards.  The third array (n,) says where one of them is missing (zero).
         """
         normals = [*zip(*planes, strict=True)]
         edges = [
             self._lines(*(dot(normal, ray) for ray in (self.across, self.down, self.ray)))
             for normal in normals
         ]
-        # As far as lines may lie elsewhere because the cell's surface is curved.
+        # How far off the lines may be because the surface that the cell sees is curved.
         off = [sagitta_error(normal, self.sagitta) for normal in normals]
         reach = [edge.reach() + m for edge, m in zip(edges, off, strict=True)]
         within = np.all([edge.c >= -m for edge, m in zip(edges, reach, strict=True)], axis=0)
         for k in (4, 5):
-            # Outlines of four edges repeat the first two.
+            # An outline of four edges has the first two again as its last.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
         at = [
@@ -298,13 +317,13 @@ def _beyond_limb(distance: Floats, along: Floats, radius: Floats) -> tuple[Float
     Parameters
     ----------
     distance
-        From the sphere's centre to the ray.
+        From the sphere's centre to the nearest point of the ray.
     along
-        From the apex to where that is.
+        From the apex to that point.
     radius
     """
-    # At right angles to the ray, as far away as the limb: tan(ray - limb), with their angles to
-    # the centre.
+    # Measured at right angles to the ray, as far away as the limb (`tangent`): so it is tangent
+    # times tan(ray - limb), with the angles of either to the centre.
     tangent2 = along * along + (distance - radius) * (distance + radius)
     tangent = np.sqrt(tangent2)
     turned = along * tangent + distance * radius

@@ -1,8 +1,8 @@
 """Processes that help to render, from one picture to the next.
 
-They start in the background and from nothing: a program that renders may have
-threads, open files and much memory, none of which a fork should meet.  Until
-they are there, and wherever they cannot be, pictures are made without them.
+They start in the background, as new interpreters: a program that renders may
+have threads, open files and much memory, none of which a fork should inherit.
+Until they are ready, and where they cannot run, pictures are made without them.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from tracer.workers import (
 
 __all__ = ["helped", "run_helper"]
 
-# What they run.  Their tracer is this one, even if the path has changed or says '' for a folder
-# that was left; all else is found as it is here.
+# What a helper runs.  It imports this very package, even if the path has changed, or has '' in it
+# and the current folder has changed; all other modules it finds by this process's path.
 _CODE = """
 import sys
 sys.path[:] = {path!r}
@@ -46,23 +46,23 @@ from tracer.helpers import run_helper
 run_helper{ends!r}
 """
 
-# Where the package is.
+# The folder that holds the package.
 _FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
-# Bytes of memory that each shares with this process: what no picture needs is never touched.
+# Bytes of memory that each helper shares with this process; pages that are not used cost nothing.
 _SHARED = 1 << 25
 
-# The load from which on, pictures before it counted in, it pays to start one.
+# The load, of all pictures so far together, from which it pays to start helpers.
 _START = 1 << 23
 
 
 class _Helper(Worker):
-    """A process with an interpreter of its own."""
+    """A worker that is a new interpreter, and stays for the next picture."""
 
     __slots__ = ("_here", "_memory", "_message", "_process")
 
     def __init__(self, numbers: int) -> None:
-        """Start it; it takes `Numbers` from that file."""
+        """Start it; `numbers` is the file of the `Numbers` that it takes from."""
         import subprocess  # takes longer to import than a small picture to render
 
         with pipes() as (calls_in, results_out, calls_out, results_in):
@@ -82,17 +82,17 @@ class _Helper(Worker):
                 )
             finally:
                 os.close(file)
-        # None if it could not start: nor would another.
+        # Whether it has started.  None if it could not: it stays, for another could not either.
         self._here: bool | None = False
         self._message = b""
 
     def begin(self, job: Job, round: int) -> None:
-        """Give it something to do, once it joins."""
+        """Prepare a job, which is sent as soon as the helper `joins`."""
         self._message = job.packed(round, self._memory)
         self.slots = job.slots(self._memory)
 
     def joins(self) -> bool:
-        """Whether it is there; then it knows what to do."""
+        """Whether it has started; if so, the job has been sent."""
         if self._here is False and readable([self.results], 0):
             try:
                 self.receive()
@@ -108,7 +108,7 @@ class _Helper(Worker):
         return bool(self._here)
 
     def died(self) -> bool:
-        """Whether it was there, and is no more."""
+        """Whether it has ended after it had started."""
         return bool(self._here) and self._process.poll() is not None
 
     def stop(self) -> None:
@@ -118,7 +118,7 @@ class _Helper(Worker):
         self.close()
 
     def forget(self) -> None:
-        """Leave it to the process that this one is a fork of."""
+        """In a fork of the process that started it: leave it to that one."""
         self._process.returncode = 0
         self.close()
 
@@ -129,7 +129,7 @@ class _Crew:
     Attributes
     ----------
     busy : Lock
-        Held while they do something.
+        Held while a picture has their help.
     """
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class _Crew:
         helpers = self._helpers[:others]
         for helper in helpers:
             helper.begin(job, numbers.round)
-        # No one is told before all can be: if the job cannot be pickled, none takes any number.
+        # Sent only when every message is made: if pickling fails, no helper has taken a number.
         for helper in helpers:
             helper.joins()
         return Team(count, numbers.take, [*helpers])
@@ -164,7 +164,7 @@ class _Crew:
             self._helpers.pop().stop()
 
     def forget(self) -> None:
-        """In a fork of this process: they are not this one's."""
+        """In a fork of the process that started them: have none."""
         while self._helpers:
             self._helpers.pop().forget()
         if self._numbers is not None:
@@ -181,9 +181,9 @@ if POSSIBLE:
 
 @contextmanager
 def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
-    """A team of this process and so many helpers, for so many numbers.
+    """A team of this process and, at most, `others` helpers, for `count` numbers.
 
-    There are none while something else uses them, nor before it pays to start them.
+    It has no helpers while another picture uses them, nor before it pays to start them.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
         How much there is to do, in units of 10 ns or so.
     """
     others, busy = min(others, count - 1), _crew.busy
-    # A program that Python is only a part of would start itself, and not know what to do.
+    # In a program that embeds Python the executable is that program, not an interpreter.
     python = os.path.basename(sys.executable or "").startswith("python")
     possible = POSSIBLE and python and 8 * prod(job.shape) <= _SHARED
     if not (others > 0 and possible and busy.acquire(blocking=False)):
@@ -208,10 +208,10 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
             team = Team.alone(count)
         helpers = len(team.workers)
         yield team
-        if len(team.workers) < helpers:  # one was killed: nobody asks the others any more
+        if len(team.workers) < helpers:  # one was killed, and what the others did was not read
             _crew.stop()
     except BaseException:
-        # Nobody will take what they are working on.
+        # Helpers are at work on results that will not be read: the next picture needs new ones.
         _crew.stop()
         raise
     finally:

@@ -1,8 +1,9 @@
 """Looks: what the sample in a cell's middle tells of all of the cell.
 
-A cell is a square of the picture: a pixel, or a part of one.  Besides what its sample sees, a look
-finds the straight lines that divide the surface there, whether there may be more than such lines,
-and what may keep lights from any of it.
+A cell is a square of the picture: a pixel, or a part of one.  A *look* takes the sample in its
+middle.  Besides what that sees, it finds the straight lines that divide the surface within the
+cell, and which objects may keep lights from any part of it.  A cell that may hold more than such
+lines is *unresolved*.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tracer.visibility import visible_and_behind
 __all__ = ["Cells", "Lights", "Seen", "look", "look_at", "radiance_in"]
 
 Lights: TypeAlias = Callable[[Ints], Lighting]
-"""The lights as they are known of samples, given the cell of each."""
+"""Given the cell of each sample: the lighting, with what is known of shadows in those cells."""
 
 
 class Cells(NamedTuple):
@@ -32,13 +33,13 @@ class Cells(NamedTuple):
     Attributes
     ----------
     size : float
-        In pixels.
+        Width of a cell, in pixels.
     tolerance : float
-        What a sample may be off, in radiance.
+        By how much a sample may differ from the mean of its cell, in radiance.
     x, y : (n,)
-        Their centres.
+        Their centres, in pixels.
     error : (n,)
-        How far the sample at the centre may be off.
+        By how much the sample at the centre, corrected by `curvature`, may differ from the mean.
     cell, owner : (m,)
         Pairs of a cell and an object whose outline may cross it.
     """
@@ -52,18 +53,18 @@ class Cells(NamedTuple):
     owner: Ints
 
     def places(self, index: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Points of some cells, one cell's after the other's; x and y from -1/2 to 1/2."""
+        """The same points, x and y from -1/2 to 1/2, in each of some cells, cell by cell."""
         return (
             np.add.outer(self.x[index], self.size * x).ravel(),
             np.add.outer(self.y[index], self.size * y).ravel(),
         )
 
     def at(self, cell: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """A point of each of some cells; x and y from -1/2 to 1/2."""
+        """One point, x and y from -1/2 to 1/2, in each of some cells."""
         return self.x[cell] + self.size * x, self.y[cell] + self.size * y
 
     def split(self, index: Ints) -> Cells:
-        """Quarters of some cells."""
+        """Quarters of some cells, four after four."""
         quarter = np.array([-0.25, 0.25])
         x, y = self.places(index, np.tile(quarter, 2), np.repeat(quarter, 2))
         place = np.full(self.x.size, -1)
@@ -78,19 +79,20 @@ class Cells(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What samples see.
+    """What looks have found, n being the number of cells.
 
     Attributes
     ----------
     radiance : (3, n)
+        Of the sample in each cell's middle.
     key : (n,)
         A number for the object, its face, and the lights that reach it; -1 where nothing is seen.
     lines : list of Lines
-        Ridges and shadows near each sample, c being zero at the sample.
+        What divides the surfaces: where they meet, ridges, shadows and terminators.
     shadow_edges : list of (ShadowEdges, (m,))
-        Those near samples, and each sample's place.
+        For each call of `look`: what may shade around its m samples, and the cell of each.
     unresolved : (n,)
-        Whether there may be more than straight lines.
+        Whether a cell may hold more than straight lines.
     """
 
     radiance: Floats
@@ -101,12 +103,12 @@ class Seen(NamedTuple):
 
     @classmethod
     def of(cls, count: int) -> Seen:
-        """Nothing so far, of so many samples."""
+        """Nothing so far, for this many cells."""
         none = np.zeros(count, dtype=np.bool_)
         return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
 
     def spheres(self, some: Bools) -> tuple[Ints, Ints]:
-        """Which of some samples see spheres, and which spheres."""
+        """Those of some cells (n,) whose middles see spheres, and which spheres."""
         samples, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for found, order in self.shadow_edges:
             for group in found.hits.groups:
@@ -119,7 +121,7 @@ class Seen(NamedTuple):
         return np.concatenate(samples), np.concatenate(owners)
 
     def lights(self, lighting: Lighting, some: Ints) -> Lights:
-        """The lights for samples in some cells: what has been found there holds for all of each."""
+        """The lights for samples in some cells, with what looks have found of shadows there."""
         if not lighting.shadows.caches:
             return lambda _: lighting
         sample = np.concatenate([order[found.hits.sample] for found, order in self.shadow_edges])
@@ -132,7 +134,7 @@ class Seen(NamedTuple):
 
 
 def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
-    """Positions as samples, and which is which."""
+    """Positions, in any order, as samples; and which position each sample has."""
     order = np.lexsort((x, y))
     y = y[order]
     new = np.diff(y, prepend=-np.inf) != 0
@@ -140,7 +142,7 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
 
 
 def radiance_in(lights: Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
-    """Radiance (3, n) at positions in any order, each in a cell."""
+    """Radiance (3, n) at positions in any order; `cell` (n,): the one that each lies in."""
     radiance = np.empty((3, x.size))
     if not x.size:
         return radiance
@@ -158,9 +160,10 @@ def look_at(
     tolerance: float,
     share: float = 1.0,
 ) -> Seen:
-    """What positions in any order see, and the lines through cells of a size around them.
+    """Look at cells of a size around positions in any order.
 
-    Each is in one of the cells that `lights` knows.
+    `cell` (n,): the cell, of those that `lights` knows, in which each position lies.
+    `tolerance`, `share`: see `look`.
     """
     samples, order = _sorted(x, y)
     seen = Seen.of(order.size)
@@ -177,9 +180,10 @@ def look(
     order: Ints,
     share: float = 1.0,
 ) -> None:
-    """Put what samples see, and the lines through cells of a size around them, in their places.
+    """Look at cells of a size around samples; what is found goes into `seen`.
 
-    `order`: those of the samples in `seen`; `share`: how much of its cell, across, each stands for.
+    `order` (n,): the place in `seen` of each sample.  `tolerance`: by how much a sample may err, in
+    radiance.  `share`: the part of its cell's width that a sample stands for.
     """
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
@@ -190,7 +194,7 @@ def look(
     footprint = np.empty(facing.shape[1])
     for group, (_, n_dot_v) in zip(hits.groups, sights, strict=True):
         footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
-    # Where so much is seen at once that it is split anyway, all edges of shadows would be many.
+    # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
     wide = near_lights(light, share * footprint)
     reach = footprint
     if wide.size:
@@ -210,7 +214,7 @@ def look(
             channel[cell] = values
         key = group.spread(group.owner * 4) + group.face
         for bit in reached:
-            # Odd numbers lose nothing where there are more lights than bits.
+            # An odd factor: with more lights than bits, the first are not shifted out.
             key = key * 3 + bit
         seen.key[cell] = key
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):

@@ -1,10 +1,10 @@
 """Regions: what straight lines divide cells into, and the points that stand for each.
 
-Where one line divides a cell, both sides have points of their own.  Where there are more lines, or
-more than lines, many points are spread over the cell, and those in each region stand for its exact
-area together (post-stratification: Cochran, Sampling Techniques, 1977, ch. 5A).  Lines are taken
-to cross all of their cells: if one ends within, the region beyond its end is two, each with its
-points.
+The area of a region, as a part of its cell's, is its *share*.  Where one line divides a cell, each
+side has points of its own.  In a cell with more lines, or with more than lines, many points are
+spread evenly, and those in one region together stand for its exact share (post-stratification:
+Cochran, Sampling Techniques, 1977, ch. 5A).  Lines are taken to run right across their cells: where
+one in truth ends within, two regions are told apart that are one, which does no harm.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tracer.edges import Kind, Lines
 
 __all__ = ["Points", "post_stratified", "sides_of"]
 
-# Shares of a cell that are left out.
+# Shares no larger than this are left out.
 _NOTHING = 1e-9
 
 
@@ -29,11 +29,12 @@ class Points(NamedTuple):
     ----------
     cell : (n,)
     share : (n,)
-        Of the cell.
+        The part of the cell's area that each stands for.
     x, y : (n,)
         Where they are in their cells, from -1/2 to 1/2.
     beyond : (n,)
-        Whether they may see another surface than the cell's middle.
+        Whether they lie beyond a line, seen from the cell's middle, where the look at the cell
+        says nothing: they may see another surface, or light that was not sought.
     """
 
     cell: Ints
@@ -54,9 +55,9 @@ class Points(NamedTuple):
 
 
 def sides_of(lines: Lines) -> Points:
-    """Points on both sides of lines, each the only one in its cell.
+    """Points on both sides of lines, each line being the only one in its cell.
 
-    One in the middle of each side; within a limb, where light falls off, two.
+    One in the middle of each side; on the sphere's side of a limb, where light falls off, two.
     """
     share, moment_x, moment_y = lines.areas_and_moments()
     shares, x, y = (
@@ -65,7 +66,8 @@ def sides_of(lines: Lines) -> Points:
     )
     x /= np.maximum(shares, _NOTHING)
     y /= np.maximum(shares, _NOTHING)
-    # The middle of the cell is on the side of c; a shadow's edge divides one surface.
+    # The cell's middle is on the side that has the sign of c.  The look covers both sides of a
+    # shadow's edge.
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
     beyond = other & (side * np.tile(lines.c, 2) <= 0)
@@ -88,13 +90,13 @@ def sides_of(lines: Lines) -> Points:
 def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats, Points]:
     """Shares (cells, points) of the same points in all cells, given lines sorted by cell.
 
-    In each region its points have equal parts of its share.  Regions without any are returned,
-    each with a point in its middle.
+    The points in a region have equal parts of its share.  For the regions without any, points in
+    their middles are returned.
     """
     first, count = equal_runs(lines.cell)
     weights = np.full((cells.size, x.size), 1 / x.size)
     bits = int(count.max(initial=0))
-    # Each line sets a bit on the side where c + a x + b y < 0.
+    # A region's code has a bit for each line, set on the side where c + a x + b y < 0.
     code = np.repeat(np.arange(first.size)[:, None] << bits, x.size, axis=1)
     polygons = _Polygons.squares(first.size)
     for number in range(bits):
@@ -121,11 +123,11 @@ class _Polygons(NamedTuple):
     Attributes
     ----------
     cell : (n,)
-        Which of the cells.
+        Which of the cells that lines cross, in their order.
     code : (n,)
         A bit for each line that divides the cell: set on the side where it is less than zero.
     x, y : (n, vertices)
-        Around each; of one that has fewer the last is repeated.
+        Vertices in order around each; where there are fewer, the last is repeated.
     """
 
     cell: Ints
@@ -135,7 +137,7 @@ class _Polygons(NamedTuple):
 
     @classmethod
     def squares(cls, count: int) -> _Polygons:
-        """So many whole cells."""
+        """Whole cells, this many."""
         square = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5]])
         x, y = np.repeat(square[:, None], count, axis=1)
         return cls(np.arange(count), np.zeros(count, dtype=np.intp), x, y)
@@ -145,27 +147,30 @@ class _Polygons(NamedTuple):
         return _Polygons(self.cell[index], self.code[index], self.x[index], self.y[index])
 
     def divided(self, lines: Lines, line: Ints, crossed: Bools, number: int) -> _Polygons:
-        """Those on either side of a line in each cell (cells,), where there is one."""
+        """The parts on either side of one line in each cell, where `crossed`; the others whole.
+
+        `line`, `crossed` (cells,): which line, and whether there is one; `number`: its bit.
+        """
         rest = self.take(np.flatnonzero(~crossed[self.cell]))
         whole = self.take(np.flatnonzero(crossed[self.cell]))
         a, b, c = (m[line[whole.cell], None] for m in (lines.a, lines.b, lines.c))
         z = a * whole.x + b * whole.y + c
         parts = [whole.clipped(z), whole._replace(code=whole.code | 1 << number).clipped(-z)]
-        # As many vertices as the parts have.
+        # Whole polygons get one vertex more, as their clipped fellows have.
         x, y = (np.append(m, m[:, -1:], axis=1) for m in (rest.x, rest.y))
         parts.append(rest._replace(x=x, y=y))
         fields: Any = map(np.concatenate, zip(*parts, strict=True))
         return _Polygons(*fields)
 
     def clipped(self, z: Floats) -> _Polygons:
-        """What is left where z (n, vertices), given at the vertices, is more than zero.
+        """What is left where a linear z, given at the vertices (n, vertices), is above zero.
 
-        Sutherland and Hodgman, Reentrant polygon clipping, 1974: there is one vertex more.
+        Sutherland and Hodgman, Reentrant polygon clipping, 1974.  The arrays get one vertex more.
         """
         inside, after = z > 0, np.roll(z, -1, axis=1)
         crossing = inside != np.roll(inside, -1, axis=1)
         part = np.where(crossing, z / (z - after), 0)
-        # Each vertex, and a crossing on the way to the next.
+        # By turns each vertex, and the crossing on the way to the next, if they are kept.
         kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
         count = kept.sum(axis=1)
         some = np.flatnonzero(count)
@@ -179,8 +184,9 @@ class _Polygons(NamedTuple):
         return _Polygons(self.cell[some], self.code[some], corners[0], corners[1])
 
     def centroids(self) -> tuple[Floats, Floats, Floats]:
-        """Area (n,), and the middle's x and y: the shoelace formula, from the first vertex."""
-        # Vertices one after the other: a repeated one adds nothing, in whatever company.
+        """Areas (n,), and the centroids' x and y: the shoelace formula, from the first vertex."""
+        # Summed vertex by vertex: a repeated one adds exactly nothing, so no bit of a result
+        # depends on how many vertices other polygons have.
         x0, y0 = self.x[:, 0], self.y[:, 0]
         x, y = (self.x - x0[:, None]).T, (self.y - y0[:, None]).T
         double, moment_x, moment_y = np.zeros((3, x0.size))

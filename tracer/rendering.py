@@ -32,16 +32,16 @@ __all__ = ["render", "render_bands", "render_each"]
 
 T = TypeVar("T")
 
-# Infinities and NaN are answers here: a slab never left, a sphere not met.
+# Infinities and NaN are valid results here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
 
-# How large bands are, and how small it pays to make them; times as much where pixels are split.
+# Samples in a band, and the least that pays; both times `_SPLIT_BANDS` where pixels are split.
 _BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
 _SPLIT_BANDS = 3
 
-# What a picture takes grows with samples, lights, (a few) objects and how often pixels are split,
-# which is as much work each time as three samples.  From so much on it pays to fork, and to ask a
-# helper.
+# A picture's load grows with its samples, its lights, its objects up to `_FEW_OBJECTS`, and how
+# often pixels are split, each time for the work of `_SPLIT` samples.  Last, the loads from which it
+# pays to fork, and to ask helpers.
 _FEW_OBJECTS, _SPLIT = 8, 3
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
 
@@ -62,11 +62,11 @@ def render(
         Rounded up to a square, n x n: the picture errs no more (RMSE) than with n x n samples in a
         grid in every pixel, and mostly much less; 1 samples the pixels' centres.
     threads : int, optional
-        How many processors to use, this one included, at most as many as there are, with a process
-        on each; one or two, whatever pays, if absent or 0.  Processes that help start in the
+        How many processors to use, at most as many as there are, with a process on each, this one
+        included; if absent or 0, one or two, whatever pays.  Processes that help start in the
         background, and stay for the next picture.
     offset : (float, float)
-        Moves every sample by so many pixels to the right and down.
+        Moves every sample, in pixels to the right and down.
 
     Returns
     -------
@@ -78,10 +78,10 @@ def render(
     TypeError
         For a number of samples or threads that is no integer.
     ValueError
-        For fewer than one sample, fewer threads than none, and an offset that is not two finite
-        numbers.
+        For fewer than one sample, a negative number of threads, and an offset that is not two
+        finite numbers.
     """
-    # Where nothing is seen, its pages are never touched.
+    # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
     for rows, columns, band in _rendered(scene, samples, threads, offset, image=image):
         if not np.may_share_memory(band, image):
@@ -99,8 +99,8 @@ def render_bands(
 ) -> Iterator[Floats]:
     """Render a scene from the top, band by band.
 
-    Parameters are those of `render`, and checked when the first band is asked for; `band_pixels`
-    is the size of a band, if not whatever is fast: it changes no pixel.
+    Parameters are those of `render`, and checked when the first band is asked for.  `band_pixels`
+    limits the size of a band, which is whatever is fast if absent; it changes no pixel.
 
     Yields
     ------
@@ -142,16 +142,16 @@ def _rendered(
     band_pixels: int | None = None,
     image: Floats | None = None,
 ) -> Iterator[tuple[slice, slice, Floats]]:
-    """Rows of the picture, the columns where something may be seen, and the band.
+    """Each band's rows in the picture, the columns where something may be seen, and the band.
 
-    What is rendered here is in its place in the image.
+    Bands that this process renders are parts of the `image`, if it is given.
     """
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP)
     bands = _Bands.of(picture, processes, band_pixels)
     job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
-    # Who asks for more processors gets them at once.
+    # Whoever asks for processors by number gets helpers from the first picture on.
     load = inf if threads else load
     with helped(bands.total, processes - 1, job, load) as team:
         renderer = _Renderer.of(bands)
@@ -170,7 +170,7 @@ def _processes(threads: int | None, pays: bool) -> int:
 
 
 def _at_least_one(value: int, name: str) -> int:
-    """As a Python integer: NumPy's overflow, and have other methods."""
+    """As a Python integer, checked: NumPy's overflow, and have other methods."""
     try:
         number = int(operator.index(value))
     except TypeError:
@@ -188,9 +188,10 @@ class _Picture(NamedTuple):
     scene : Scene
     offset : (float, float)
     lattice : Lattice
-        The samples in all pixels.
+        The samples that every pixel has.
     per_side : int
-        Samples along each side that pixels are split for, where they need it; or 1.
+        1, or if pixels are split where they need it: samples along each side of the grid that the
+        picture is to be as good as.
     """
 
     scene: Scene
@@ -201,7 +202,7 @@ class _Picture(NamedTuple):
     @classmethod
     @_QUIET
     def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
-        """At least as good as so many samples: everywhere, or by splitting."""
+        """As good as this many samples a pixel, or better: by lattices everywhere, or splitting."""
         samples = _at_least_one(samples, "samples")
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
@@ -221,14 +222,14 @@ class _Picture(NamedTuple):
         return self.per_side > 1
 
     def raster(self) -> Raster:
-        """The rays of the samples that are everywhere."""
+        """The rays of the samples that every pixel has."""
         scene, (columns, rows) = self.scene, self.lattice
         offset = self.offset[0] * columns, self.offset[1] * rows
         return raster_of(scene.camera, scene.width * columns, scene.height * rows, offset)
 
     @_QUIET
     def shares(self, count: int) -> list[int]:
-        """So many bands with much the same number of outlines: see `_Bands.tops`."""
+        """`_Bands.tops` of a number of bands, for about as many outlines in each."""
         total = np.cumsum(outlines_of(self.raster(), self.scene.surfaces, split=False).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
@@ -236,7 +237,7 @@ class _Picture(NamedTuple):
         return [0, *between, self.scene.height]
 
     def load(self) -> float:
-        """Roughly what it takes: some 10 ns for each of these."""
+        """About how long it takes to render, in units of some 10 ns."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
         often = splittings(self.per_side) + self.split
@@ -244,15 +245,15 @@ class _Picture(NamedTuple):
 
 
 class _Bands(NamedTuple):
-    """A picture in parts.
+    """A picture in bands.
 
     Attributes
     ----------
     picture : _Picture
     tops : list of int
-        The first row of each; then the picture's height.
+        The first row of each band; then the picture's height.
     at_once : int
-        As many pixels of a row are rendered together.
+        Of a row, at most this many pixels are rendered together.
     """
 
     picture: _Picture
@@ -261,31 +262,31 @@ class _Bands(NamedTuple):
 
     @classmethod
     def of(cls, picture: _Picture, processes: int, band_pixels: int | None = None) -> _Bands:
-        """Bands for so many processes; of so many pixels, if not of as many as is fast."""
+        """Bands for a number of processes; `band_pixels`: see `render_bands`."""
         width, height = picture.scene.width, picture.scene.height
-        # Few pixels are split, and those should be many at a time.
+        # Few pixels of a band are split: larger bands have enough of them for long arrays.
         times = (_SPLIT_BANDS if picture.split else 1) / picture.lattice.size
         at_once = max(1, int(band_pixels or _BAND_PIXELS * times))
         step = max(1, at_once // width)
         if processes > 1:
-            # Enough bands for all to end at much the same time, unless that makes them small.
+            # Enough bands that all processes end at about the same time, unless they get too small.
             least = _LEAST_PIXELS * times
             count = max(processes, min(4 * processes, int(width * height / least)))
             step = min(step, -(-height // count))
         tops = [*range(0, height, step), height]
         if picture.split and 1 < processes == len(tops) - 1:
-            # One for each: with as many outlines, not as many rows.
+            # One band for each process: with as many outlines, which cost most, not as many rows.
             tops = picture.shares(processes)
         return cls(picture, tops, at_once)
 
     @property
     def total(self) -> int:
-        """How many there are."""
+        """How many bands there are."""
         return len(self.tops) - 1
 
     @property
     def tallest(self) -> int:
-        """Rows in the tallest."""
+        """How many rows the tallest band has."""
         return max(bottom - top for top, bottom in pairwise(self.tops))
 
     def rows(self, number: int) -> slice:
@@ -294,7 +295,7 @@ class _Bands(NamedTuple):
 
 
 class _Renderer(NamedTuple):
-    """Bands, and all that they share.
+    """Renders bands; holds what they share.
 
     Attributes
     ----------
@@ -324,12 +325,12 @@ class _Renderer(NamedTuple):
         return cls(bands, lighting, (rows, columns))
 
     def columns(self, number: int) -> slice:
-        """Where something may be seen in a band."""
+        """Columns in which something may be seen in a band."""
         here, (rows, columns) = self.bands.rows(number), self.window
         return columns if here.start < rows.stop and rows.start < here.stop else slice(0, 0)
 
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
-        """Radiance (rows, width, 3) of a band; in zeros, if they are given."""
+        """Radiance (rows, width, 3) of a band; written into `out`, zeros, if that is given."""
         width, rows = self.bands.picture.scene.width, self.bands.rows(number)
         height = rows.stop - rows.start
         if out is None:
@@ -358,7 +359,7 @@ class _Renderer(NamedTuple):
 
 
 def _help(bands: _Bands) -> Work[Floats]:
-    """What a helper does: render bands where it is told."""
+    """What a helper does: render bands into the memory that it is given."""
     renderer = _Renderer.of(bands)
 
     def work(number: int, slot: Floats | None) -> Floats:

@@ -5,7 +5,7 @@ the interpreter's lock.  Another process has its own.  `forked` ones have all
 that was prepared, start within milliseconds and end with the picture; `helpers`
 stay for the next one.
 
-What is to be done has numbers, and whoever is idle takes the next.
+The parts of a job are numbered, and whichever process is idle takes the next number.
 """
 
 from __future__ import annotations
@@ -50,31 +50,33 @@ __all__ = [
 T = TypeVar("T")
 
 Work: TypeAlias = Callable[[int, Floats | None], T]
-"""Given a number and, if there is any, memory for an array: what becomes of it."""
+"""Does the part with a number; its result, if an array, goes into the memory given, if any is."""
 
 AHEAD = 4
-"""How many results a process may be ahead of those that have been used."""
+"""How many results a process may have ready that have not been used yet."""
 
 POSSIBLE = hasattr(os, "memfd_create")
-"""Whether processes can take part: only Linux has what they share memory by."""
+"""Whether other processes can take part: only Linux has `memfd_create`, for shared memory."""
 
-# How long the message is that follows.
+# Before each message: its length in bytes.
 _LENGTH = Struct("=Q")
 
 
 class Numbers:
-    """0, 1, ..., each to be taken by one of several processes, round after round.
+    """Numbers 0, 1, ... of the parts of a job, each handed out to one of several processes.
+
+    The same numbers serve for one job after the other: each is a round of its own.
 
     Parameters
     ----------
     file : int, optional
-        Memory that they share; made if absent.
+        Descriptor of the memory that the processes share; made if absent.
 
     Attributes
     ----------
     file : int
     round : int
-        The one that this process takes part in.
+        The round that this process takes part in.
     """
 
     __slots__ = ("_state", "file", "round")
@@ -85,22 +87,22 @@ class Numbers:
         else:
             self.file, memory = file, mmap(file, PAGESIZE)
         self.round = 0
-        # The round, how many there are in it, and the next.
+        # The current round, how many numbers it has, and the next of them to be taken.
         self._state = np.frombuffer(memory, np.int64, 3)
 
     def begin(self, count: int) -> None:
-        """Begin another round, of so many."""
+        """Begin another round, of this many numbers."""
         self.round += 1
         with self._locked():
             self._state[:] = self.round, count, 0
 
     def left(self) -> bool:
-        """Whether there are any left in this round."""
+        """Whether this process's round is still on, and has numbers left."""
         now, count, number = self._state.tolist()
         return bool(now == self.round and number < count)
 
     def take(self) -> int | None:
-        """The next one, if there is one left."""
+        """The next number, or None if none is left."""
         with self._locked():
             if not self.left():
                 return None
@@ -119,12 +121,13 @@ class Numbers:
 
 
 class Job(NamedTuple):
-    """What a process that knows nothing yet is to do.
+    """What a process that has nothing of this one's memory is to do.
 
     Attributes
     ----------
     make, arguments
-        `Work` is what make(*arguments) returns: a function of a module, and what can be pickled.
+        make(*arguments) returns the `Work`; `make` is a function of a module, and the arguments
+        can be pickled.
     shape : (AHEAD, ...)
         Of the memory for its results.
     """
@@ -138,9 +141,10 @@ class Job(NamedTuple):
         return memory[: prod(self.shape)].reshape(self.shape)
 
     def packed(self, round: int, memory: Floats) -> bytes:
-        """A message that asks for it; its arrays are in shared memory, behind the results.
+        """The message that asks for this job in a round.
 
-        A pipe would take ten times as long for them.
+        Its arrays go into the shared memory, after the results', if they fit: a pipe would take
+        ten times as long for them.
         """
         arrays: list[pickle.PickleBuffer] = []
         job = pickle.dumps(self, protocol=5, buffer_callback=arrays.append)
@@ -156,16 +160,17 @@ class Job(NamedTuple):
 
     @staticmethod
     def unpacked(message: bytes, memory: Floats, numbers: Numbers) -> Job | None:
-        """The job that a message asks for, if anything is left to do."""
+        """The job that a message asks for; None if nothing of it is left to do."""
         numbers.round, places, job = pickle.loads(message)
         arrays = [bytearray(memory[start:].view(np.uint8)[:size]) for start, size in places]
-        # Only now: the memory of a round that is over may hold the next one's arrays.
+        # Asked only now that the arrays are copied: when a round is over, the next one's may be
+        # written over them.
         unpacked: Job | None = pickle.loads(job, buffers=arrays) if numbers.left() else None
         return unpacked
 
 
 class Worker:
-    """Another process that takes part, as it is seen from this one.
+    """Another process that takes part, as this one sees it.
 
     Attributes
     ----------
@@ -182,25 +187,25 @@ class Worker:
         self.slots: Floats | None = None
 
     def joins(self) -> bool:
-        """Whether it is there."""
+        """Whether it is ready to take part."""
         return True
 
     def send(self, message: bytes = b"") -> None:
-        """Tell it something; nothing says that one of its results has been used."""
+        """Send it a message; an empty one says that one of its results has been used."""
         data = _LENGTH.pack(len(message)) + message
-        with suppress(BrokenPipeError):  # it was killed: found out when it is to answer
+        with suppress(BrokenPipeError):  # it was killed: `receive` will tell
             while data:
                 data = data[os.write(self.calls, data) :]
 
     def receive(self) -> Any:
-        """What it tells next; raises what went wrong there."""
+        """Its next answer; raises the exception that ended its work, if that is the answer."""
         well, answer = pickle.loads(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0]))
         if not well:
             raise answer
         return answer
 
     def close(self) -> None:
-        """Have nothing more to do with it: it ends as soon as it finds out."""
+        """Close the pipes: it ends when it finds out."""
         os.close(self.calls)
         os.close(self.results)
 
@@ -220,11 +225,12 @@ class Team(NamedTuple):
     Attributes
     ----------
     total : int
-        How many numbers there are: from 0 to `total` - 1.
+        How many parts the job has: numbers 0 to `total` - 1.
     take : callable
-        Hands out the next number, to this process; or None, if none is left.
+        Hands out the next number to this process, or None if none is left; not asked if there are
+        no workers.
     workers : list of Worker
-        Empty as soon as one of them turns out to have been killed.
+        Emptied as soon as one of them turns out to have been killed.
     """
 
     total: int
@@ -237,12 +243,12 @@ class Team(NamedTuple):
         return cls(count, lambda: None, [])
 
     def results(self, work: Work[T]) -> Iterator[T]:
-        """Results for all numbers; `work` is what this process does.
+        """Results for all numbers, in order; `work` is what this process does.
 
         Yields
         ------
         result
-            In order; what is in memory shared with a worker, until the next is asked for.
+            If it lies in memory shared with a worker, it is valid until the next is asked for.
 
         Raises
         ------
@@ -266,7 +272,7 @@ class Team(NamedTuple):
                     try:
                         place, slot, result = worker.receive()
                     except ChildProcessError:
-                        # Nobody knows what it had taken; all that is not done yet is done here.
+                        # Which number it had taken is unknown: all that is not done is done here.
                         self.workers.clear()
                         break
                     if worker.slots is not None:
@@ -278,7 +284,7 @@ class Team(NamedTuple):
                 used.send()
 
     def _answered(self, timeout: int | None) -> list[Worker]:
-        """Workers that have something to tell, be it that they are no more."""
+        """Workers with an answer to read, or with none any more as they have ended."""
         by_pipe = {worker.results: worker for worker in self.workers if worker.joins()}
         if not by_pipe:
             return []
@@ -286,7 +292,7 @@ class Team(NamedTuple):
 
 
 def shared(size: int) -> tuple[int, mmap]:
-    """So many bytes of memory for several processes: its file, and what this one sees of it."""
+    """Memory of a size in bytes for several processes: its file, and the map of it in this one."""
     file = os.memfd_create("tracer")
     try:
         os.ftruncate(file, size)
@@ -298,9 +304,9 @@ def shared(size: int) -> tuple[int, mmap]:
 
 @contextmanager
 def pipes() -> Iterator[tuple[int, int, int, int]]:
-    """Pipes to a worker and from it: the ends that it has, and those of this process.
+    """Pipes to a worker and from it: first the worker's two ends, then those of this process.
 
-    Its ends are closed afterwards, and if anything goes wrong the others as well.
+    On leaving, the worker's ends are closed here; after an exception, the others as well.
     """
     with ExitStack() as theirs, ExitStack() as ours:
         calls_in, calls_out = os.pipe()
@@ -314,7 +320,7 @@ def pipes() -> Iterator[tuple[int, int, int, int]]:
 
 
 def readable(pipes: Iterable[int], timeout: int | None) -> list[int]:
-    """Those with something to read, be it their end; waits for one, so many ms at most."""
+    """Pipes with something to read, or at their end; waits for one, at most `timeout` ms."""
     poll = select.poll()
     for pipe in pipes:
         poll.register(pipe, select.POLLIN)
@@ -323,14 +329,14 @@ def readable(pipes: Iterable[int], timeout: int | None) -> list[int]:
 
 def processors() -> int:
     """How many processors this process may use."""
-    # Only Linux says; others have no workers.
+    # Only some systems tell, Linux among them; others have no workers anyway.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
 def keep_apart(process: int) -> None:
     """Keep a process off the processor that this one runs on, if there are others.
 
-    Where it is woken, Linux may leave it to wait there for milliseconds: half a small picture.
+    Linux may wake it there and let it wait for milliseconds: half the time of a small picture.
     """
     with suppress(AttributeError, OSError):
         others = os.sched_getaffinity(0) - {ctypes.CDLL(None).sched_getcpu()}
@@ -339,7 +345,7 @@ def keep_apart(process: int) -> None:
 
 
 def can_fork() -> bool:
-    """Whether forking is safe here: where it is well tried, and without other threads."""
+    """Whether forking is safe: on Linux, where it is well tried, and with no other threads."""
     return sys.platform == "linux" and threading.active_count() == 1
 
 
@@ -349,7 +355,7 @@ class _Fork(Worker):
     __slots__ = ("_process",)
 
     def __init__(self, work: Work[Any], numbers: Numbers, others: list[Worker]) -> None:
-        """Make it; there are others already."""
+        """Fork; the copy closes this process's pipes to `others`, made before, and to itself."""
         with pipes() as (calls_in, results_out, calls_out, results_in):
             super().__init__(calls_out, results_in)
             self._process = os.fork()
@@ -372,7 +378,7 @@ class _Fork(Worker):
 
 @contextmanager
 def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
-    """A team of this process and so many copies of it, if there can be, for so many numbers."""
+    """A team of this process and `others` copies of it, or fewer, for `count` numbers."""
     others = min(others, count - 1)
     team = Team.alone(count)
     with ExitStack() as stack:
@@ -396,12 +402,12 @@ def serve(
     work: Work[Any] | None = None,
     memory: Floats | None = None,
 ) -> NoReturn:
-    """What a worker does until nobody is there to call: `work`, or the jobs that it is sent.
+    """Be a worker until the pipe `calls` ends: do `work`, or else the jobs that are sent.
 
-    Results of jobs go into `memory`.
+    A job's results go into `memory`.
     """
     try:
-        # The process that calls decides what an interrupt means.
+        # Ctrl-C reaches all processes of a terminal: the one that calls decides what it means.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         with os.fdopen(calls, "rb") as heard, os.fdopen(results, "wb") as told:
 
@@ -437,7 +443,7 @@ def serve(
                     try:
                         job = Job.unpacked(message, memory, numbers)
                         todo = job and (job.make(*job.arguments), job.slots(memory))
-                    except Exception:  # what this process does not know, the one that calls does
+                    except Exception:  # this process lacks something: the one that calls does all
                         continue
                     if todo is not None:
                         do(*todo)
