@@ -18,7 +18,7 @@ def test_light_that_a_hollow_ball_keeps_out_begins_nowhere_on_it(
     room = Sphere(radius=5)
     scene = Scene(camera=Camera(), width=60, height=60, lights=lights, surfaces=[room])
     asked: list[int] = []
-    near = Patches.near_terminator
+    near = Patches._near_terminator
 
     def noted(self: Patches, light: Incoming) -> tuple[Ints, Ints]:
         number, at = near(self, light)
@@ -26,7 +26,7 @@ def test_light_that_a_hollow_ball_keeps_out_begins_nowhere_on_it(
         assert not np.any(number == 0)
         return number, at
 
-    monkeypatch.setattr(Patches, "near_terminator", noted)
+    monkeypatch.setattr(Patches, "_near_terminator", noted)
     assert render(scene, samples=16, threads=1).any()
     assert sum(asked) >= 60 * 60
 

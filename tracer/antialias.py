@@ -128,7 +128,7 @@ def _refine(
     asked for.  `wanted` (n,): where means are of interest.
     """
     rough = cells.error > cells.tolerance
-    lines = joined([*outlines_across(lighting.view, cells, seen, rough), *seen.lines])
+    lines = joined([outlines_across(lighting.view, cells, seen, rough), *seen.lines])
     unresolved = seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))

@@ -10,7 +10,6 @@ not tell all, the cell is marked `unresolved`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +89,7 @@ def near_lights(light: Incoming, footprint: Floats) -> Ints:
 
 def intersections(
     hits: Hits, behind: Hits, surfaces: Surfaces, cell: Ints, size: float, unresolved: Bools
-) -> Iterator[Lines]:
+) -> Lines:
     """Where surfaces meet those close `behind`; marks `unresolved` where that is no straight line.
 
     In units of the ray's direction d, the distance t of a plane is n.p / n.d: 1 / t is linear in
@@ -99,7 +98,7 @@ def intersections(
     `cell`: the cell of each sample, as in `unresolved`.
     """
     if not behind.groups:
-        return
+        return joined([])
     raster = hits.raster
     place = np.empty(cell.size, dtype=np.intp)
     place[hits.sample] = np.arange(hits.p.shape[1])
@@ -115,7 +114,7 @@ def intersections(
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
     straight = ~alike & (lines.turn(off) <= BEND)
     unresolved[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
-    yield lines.take(np.flatnonzero(straight & lines.crosses()))
+    return lines.take(np.flatnonzero(straight & lines.crosses()))
 
 
 def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Triple, Floats]:
@@ -237,7 +236,7 @@ class Patches(NamedTuple):
         unresolved[edges.cell[turn > BEND]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
 
-    def near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
+    def _near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
         """Pairs of a light and a point of a sphere whose footprint the terminator may cross."""
         reach = self.footprint / self.group.of(self.lighting.view.surfaces.radius)
         # One bound for all points leaves few of them to look at one by one.
@@ -247,20 +246,13 @@ class Patches(NamedTuple):
         turns = np.flatnonzero(n_dot_l**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 
-    def terminators(
-        self,
-        incoming: Incoming,
-        light: Ints,
-        at: Ints,
-        tolerance: float,
-        unresolved: Bools,
-    ) -> Iterator[Lines]:
+    def terminators(self, incoming: Incoming, tolerance: float, unresolved: Bools) -> Lines:
         """Lines at which lights, and their highlights, begin on spheres.
 
-        `light`, `at`: the pairs that `near_terminator` found.  Left out is light that begins so
-        slowly that a single sample errs by less than `tolerance`.  Marks `unresolved` where the
-        line is not straight.
+        Left out is light that begins so slowly that a single sample errs by less than `tolerance`.
+        Marks `unresolved` where the line is not straight.
         """
+        light, at = self._near_terminator(incoming)
         lighting, group = self.lighting, self.group
         materials, shader = lighting.materials, lighting.shader
         radius = group.of(self.lighting.view.surfaces.radius)
@@ -273,7 +265,7 @@ class Patches(NamedTuple):
         total = np.bincount(at, change, self.cell.size)[at]
         shown = np.flatnonzero(glossy | (total > 8 * tolerance))
         if not shown.size:
-            return
+            return joined([])
         light, at, glossy, diffuse = light[shown], at[shown], glossy[shown], diffuse[shown]
         ray, r = self.from_light(light, at), -select(radius, at)
         across, down = self.steps(at)
@@ -287,14 +279,15 @@ class Patches(NamedTuple):
         bent = glossy & (lines.turn(off) > BEND)
         bent |= diffuse * off > 8 * tolerance * np.sqrt(incoming.length2[light, at])
         unresolved[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
-        yield lines.take(np.flatnonzero(~bent & lines.crosses()))
+        return lines.take(np.flatnonzero(~bent & lines.crosses()))
 
-    def ridges(self) -> Iterator[Lines]:
+    def ridges(self) -> Lines:
         """Where a box's face meets another that is seen as well."""
         view, group = self.lighting.view, self.group
         surfaces, eye = view.surfaces, view.raster.eye
         p = rows(self.hits.p, group.part)
         box = group.owner - surfaces.sphere_count
+        lines = []
         for k in range(3):
             across_face = group.face != k
             if not np.any(across_face):
@@ -308,4 +301,6 @@ class Patches(NamedTuple):
                 at = np.flatnonzero(near & group.spread(shown))
                 offset, kind = offset[at], np.full(at.size, Kind.EDGE)
                 across, down = self.steps(at, (offset, offset, offset))
-                yield Lines(self.cell[at], kind, across[k], down[k], offset).crossing()
+                ridge = Lines(self.cell[at], kind, across[k], down[k], offset)
+                lines.append(ridge.crossing())
+        return joined(lines)

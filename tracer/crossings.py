@@ -5,12 +5,10 @@ So objects are found as well that the samples in the middles of pixels miss.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, each, expand, pick
-from tracer.edges import BEND, Kind, Lines, Pencil
+from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines, Spans
 from tracer.visibility import View
@@ -85,7 +83,7 @@ def crossed(
     return row[each_one], column, owner[each_one]
 
 
-def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Iterator[Lines]:
+def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines:
     """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
 
     `rough` (n,): cells in which the light bends too much for one sample.  If that is because they
@@ -93,6 +91,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
     marked rough no more.
     """
     outlines, spheres = view.outlines, view.surfaces.sphere_count
+    lines = []
     at = np.flatnonzero(cells.owner < spheres)
     beside, own = seen.spheres(rough)
     cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
@@ -104,14 +103,16 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Itera
         explained = straight & (np.abs(discs.c) < _NEAR_LIMB * discs.reach())
         explained[: at.size] = False
         rough[cell[explained]] = False
-        yield discs.take(np.flatnonzero((turn <= BEND) & (discs.crosses() | explained)))
+        drawn = np.flatnonzero((turn <= BEND) & (discs.crosses() | explained))
+        lines.append(discs.take(drawn))
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
         a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.edges)
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
-        yield edges
+        lines.append(edges)
+    return joined(lines)
 
 
 def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:

@@ -187,7 +187,7 @@ def look(
     """
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
-    seen.lines.extend(intersections(hits, behind, surfaces, order, size, seen.unresolved))
+    seen.lines.append(intersections(hits, behind, surfaces, order, size, seen.unresolved))
     light = incoming(lighting, hits)
     facing = light.n_dot_l > 0
     sights = [hits.distance_and_cosine(group) for group in hits.groups]
@@ -225,7 +225,6 @@ def look(
             lines = patches.shadows(found.light[at], places, found.occluder[at], seen.unresolved)
             seen.lines.append(lines)
         if group.flat:
-            seen.lines.extend(patches.ridges())
+            seen.lines.append(patches.ridges())
         else:
-            number, at = patches.near_terminator(here)
-            seen.lines.extend(patches.terminators(here, number, at, tolerance, seen.unresolved))
+            seen.lines.append(patches.terminators(here, tolerance, seen.unresolved))

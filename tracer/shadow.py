@@ -78,8 +78,8 @@ class Shadows(NamedTuple):
             point, light, occluder = candidates.points()
             reach = footprint[point]
             does_larger = self._blocks(hits, candidates, point, light, occluder, reach)
-            to_light = self._to_light(candidates)
-            may = np.flatnonzero(does_larger | (to_light <= reach))
+            gap = self._gap_to_light(candidates)
+            may = np.flatnonzero(does_larger | (gap <= reach))
             if not may.size:
                 continue
             point, light, occluder, reach = point[may], light[may], occluder[may], reach[may]
@@ -94,7 +94,7 @@ class Shadows(NamedTuple):
             must &= ~(on & (occluder < self.occluders.surfaces.sphere_count))
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
-            changes = does_larger[may] | does | (np.abs(to_light[may]) <= reach)
+            changes = does_larger[may] | does | (np.abs(gap[may]) <= reach)
             edge = ~must & changes & entries(facing, light, point)
             found.append((point[edge], light[edge], occluder[edge]))
         point, light, occluder = (np.concatenate(m) for m in zip(*found, strict=True))
@@ -215,7 +215,7 @@ class Shadows(NamedTuple):
             )
         return blocks
 
-    def _to_light(self, candidates: Candidates) -> Floats:
+    def _gap_to_light(self, candidates: Candidates) -> Floats:
         """How far objects must grow to reach their light, for each point; negative with it inside.
 
         An object grown by more holds the light.  It may then hold the whole of a segment, and
