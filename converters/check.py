@@ -3,7 +3,8 @@
 Both sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs through
 a pixel's centre the two may fall on different sides of it: pixels whose value changes by more
 than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted.
-Every other pixel has to agree.
+Every other pixel has to agree.  Limits are of linear radiance, in units of the brightest pixel's
+where that is more than 1.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from converters.flavours import exact, normalisation, square_height, stock
 from converters.variant import LLVM, use
@@ -65,8 +67,9 @@ MAX_MEDIAN = 1e-6
 # Largest coordinate, with what is seen scaled to 10 units, at which float32 is accurate enough.
 _LARGEST = 1e4
 
-# The oracle, being slow, judges at most this many pixels; if more differ, Mitsuba stays the judge.
-_MOST_JUDGED = 5000
+# The oracle, being slow, judges at most this many pixels.  If more differ, or if nothing is known
+# to be hard for Mitsuba, that stays the judge, and the oracle is asked about some of them.
+_MOST_JUDGED, _MOST_ASKED = 20_000, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +96,20 @@ class CheckResult:
     mask : (h, w) bool
         Edge pixels, which are not compared.
     figures : Figures
-        Of `tracer` against `reference`, outside the mask; the SSIM is of the
-        whole picture.
+        Of `tracer` against `reference`, outside the mask, in units of the
+        brightest pixel where that is more than 1; the SSIM is of the whole
+        picture.
     variant : str
         Mitsuba's.
     reasons : tuple of str
-        Why Mitsuba is not trusted on the judged pixels; empty if there are none.
+        What the scene has that is hard for Mitsuba; empty if no pixel differs.
+    differing : int
+        How many pixels differ from Mitsuba's, masked ones included if there are reasons.
     judged : int
-        How many pixels are held against the oracle in place of Mitsuba.
+        How many of these are held against the oracle in place of Mitsuba.
+    asked, agreed : int
+        Where Mitsuba stays the judge: about how many the oracle was asked, and
+        on how many it agrees with the tracer.
     tracer_seconds, mitsuba_seconds : float
         Rendering times, warm where that makes a difference.
     """
@@ -116,11 +125,28 @@ class CheckResult:
     judged: int
     tracer_seconds: float
     mitsuba_seconds: float
+    differing: int = 0
+    asked: int = 0
+    agreed: int = 0
 
     @property
     def judged_by(self) -> str:
         """What the tracer is held against on this scene."""
         return "Mitsuba and the oracle" if self.judged else "Mitsuba"
+
+    @property
+    def remark(self) -> str:
+        """What the oracle says of pixels that differ; empty if it was not asked."""
+        hard = ", ".join(self.reasons)
+        if self.judged:
+            return f"Mitsuba errs on {self.judged} pixels ({hard}): there the oracle is the judge"
+        if not self.asked:
+            return ""
+        return (
+            f"the oracle, asked about {self.asked} of the {self.differing} pixels that differ,"
+            f" agrees with the tracer on {self.agreed}"
+            + (f"; hard for Mitsuba are {hard}" if hard else "")
+        )
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -139,11 +165,8 @@ class CheckResult:
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
-        if self.judged:
-            lines.append(
-                f"  Mitsuba errs on {self.judged} pixels ({', '.join(self.reasons)}):"
-                " there the oracle is the judge"
-            )
+        if self.remark:
+            lines.append(f"  {self.remark}")
         return "\n".join([*lines, *(f"  out of tolerance: {fault}" for fault in self.faults)])
 
 
@@ -223,10 +246,15 @@ def edge_mask(scene: Scene, image: Floats) -> Bools:
     image : (h, w, 3) float64
         The tracer's picture of it.
     """
-    mask = np.zeros(image.shape[:2], dtype=np.bool_)
+    mask, change = np.zeros(image.shape[:2], dtype=np.bool_), EDGE_CHANGE * _unit(image)
     for dx, dy in product((-EDGE_SHIFT, EDGE_SHIFT), repeat=2):
-        mask |= np.abs(render(scene, offset=(dx, dy)) - image).max(axis=2) > EDGE_CHANGE
+        mask |= np.abs(render(scene, offset=(dx, dy)) - image).max(axis=2) > change
     return mask
+
+
+def _unit(image: Floats) -> float:
+    """What limits are multiples of: 1, or the radiance of a brighter picture's brightest pixel."""
+    return max(1.0, float(image.max(initial=0)))
 
 
 # Squares may overflow: such a place counts as not seen.
@@ -303,35 +331,41 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
-    mask = edge_mask(scene, image)
-    reference, judged, reasons = rendering.image, 0, doubts(scene)
-    if reasons:
-        reference, judged = _judge(scene, image, reference, mask)
+    mask, reference, unit = edge_mask(scene, image), rendering.image.copy(), _unit(image)
+    differs = np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit
+    reasons = doubts(scene) if differs.any() else ()
+    if not reasons:
+        differs &= ~mask
+    differing = np.argwhere(differs)
+    trusted = not reasons or len(differing) > _MOST_JUDGED
+    pixels = differing[:: 1 + len(differing) // _MOST_ASKED] if trusted else differing
+    truth, (row, column) = _asked(scene, pixels), pixels.T
+    agrees = np.abs(image[row, column] - truth).max(axis=1) <= MAX_DIFFERENCE * unit
+    if not trusted:
+        reference[row, column] = truth
     return CheckResult(
         name=name,
         tracer=image,
         mitsuba=rendering.image,
         reference=reference,
         mask=mask,
-        figures=figures(image, reference, mask),
+        figures=figures(image / unit, reference / unit, mask),
         variant=rendering.variant,
-        reasons=reasons if judged else (),
-        judged=judged,
+        reasons=reasons,
+        differing=len(differing),
+        judged=0 if trusted else len(pixels),
+        asked=len(pixels) if trusted else 0,
+        agreed=int(agrees.sum()) if trusted else 0,
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
     )
 
 
-def _judge(scene: Scene, image: Floats, mitsuba: Floats, mask: Bools) -> tuple[Floats, int]:
-    """Mitsuba's picture, but the oracle's where the tracer differs; how many pixels those are."""
-    differ = np.argwhere((np.abs(image - mitsuba).max(axis=2) > MAX_DIFFERENCE) & ~mask)
-    if not 0 < len(differ) <= _MOST_JUDGED:
-        return mitsuba, 0
+def _asked(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
+    """Radiance (n, 3) of pixels (n, 2), rows and columns, by the oracle."""
     oracle = Oracle(scene)
-    reference = mitsuba.copy()
-    for row, column in differ.tolist():
-        reference[row, column] = oracle.judge(column + 0.5, row + 0.5).radiance
-    return reference, len(differ)
+    found = [oracle.judge(column + 0.5, row + 0.5).radiance for row, column in pixels.tolist()]
+    return np.array(found).reshape(-1, 3)
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:

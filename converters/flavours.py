@@ -25,8 +25,11 @@ _TOLERANCE_ROUNDINGS = 100
 # The largest float32.
 _LARGEST = float(np.finfo(np.float32).max)
 
-# Least half thickness of a box, relative to the largest coordinate.
+# Half thickness of flat boxes, relative to the largest coordinate.
 _THINNEST = 1e-6
+
+# Where the stock camera begins to see, relative to the farthest point of all surfaces.
+_NEAREST = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +146,13 @@ def _spheres(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterato
 def _cubes(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[str]:
     """Boxes: Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved."""
     surfaces = scene.surfaces
-    low, high = place(surfaces.min_pt), place(surfaces.max_pt)
+    middles = (place(surfaces.min_pt) + place(surfaces.max_pt)) / 2
+    halves = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
     # A cube of no thickness has no inverse transform.
-    thinnest = _THINNEST * float(np.abs(bounds(surfaces)).max()) * place.scale
+    thinnest = _THINNEST * np.abs(place(bounds(surfaces))).max()
     for middle, half, shader in zip(
-        ((low + high) / 2).tolist(),
-        np.maximum((high - low) / 2, thinnest).tolist(),
+        middles.tolist(),
+        np.where(halves > 0, halves, thinnest).tolist(),
         surfaces.box_shader.tolist(),
         strict=True,
     ):
@@ -315,6 +319,8 @@ def stock(scene: Scene, samples: int = 64) -> str:
     height = square_height(scene)
     gain = _gain(bsdfs.values())
     seen = visible_points(scene)
+    if not len(seen):
+        seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
     parts = [
         _stock_integrator(),
         _stock_sensor(scene, height, samples),
@@ -346,7 +352,7 @@ def _stock_sensor(scene: Scene, height: int, samples: int) -> str:
     matrix = np.eye(4)
     matrix[:3] = np.column_stack([-right, -down, ahead, raster.eye])
     corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
-    far = float(np.linalg.norm(corners - raster.eye, axis=1).max())
+    far = float(np.linalg.norm(corners - raster.eye, axis=1).max()) or 1.0
     return _plugin(
         "sensor",
         "perspective",
@@ -355,8 +361,9 @@ def _stock_sensor(scene: Scene, height: int, samples: int) -> str:
         _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
         _value("float", "principal_point_offset_x", raster.shift_u / camera.view_width),
         _value("float", "principal_point_offset_y", raster.shift_v / camera.view_height),
-        _value("float", "near_clip", 1e-3 * camera.proj_distance),
-        _value("float", "far_clip", max(2 * far, camera.proj_distance)),
+        # The window may be anywhere: it only says what is in the picture.
+        _value("float", "near_clip", _NEAREST * far),
+        _value("float", "far_clip", 2 * far),
         _film(scene.width, height),
         _plugin("sampler", "multijitter", _value("integer", "sample_count", samples)),
     )
@@ -375,10 +382,11 @@ def _stock_emitter(light: PointLight, gain: float, seen: Floats) -> str:
 
 def _distance2(light: PointLight, seen: Floats) -> float:
     """Squared distance at which a light's strength is right: least squares over points (n, 3)."""
-    if not len(seen):
-        return 1.0
-    inverse = 1 / np.maximum(((seen - light.position) ** 2).sum(axis=1), 1e-12)
-    return float(inverse.sum() / (inverse * inverse).sum())
+    square = ((seen - light.position) ** 2).sum(axis=1)
+    # In units of the largest, whatever the scene's; in the light itself nothing is divided by zero.
+    largest = float(square.max()) or 1.0
+    inverse = 1 / np.maximum(square / largest, 1e-12)
+    return largest * float(inverse.sum() / (inverse * inverse).sum())
 
 
 def _gain(shaders: Iterable[Shader]) -> float:

@@ -6,15 +6,18 @@ its point lights fall off, so their strength can be right at one distance only.
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
 from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
+from tracer.sampling import CENTRES
 from tracer.scene import Scene, Surfaces
+from tracer.visibility import view_of, visible
 
-__all__ = ["bounds", "nearest", "raster_direction", "visible_points", "window_point"]
+__all__ = ["bounds", "visible_points", "window_point"]
+
+# Rays across the picture and down: the next finer grid is used where one hits too little.
+_GRIDS = 12, 48, 192
 
 
 def bounds(surfaces: Surfaces) -> Floats:
@@ -25,22 +28,17 @@ def bounds(surfaces: Surfaces) -> Floats:
     return np.array([low.min(axis=0), high.max(axis=0)]) if len(low) else np.zeros((2, 3))
 
 
-def visible_points(scene: Scene, grid: int = 12) -> Floats:
-    """What `grid` x `grid` rays spread over the picture hit: points (n, 3), n <= grid^2."""
-    raster = raster_of(scene.camera, grid, grid)
-    found = []
-    for column, row in product(np.arange(grid) + 0.5, repeat=2):
-        direction = raster_direction(raster, column, row)
-        t, _ = nearest(scene.surfaces, raster.eye, direction)
-        if t < np.inf:
-            found.append(raster.eye + t * direction)
-    return np.array(found).reshape(-1, 3)
-
-
-def raster_direction(raster: Raster, column: float, row: float) -> Floats:
-    """Unit direction (3,) of the ray through a point of the picture, in pixels."""
-    direction = window_point(raster, column, row)
-    return direction / np.linalg.norm(direction)
+@np.errstate(all="ignore")
+def visible_points(scene: Scene) -> Floats:
+    """What rays spread evenly over the picture hit: points (n, 3), a dozen or more if they can."""
+    points = np.zeros((0, 3))
+    for grid in _GRIDS:
+        view = view_of(raster_of(scene.camera, grid, grid), scene.surfaces, split=False)
+        hits = visible(view, CENTRES.samples(slice(0, grid), slice(0, grid)))
+        points = np.stack(hits.points(slice(None)), axis=1)
+        if len(points) >= _GRIDS[0]:
+            break
+    return points
 
 
 def window_point(raster: Raster, column: float, row: float) -> Floats:
@@ -48,25 +46,3 @@ def window_point(raster: Raster, column: float, row: float) -> Floats:
     across, down = raster.across(np.asarray(column)), raster.down(np.asarray(row))
     point: Floats = np.array([across, down, raster.depth]) @ raster.axes
     return point
-
-
-def nearest(surfaces: Surfaces, origin: Floats, direction: Floats) -> tuple[float, int]:
-    """Distance to the first surface along one ray, and its index in the file.
-
-    Where the ray meets none, the distance is infinite and the index means nothing.
-    """
-    to_center = surfaces.center - origin
-    along = to_center @ direction
-    aside = to_center - along[:, None] * direction
-    chord2 = surfaces.radius**2 - (aside * aside).sum(axis=1)
-    half = np.sqrt(np.where(chord2 >= 0, chord2, np.nan))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slabs = (np.stack([surfaces.min_pt, surfaces.max_pt]) - origin) / direction
-    enter, leave = slabs.min(axis=0).max(axis=1), slabs.max(axis=0).min(axis=1)
-    slab_hits = np.where(enter <= leave, np.stack([enter, leave]), np.nan)
-    ahead = np.concatenate([np.stack([along - half, along + half]), slab_hits], axis=1)
-    t = np.where(ahead > 0, ahead, np.inf).min(axis=0)
-    if not len(t):
-        return np.inf, 0
-    first = int(t.argmin())
-    return float(t[first]), int(surfaces.file_index[first])

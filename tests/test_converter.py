@@ -17,13 +17,24 @@ import pytest
 from PIL import Image
 from scene_files import ONE_SPHERE, overflowing, small_one
 
-from converters.check import check_scene, doubts, render_mitsuba
+from converters.check import Rendering, check_scene, compare, doubts, render_mitsuba
 from converters.flavours import exact, normalisation, square_height, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
 from reference.regenerate import load_small
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, load_scene
+from tracer import (
+    Box,
+    Camera,
+    Lambertian,
+    Phong,
+    PointLight,
+    Scene,
+    Sphere,
+    Surfaces,
+    load_scene,
+    render,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = sorted((ROOT / "scenes").glob("*.xml"))
@@ -473,6 +484,61 @@ def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
     assert result.judged > 0
     assert result.judged_by == "Mitsuba and the oracle"
     assert "zero-thickness boxes, coincident faces of boxes" in result.report()
+
+
+def test_of_pixels_that_differ_the_oracle_says_who_is_right() -> None:
+    scene = replace(scene_of(Sphere()), width=40, height=40)
+    image = render(scene)
+    other = image.copy()
+    other[:20] += 0.01
+    result = compare(scene, "off", Rendering(other, "scalar_rgb", 0.0))
+    assert result.faults != ()
+    assert (result.judged, result.differing, result.agreed) == (0, 800, result.asked)
+    assert 100 <= result.asked <= 200
+    assert f"asked about {result.asked} of the 800 pixels that differ" in result.report()
+
+
+def test_limits_are_relative_in_bright_pictures() -> None:
+    light = PointLight(position=(3, 4, 5), intensity=(300, 300, 300))
+    result = check_scene(replace(scene_of(Sphere()), lights=(light,)), "bright")
+    assert result.tracer.max() > 200
+    assert result.faults == ()
+
+
+def test_boxes_keep_their_thickness_wherever_they_are() -> None:
+    thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
+    flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
+    for flavour, scale in ((stock, 1.0), (exact, normalisation(scene_of(thin, flat)).scale)):
+        root = ET.fromstring(flavour(scene_of(thin, flat)))
+        halves = [[float(s.get(k, "")) for k in "xyz"] for s in root.iter("scale")]
+        np.testing.assert_allclose(halves[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
+        assert halves[1][0] == pytest.approx(0.5 * scale)
+        assert 0 < halves[1][2] < 3 * scale
+
+
+# The stock flavour's camera and lights.
+
+
+def test_the_window_may_be_measured_in_pixels() -> None:
+    camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
+    root = ET.fromstring(stock(replace(scene_of(Sphere()), camera=camera)))
+    near, far = (float(root.find(f".//*[@name='{k}_clip']").get("value")) for k in ("near", "far"))
+    assert near < 3
+    assert far > 5
+
+
+@pytest.mark.parametrize("z", [-1.0, 50.0])
+@pytest.mark.parametrize("size", [1e-8, 1.0])
+def test_lights_are_as_strong_as_needed_for_what_is_small_or_out_of_view(
+    z: float, size: float
+) -> None:
+    ball = Sphere(center=(0.63 * size, 0.71 * size, z * size), radius=0.05 * size)
+    camera = Camera(view_point=(0, 0, 9 * size), proj_distance=1, view_width=1, view_height=1)
+    light = PointLight(position=(0, 20 * size, z * size))
+    root = ET.fromstring(stock(replace(scene_of(ball), camera=camera, lights=(light,))))
+    strength = float(root.find(".//emitter/rgb").get("value").split()[0])
+    # Reflectances are halved, for blends.
+    assert strength / (2 * np.pi * (19.3 * size) ** 2) == pytest.approx(1, rel=0.02)
 
 
 # Numbers that Mitsuba cannot hold.

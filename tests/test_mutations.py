@@ -8,19 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
 
 from converters.check import MAX_DIFFERENCE, MIN_SSIM, edge_mask, faults
-from converters.visible import nearest, raster_direction
 from reference.compare import figures
 from reference.regenerate import SCENES, load_small, stored
 from tracer import Box, Lambertian, Scene, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
+from tracer.sampling import CENTRES
 from tracer.scene import Surfaces
+from tracer.visibility import view_of
+from tracer.visibility import visible as hits_of
 
 pytestmark = pytest.mark.cross_validation
 
@@ -87,15 +88,14 @@ def boxes_out(scene: Scene) -> Floats:
 
 def visible(scene: Scene) -> tuple[Floats, Floats]:
     """What is seen: points (h, w, 3) and the places of their surfaces (h, w); NaN for nothing."""
-    raster = raster_of(scene.camera, scene.width, scene.height)
-    points = np.full((scene.height, scene.width, 3), np.nan)
-    owner = np.full((scene.height, scene.width), np.nan)
-    for row, column in product(range(scene.height), range(scene.width)):
-        direction = raster_direction(raster, column + 0.5, row + 0.5)
-        t, index = nearest(scene.surfaces, raster.eye, direction)
-        if t < np.inf:
-            points[row, column], owner[row, column] = raster.eye + t * direction, index
-    return points, owner
+    height, width = scene.height, scene.width
+    view = view_of(raster_of(scene.camera, width, height), scene.surfaces, split=False)
+    with np.errstate(all="ignore"):
+        hits = hits_of(view, CENTRES.samples(slice(0, height), slice(0, width)))
+    points, owner = np.full((height * width, 3), np.nan), np.full(height * width, np.nan)
+    points[hits.sample] = np.stack(hits.points(slice(None)), axis=1)
+    owner[hits.sample] = scene.surfaces.file_index[hits.own]
+    return points.reshape(height, width, 3), owner.reshape(height, width)
 
 
 # What is usually asked of SSIM between two renderers.  The last column: whether the mistake passes.
