@@ -285,6 +285,17 @@ def test_a_wire_on_a_row_of_centres(thickness: float, turn: float) -> None:
     no_worse_than_the_uniform_grid(scene)
 
 
+@pytest.mark.parametrize(("up", "roll"), [(-0.081, 0.0133), (-0.012, 0.0164), (0.09, 0.0)])
+def test_a_wire_between_rows_of_samples(up: float, roll: float) -> None:
+    # Where its shadow divides a pixel, a sample for one side may fall onto the wire.
+    wire = Box(min_pt=(-0.2, up - 0.0012, -1), max_pt=(0.9, up + 0.0012, -0.994), shader=RED)
+    wall = Box(min_pt=(-9, -9, -1.5), max_pt=(9, 9, -1.02), shader=Lambertian(diffuse=(0.3,) * 3))
+    camera = Camera(view_up=(roll, 1, 0))
+    lights = [PointLight(position=(0, 1.5, 1))]
+    scene = Scene(camera=camera, width=32, height=32, lights=lights, surfaces=[wire, wall])
+    no_worse_than_the_uniform_grid(scene, numbers=(9, 16, 64))
+
+
 @pytest.mark.parametrize("part", [0.1, 0.3, 0.7])
 @pytest.mark.parametrize("slope", [1e-2, 2e-3])
 def test_a_wall_through_a_floor_seen_at_a_low_angle(slope: float, part: float) -> None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, equal_runs, ranges
-from tracer.crossings import crossed, outlines_across, spans_of
+from tracer.crossings import crossed, ends_of, outlines_across
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
@@ -77,12 +77,13 @@ def antialiased(
     """
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
-    spans = spans_of(lighting.view.outlines, top, height, per_side)
-    if not spans.owner.size:
+    ends = ends_of(lighting.view.outlines, top, height)
+    if not ends.owner.size:
         return
     # Nothing is seen to the left and to the right of all objects.
-    begin = max(columns.start, int(spans.left.min()) - 1)
-    end = min(columns.stop, int(spans.right.max()) + 2)
+    leftmost, rightmost = ends.columns()
+    begin = max(columns.start, int(leftmost) - 1)
+    end = min(columns.stop, int(rightmost) + 2)
     if begin >= end:
         return
     out = out[:, begin - columns.start : end - columns.start]
@@ -98,7 +99,7 @@ def antialiased(
         look(lighting, strip, 1.0, tolerance, seen, places)
     bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
-    row, column, owner = crossed(spans, left, height, width, per_side)
+    row, column, owner = crossed(ends, across)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
     pixels = Cells(
         1.0,

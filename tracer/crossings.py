@@ -5,82 +5,113 @@ So objects are found as well that the samples in the middles of pixels miss.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, each, expand, pick
 from tracer.edges import BEND, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
-from tracer.outlines import Outlines, Spans
+from tracer.outlines import Outlines
 from tracer.visibility import View
 
-__all__ = ["crossed", "outlines_across", "spans_of"]
+__all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
 
 # A limb passes for straight if it turns by less than this, in radians, times the tolerance.
 _TURN = 57.0
+
+# What is so near to the line between two rows of pixels lies in both.
+_ON_LINE = 1e-6
 
 # Within this distance of its limb, in half cells, light on a sphere is a function of the distance.
 _NEAR_LIMB = 6.0
 
 
-def spans_of(outlines: Outlines, top: int, height: int, per_side: int) -> Spans:
-    """Spans of all objects in the scan lines of some rows of pixels, and in one more either way.
+class Ends(NamedTuple):
+    """Where objects begin and end in rows of pixels.
 
-    Each pixel has several scan lines: see `_rows_in`.  Row 0 of the spans is the one above.
+    Known are the spans on the lines above and below each row, and in between the places where an
+    outline turns: the corners of boxes, and the extreme points of spheres.
+
+    Attributes
+    ----------
+    owner : (n,)
+        The object, of all, spheres first.
+    row : (n,)
+        Which row of pixels.
+    begin, end : (n,)
+        In pixels from the picture's left edge; NaN for what is no beginning, or no end.
+    on_line : (n,)
+        Whether this is a span.
     """
-    place = _rows_in(per_side)
-    y = np.add.outer(np.arange(top, top + height), place).ravel()
-    y = np.concatenate([[top - 1 + place[-1]], y, [top + height + place[0]]])
-    spheres, boxes = outlines.sphere_spans(y), outlines.box_spans(y)
-    boxes = boxes._replace(owner=boxes.owner + len(outlines.radius))
-    return Spans(*(np.concatenate(pair) for pair in zip(spheres, boxes, strict=True)))
+
+    owner: Ints
+    row: Ints
+    begin: Floats
+    end: Floats
+    on_line: Bools
+
+    def columns(self) -> tuple[float, float]:
+        """The leftmost and the rightmost place of all."""
+        both = np.append(self.begin, self.end)
+        return float(np.nanmin(both)), float(np.nanmax(both))
 
 
-def _rows_in(per_side: int) -> Floats:
-    """Scan lines in a pixel, from 0 to 1: rows of the grid that is asked for, and the centre's."""
-    place = (np.arange(per_side) + 0.5) / per_side
-    return place if per_side % 2 else np.insert(place, per_side // 2, 0.5)
+def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
+    """The ends of all objects, in so many rows of pixels from the `top` on."""
+    lines = np.arange(top, top + height + 1, dtype=np.float64)
+    spheres, boxes = outlines.sphere_spans(lines), outlines.box_spans(lines)
+    owner = np.append(spheres.owner, boxes.owner + len(outlines.radius))
+    line, left, right = (
+        np.append(getattr(spheres, name), getattr(boxes, name)) for name in ("row", "left", "right")
+    )
+    turned, x, y, begins, ends = outlines.turns
+    y = y - top
+    at = np.flatnonzero((y > -1) & (y < height + 1))
+    x, y, turned = np.clip(x[at], -1.0, outlines.raster.width + 1.0), y[at], turned[at]
+    begin, end = np.where(begins[at], x, np.nan), np.where(ends[at], x, np.nan)
+    # A line is the lower end of one row and the upper of the next; so is what lies on it.
+    row, above = (np.floor(y + m).astype(np.intp) for m in (_ON_LINE, -_ON_LINE))
+    both = np.flatnonzero(above != row)
+    found = Ends(
+        np.concatenate([owner, owner, turned, turned[both]]),
+        np.concatenate([line - 1, line, row, above[both]]),
+        np.concatenate([left, left, begin, begin[both]]),
+        np.concatenate([right, right, end, end[both]]),
+        np.repeat([True, False], [2 * owner.size, at.size + both.size]),
+    )
+    inside = np.flatnonzero((found.row >= 0) & (found.row < height))
+    fields: Any = (m[inside] for m in found)
+    return Ends(*fields)
 
 
-def crossed(
-    spans: Spans, left: int, height: int, width: int, per_side: int
-) -> tuple[Ints, Ints, Ints]:
+def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: pixels that an outline may cross.
 
-    An outline is known by where the object's spans begin and end: in the scan
-    lines of a row of pixels, and in the nearest one above and below.  The outline
-    crosses the pixels from the leftmost to the rightmost of these beginnings, and
-    likewise of the ends.  If some of these lines miss the object, its outline
-    closes in between: then it may cross any pixel in which the object is.
+    An outline crosses the pixels from the leftmost to the rightmost beginning of its object in a
+    row, and likewise of the ends.  If the object misses the line above or below, its outline closes
+    in between: then it may cross any pixel in which the object is.
     """
-    owner, line, begin, end = spans.owner, spans.row - 1, spans.left, spans.right
-    rows = _rows_in(per_side).size
-    # A pixel's first scan line is also the nearest one below the pixel above, and so on.
-    above, below = (np.flatnonzero(line % rows == k) for k in (0, rows - 1))
-    span = np.concatenate([np.arange(line.size), above, below])
-    row = line // rows
-    row = np.concatenate([row, row[above] - 1, row[below] + 1])
-    keep = np.flatnonzero((row >= 0) & (row < height))
-    span, row = span[keep], row[keep]
-    order = np.lexsort((row, owner[span]))
-    span, row = span[order], row[order]
-    first = np.flatnonzero(
-        (np.diff(row, prepend=-1) != 0) | (np.diff(owner[span], prepend=-1) != 0)
-    )
-    if not first.size:
-        return first, first, first
+    if not found.owner.size:
+        return found.owner, found.owner, found.owner
+    order = np.lexsort((found.row, found.owner))
+    owner, row = found.owner[order], found.row[order]
+    begin, end = found.begin[order], found.end[order]
+    first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(owner, prepend=-1) != 0))
     (left_min, left_max), (right_min, right_max) = (
-        (np.minimum.reduceat(m[span], first), np.maximum.reduceat(m[span], first))
-        for m in (begin, end)
+        (np.fmin.reduceat(m, first), np.fmax.reduceat(m, first)) for m in (begin, end)
     )
-    whole = (np.diff(first, append=row.size) < rows + 2) | (left_max + 1 >= right_min)
+    closes = np.add.reduceat(found.on_line[order], first, dtype=np.intp) < 2
+    whole = closes | (left_max + 1 >= right_min)
     apart = np.flatnonzero(~whole)
-    start = np.concatenate([left_min, right_min[apart]])
-    stop = np.concatenate([np.where(whole, right_max, left_max), right_max[apart]])
-    row, owner = (np.concatenate([m, m[apart]]) for m in (row[first], owner[span][first]))
-    start, stop = (np.floor(m).astype(np.intp) - left for m in (start, stop))
-    start = np.maximum(start, 0)
-    each_one, column = expand(np.maximum(np.minimum(stop + 1, width) - start, 0), start)
-    return row[each_one], column, owner[each_one]
+    far = np.where(whole, np.fmax(left_max, right_max), left_max)
+    start = np.append(np.where(whole, np.fmin(left_min, right_min), left_min), right_min[apart])
+    stop = np.append(far, right_max[apart])
+    row, owner = (np.append(m, m[apart]) for m in (row[first], owner[first]))
+    start, stop = (np.floor(m).astype(np.intp) for m in (start, stop))
+    start = np.maximum(start, columns.start)
+    each_one, column = expand(np.maximum(np.minimum(stop + 1, columns.stop) - start, 0), start)
+    return row[each_one], column - columns.start, owner[each_one]
 
 
 def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines:

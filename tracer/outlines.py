@@ -8,9 +8,10 @@ silhouette edges for a box.  What lies outside them is never looked at again.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from itertools import product
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from tracer.scene import Surfaces
 __all__ = [
     "Outlines",
     "Spans",
+    "Turns",
     "box_corners",
     "outlines_of",
     "silhouette_planes",
@@ -66,6 +68,35 @@ class Frames(NamedTuple):
     right: Floats
 
 
+class Turns(NamedTuple):
+    """Where outlines turn: the extreme points of spheres, and all corners of boxes.
+
+    Attributes
+    ----------
+    owner : (n,)
+        The object, of all, spheres first.
+    x, y : (n,)
+        In pixels from the picture's upper left corner.
+    begins, ends : (n,)
+        Whether the object may begin there in a row of pixels, and whether it may end.
+    """
+
+    owner: Ints
+    x: Floats
+    y: Floats
+    begins: NDArray[np.bool_]
+    ends: NDArray[np.bool_]
+
+    @classmethod
+    def joined(cls, turns: Iterable[Turns]) -> Turns:
+        """All that are before the eye: the others have places that are not finite."""
+        none, no = np.zeros(0), np.zeros(0, dtype=np.bool_)
+        parts = [cls(np.zeros(0, dtype=np.intp), none, none, no, no), *turns]
+        every: Any = [np.concatenate(m) for m in zip(*parts, strict=True)]
+        there = np.flatnonzero(np.isfinite(every[1]) & np.isfinite(every[2]))
+        return cls(*(m[there] for m in every))
+
+
 class Outlines(NamedTuple):
     """What all rows share: each object's place in the camera's axes.
 
@@ -82,6 +113,8 @@ class Outlines(NamedTuple):
     shaped : (b,)
         Whether a box has such planes; if not, its frame serves as its outline.
     box_frames : Frames
+    turns : Turns
+        Of all objects; none unless pixels are split.
     """
 
     raster: Raster
@@ -92,10 +125,11 @@ class Outlines(NamedTuple):
     edges: Triple
     shaped: NDArray[np.bool_]
     box_frames: Frames
+    turns: Turns
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _rows_in_frames(self.sphere_frames, rows, pad)
+        owner, row = _rows_in_frames(self.sphere_frames, rows, self.raster.width, pad)
         disc = disc_in_row(
             self.raster.down(rows)[row],
             self.raster.depth,
@@ -110,7 +144,7 @@ class Outlines(NamedTuple):
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _rows_in_frames(self.box_frames, rows, pad)
+        owner, row = _rows_in_frames(self.box_frames, rows, self.raster.width, pad)
         left, right = self.box_frames.left[owner], self.box_frames.right[owner]
         at = np.flatnonzero(self.shaped[owner])
         box, g = owner[at], self.raster.down(rows)[row[at]]
@@ -191,11 +225,11 @@ class Outlines(NamedTuple):
 
     def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
         # One column more than the picture has on either side: antialiasing looks there.
-        left = np.maximum(left - pad, -1.0)
-        right = np.minimum(right + pad, self.raster.width + 1.0)
         keep = np.flatnonzero(left <= right)
         keep = keep[np.argsort(row[keep], kind="stable")]
-        return Spans(owner[keep], row[keep], left[keep], right[keep])
+        low, high = -1.0, self.raster.width + 1.0
+        left, right = np.clip(left[keep] - pad, low, high), np.clip(right[keep] + pad, low, high)
+        return Spans(owner[keep], row[keep], left, right)
 
 
 def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
@@ -216,13 +250,58 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         raster.column(right * raster.depth),
     )
     boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, 0.0 if split else _SMALL)
-    return Outlines(raster, (u, v, w), radius, power, frames, *boxes)
+    turns: list[Turns] = []
+    if split:
+        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, frames))
+        turns.extend(_turns_of_boxes(raster, surfaces))
+    return Outlines(raster, (u, v, w), radius, power, frames, *boxes, Turns.joined(turns))
 
 
-def _rows_in_frames(frames: Frames, rows: Floats, pad: float) -> tuple[Ints, Ints]:
+def _turns_of_spheres(
+    raster: Raster, center: Triple, radius: Floats, frames: Frames
+) -> Iterator[Turns]:
+    """The leftmost, rightmost, uppermost and lowest points.
+
+    A plane through the eye that touches a sphere, and is parallel to an axis of the camera, does so
+    where the centre is along that axis.
+    """
+    u, v, w = center
+    every = np.arange(radius.size)
+    yes, no = np.repeat([[True], [False]], radius.size, axis=1)
+
+    def ahead(slope: Floats, side: int) -> Floats:
+        """How many times as far ahead as the window a plane touches."""
+        found = w + side * radius * slope / np.sqrt(slope * slope + raster.depth**2)
+        return np.where(found > 0, found, np.nan) / raster.depth
+
+    for x, side in ((frames.left, 1), (frames.right, -1)):
+        y = raster.row(v / ahead(raster.across(x), side))
+        yield Turns(every, x, y, *((yes, no) if side == 1 else (no, yes)))
+    for y, side in ((frames.top, 1), (frames.bottom, -1)):
+        x = raster.column(u / ahead(raster.down(y), side))
+        yield Turns(every, x, y, yes, yes)
+
+
+def _turns_of_boxes(raster: Raster, surfaces: Surfaces) -> Iterator[Turns]:
+    """All corners, whether on the outline or not.
+
+    Those to the left of their box's middle are taken for beginnings, the others for ends.  If that
+    is wrong, what lies between a corner and the true beginnings counts as crossed as well.
+    """
+    u, v, w = _local_corners(raster, surfaces.min_pt, surfaces.max_pt)
+    ahead = np.where(w > 0, w, np.nan) / raster.depth
+    x, y = raster.column(u / ahead), raster.row(v / ahead)
+    left = x < x.mean(axis=0)
+    every = np.arange(len(surfaces.min_pt)) + surfaces.sphere_count
+    for corner in zip(x, y, left, ~left, strict=True):
+        yield Turns(every, *corner)
+
+
+def _rows_in_frames(frames: Frames, rows: Floats, width: int, pad: float) -> tuple[Ints, Ints]:
     """Pairs (object, row) with the row inside the object's frame."""
     top, bottom = frames.top - pad, frames.bottom + pad
-    at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]))
+    beside = (frames.left - pad > width + 1) | (frames.right + pad < -1)
+    at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
     first = np.searchsorted(rows, top[at])
     last = np.searchsorted(rows, bottom[at], side="right")
     which, row = expand(np.maximum(last - first, 0), first)
