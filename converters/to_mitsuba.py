@@ -1,14 +1,14 @@
-"""Turn scene files into Mitsuba 3 scenes, and hold the two renderers against each other.
+"""Turn scene files into Mitsuba 3 scenes, and compare the two renderers.
 
 python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml, stock plugins
-python -m converters.to_mitsuba --exact SCENE.xml ...    the same by this project's plugins
+python -m converters.to_mitsuba --exact SCENE.xml ...    the same, by this project's plugins
 python -m converters.to_mitsuba --render SCENE.xml ...   writes NAME.mitsuba.png and .exr
 python -m converters.to_mitsuba --check SCENE.xml ...    compares, and writes NAME.check.png
 
 There are two flavours. The default uses stock plugins only and opens in the plain mitsuba
-command; its lights fall off and its highlights are alike, not the same. The exact flavour
-(--exact, and always what --render and --check use) names four small plugins of this project
-and loads with mitsuba.load_file after "import converters.plugins".
+command; its lights fall off with distance, and its highlights are similar, not the same. The
+exact flavour (--exact, and always what --render and --check use) names four small plugins of
+this project and loads with mitsuba.load_file after "import converters.plugins".
 
 Converting needs no Mitsuba. --render and --check need it ("pip install .[reference]").
 """
@@ -137,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         " a folder that ends in / is made if it is missing",
     )
     parser.add_argument(
-        "--exact", action="store_true", help="name this project's plugins: the same picture"
+        "--exact", action="store_true", help="use this project's plugins, for the same picture"
     )
     parser.add_argument(
         "--samples",

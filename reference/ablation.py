@@ -1,9 +1,9 @@
-"""What each part of the tracer buys: the same pictures with one part after the other left out.
+"""What each part of the tracer buys: the same pictures, with one part at a time left out.
 
     python -m reference.ablation [--quick]
 
 writes `ablation.csv` into this folder, and its tables into the study, `README.md`.
-Everything runs in turns, in one process unless a line says two.  At one sample a pixel no part
+Everything is timed in turns, in one process unless a line says two.  At one sample a pixel no part
 changes what is seen or which lights reach it; antialiasing is judged by time and error.
 """
 
@@ -189,8 +189,7 @@ def _antialiased(quick: bool) -> Table:
             row += [spent[part.name], truth.error(_render(scene, part, _SAMPLES))]
     return Table(
         f"{_SAMPLES} samples a pixel",
-        "Milliseconds with all parts, then how many times as long; and the error of either."
-        " 320×180.",
+        "Milliseconds with all parts, then how many times as long; and the error of each. 320×180.",
         tuple(header),
         [tuple(row) for row in rows],
     )

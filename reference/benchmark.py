@@ -1,10 +1,10 @@
-"""How fast, beside compiled renderers, in one run.
+"""How fast the tracer is beside compiled renderers, measured in one run.
 
     python -m reference.benchmark [--quick]
 
 writes `benchmark.md` and `benchmark.csv` into this folder, and the tables that the
 README quotes into the README.  What is compared is run in turns; times are
-medians, with the fastest and the slowest behind.  The tracer renders fresh
+medians, followed by the fastest and the slowest.  The tracer renders fresh
 scenes, each once; Mitsuba renders one scene again and again, its kernels
 compiled and its scene built before the clock starts.
 """
@@ -142,10 +142,11 @@ def warm(rounds: int, quick: bool) -> Table:
     return Table(
         "Warm: rendering alone",
         "Milliseconds in process, one sample a pixel: median (fastest–slowest) of at least"
-        f" {rounds}, taken in turns with pauses of 20 ms: Mitsuba's threads keep spinning as long."
-        f" Mitsuba {variant}, scene and kernels ready, as is the tracer's helper. Exact: the same"
-        " picture, by this project's plugins; stock: a similar one by its own, with one light a"
-        " sample, in turns with a second timing of the tracer, over which its speedup is.",
+        f" {rounds}, taken in turns with pauses of 20 ms: Mitsuba's threads keep spinning that"
+        f" long. Mitsuba {variant}, scene and kernels ready, as is the tracer's helper. Exact: the"
+        " same picture, by this project's plugins; stock: a similar one by Mitsuba's own, with one"
+        " light a sample, in turns with a second timing of the tracer, to which its speedup"
+        " refers.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )
@@ -179,7 +180,7 @@ def compact(table: Table) -> Table:
         table.title,
         "The tracer's milliseconds in process, one sample a pixel, and its speedup over Mitsuba"
         f" {use().variant}, scene and kernels ready, for the same picture by this project's"
-        " plugins (its stock ones draw a similar picture, with one light a sample);"
+        " plugins (Mitsuba's stock ones draw a similar picture, with one light a sample);"
         " [all figures](reference/benchmark.md).",
         ("scene", *chain(*((size, "speedup") for size in columns))),
         rows,
@@ -216,10 +217,10 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         rows.append((f"{count:,}", whole, first, ours, shapes, merged, *speedups))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",
-        "Milliseconds. From a scene's text to its first picture, then warm. Mitsuba with a shape"
+        "Milliseconds, first from a scene's text to its picture, then warm. Mitsuba with a shape"
         " per object; and with all objects merged into one mesh of one material, spheres as"
         " icosahedra (the wrong picture, its fastest geometry). Objects shrink as N grows: together"
-        " they cover about as much. The tracer's time grows as"
+        " they cover about the same area. The tracer's time grows as"
         f" N^{growth_exponent(counts, timings):.2f}, in the last step as"
         f" N^{growth_exponent(counts[-2:], timings[-2:]):.2f}.",
         (

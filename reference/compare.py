@@ -1,6 +1,6 @@
 """Compare two pictures: figures, a three-part picture, and the kind of difference.
 
-``python -m reference.compare A.png B.png`` holds A against B, the right one.
+``python -m reference.compare A.png B.png`` compares A with B, the right one.
 """
 
 from __future__ import annotations
@@ -230,16 +230,16 @@ def _deep(codec: str, coding: Any) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m reference.compare",
-        description="Hold picture A against B, the right one: figures in linear light, the kind"
+        description="Compare picture A with B, the right one: figures in linear light, the kind"
         " of difference, and a picture of A, B and the difference.",
         epilog="Exit status: 0 within the tolerances, 1 beyond them, 2 wrong usage or a picture"
-        " that cannot be read.  Without a tolerance any difference is beyond.",
+        " that cannot be read.  Without a tolerance, any difference exits with 1.",
     )
     parser.add_argument("a", metavar="A.png", type=Path, help="the picture in question")
     parser.add_argument("b", metavar="B.png", type=Path, help="the right one")
-    parser.add_argument("--ssim", type=float, metavar="S", help="least SSIM that is within")
+    parser.add_argument("--ssim", type=float, metavar="S", help="least SSIM that is tolerated")
     parser.add_argument(
-        "--max", type=float, metavar="M", help="largest linear difference that is within"
+        "--max", type=float, metavar="M", help="largest linear difference that is tolerated"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PATH", help="the comparison (A.compare.png)"

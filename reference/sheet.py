@@ -1,7 +1,7 @@
 """Draw the README's pictures: ``python -m reference.sheet``.
 
 Writes ``sheet.png``, a picture of every scene of ``scenes/``, and
-``sunflower.png``, one of them in large, into this folder.
+``sunflower.png``, a large picture of one of them, into this folder.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""The speed-accuracy chart: how long a renderer takes to come how near to the true picture.
+"""The speed-accuracy chart: how long each renderer takes to come how near to the true picture.
 
     python -m reference.speed_accuracy [--quick | --redraw]
 
 writes `speed_accuracy.svg`, `.png` and `.csv` into this folder.  The error is the
 root mean square of the linear radiance, over evenly spread rows of the picture,
-against 129 x 129 samples in every pixel, traced one by one; only these are kept,
-in the `build` folder.  From one number of samples to the next, four times as
-large, all methods are timed in turns; those that would take too long stop.
-Mitsuba's scalar variant would be held up by this project's plugins, which are
+against 129 x 129 samples in every pixel, traced one by one; these rows are
+kept in the `build` folder.  At each number of samples, four times the one before,
+all methods are timed in turns; those that would take too long stop.
+Mitsuba's scalar variant would be slowed down by this project's plugins, which are
 written in Python: its times are those of the stock plugins, its errors those of
 the same samples in LLVM.
 """

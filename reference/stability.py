@@ -3,7 +3,7 @@
     python -m reference.stability [--quick]
 
 writes `stability.svg`, `.png` and `.csv` into this folder.  Every point is a
-small picture of a scene that gets harder along the axis, held against the same
+small picture of a scene that gets harder along the axis, compared with the same
 picture in 50-digit decimals.  The left column shows the largest error of the
 radiance, the right one the share of pixels that are decided wrongly: hit or
 missed, lit or in shadow.

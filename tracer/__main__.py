@@ -28,11 +28,11 @@ examples:
   tracer scenes/one-sphere.xml          write scenes/one-sphere.xml.png
   tracer scenes/*.xml -o pictures/      write every picture to a folder
   tracer room.xml -o room.png --samples 16
-                                        smooth edges, as with 16 samples a pixel
+                                        smooth edges, as good as 16 samples a pixel
 
 exit status:
-  0  all scenes are rendered
-  1  some scene could not be read, rendered or written; the others are
+  0  all scenes were rendered
+  1  some scene could not be read, rendered or written; the others were
   2  wrong usage
 """
 
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="tracer",
-        description="Render scenes; each picture is written beside its file, as SCENE.xml.png.",
+        description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
         epilog=_EXAMPLES,
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
@@ -108,9 +108,9 @@ def _parser() -> argparse.ArgumentParser:
         type=at_least(0),
         default=0,
         metavar="N",
-        help="processors to use, of those there are (default: 0, as many as pay)",
+        help="processors to use, at most all there are (default: 0, one or two, whichever pays)",
     )
-    parser.add_argument("--quiet", action="store_true", help="say nothing but what goes wrong")
+    parser.add_argument("--quiet", action="store_true", help="report only what goes wrong")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
