@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import permutations
 from typing import TypeAlias
 
 import numpy as np
@@ -26,8 +27,14 @@ GAMMA = 2.2
 
 # A hypothesis may leave this part of the differing pixels unexplained.
 _EXACT, _SUBPIXEL = 0.02, 0.1
+# Levels up to this far apart, in codes, count as equal.
+_NOISE = 2
 # Neighbours further apart than this, in codes, have an edge between them.
 _EDGE = 8
+# What holds for this part of the differing pixels counts as true of all.
+_NEARLY_ALL = 0.95
+# Of so small a part of the picture no kind is told.
+_FEW = 0.001
 # A difference ends sharply if, where it ends, it is larger than this part of its maximum.
 _SHARP = 0.22
 
@@ -80,6 +87,10 @@ def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
         return Diagnosis("identical", "The pictures are identical.")
     if difference.max() == 1:
         return _rounding(x, y)
+    if not a.any():
+        return Diagnosis("black", "A is black.")
+    if not b.any():
+        return Diagnosis("black", "B is black, and A is not.")
     differing = int(np.count_nonzero((difference > 1).any(axis=2)))
     best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
     if _unexplained(x, best) <= _EXACT * differing:
@@ -104,8 +115,8 @@ def _rounding(a: Codes, b: Codes) -> Diagnosis:
     changed = (a != b).any(axis=2)
     count, lit = int(np.count_nonzero(changed)), int(np.count_nonzero(b.any(axis=2)))
     if count < 0.01 * lit:
-        some = "One pixel differs" if count == 1 else f"{count} pixels differ"
-        return Diagnosis("rounding", f"{some} by one level: rounding, nothing to worry about.")
+        text = f"{_differ(count)} by one level: rounding, nothing to worry about."
+        return Diagnosis("rounding", text)
     if (a <= b).all():
         return Diagnosis(
             "cut off", "One level of rounding: A is cut off where it should be rounded."
@@ -119,6 +130,10 @@ def _rounding(a: Codes, b: Codes) -> Diagnosis:
     )
 
 
+def _differ(count: int) -> str:
+    return "One pixel differs" if count == 1 else f"{count} pixels differ"
+
+
 def _unexplained(a: Codes, guess: _Hypothesis) -> int:
     outside = (a < guess.low) | (a > guess.high)
     return int(np.count_nonzero(outside.any(axis=2)))
@@ -130,10 +145,13 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
         ("mirrored", "A is mirrored: left and right are swapped.", b[:, ::-1]),
         ("flipped", "A is upside down: row 0 should be the top.", b[::-1]),
         ("turned", "A is turned by 180 degrees.", b[::-1, ::-1]),
-        ("channels", "Red and blue are swapped in A.", b[:, :, ::-1]),
         ("inverted", "A is the negative of B.", 255 - b),
     ):
         yield _Hypothesis(kind, text, image - 1.0, image + 1.0)
+    for order in list(permutations(range(3)))[1:]:  # the first is the right one
+        names = ", ".join(("red", "green", "blue")[channel] for channel in order)
+        text = f"A's channels are in another order: {names}."
+        yield _Hypothesis("channels", text, b[:, :, order] - 1.0, b[:, :, order] + 1.0)
     steps, (height, width) = (-2, -1, 0, 1, 2), b.shape[:2]
     for right in steps:
         for down in steps:
@@ -147,8 +165,9 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
 
 def _tones(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
     """Hypotheses that map levels to other levels."""
-    # B's light is known to within the half level by which it was rounded.
-    low, high = linear(np.maximum(b - 0.5, 0)), linear(b + 0.5)
+    # B's light is known to within the half level by which it was rounded, unless it is clipped.
+    low = linear(np.maximum(b - 0.5, 0))
+    high = np.where(b < 255, linear(b + 0.5), np.inf)
 
     def tone(kind: str, text: str, curve: Callable[[Floats], Floats]) -> _Hypothesis:
         levels = [np.round(255 * np.clip(curve(light), 0, 1)) for light in (low, high)]
@@ -260,23 +279,31 @@ def _between(shift: float) -> set[int]:
 def _regional(a: Codes, b: Codes) -> Diagnosis:
     """Diagnosis by where the difference lies, its sign, and how it ends."""
     change = a - b
-    differs: Bools = np.abs(change).max(axis=2) > 2
+    differs: Bools = np.abs(change).max(axis=2) > _NOISE
     if not differs.any():
         return Diagnosis("rounding", "Two levels at most: rounding, or noise.")
-    light = (linear(a) - linear(b)).mean(axis=2)
-    brighter = float((light[differs] > 0).mean())
     empty: Bools = b.max(axis=2) == 0
-    share = np.count_nonzero(differs) / differs.size
-    if empty[differs].mean() > 0.9 and np.ptp(a[differs & empty], axis=0).max() <= 2:
+    count, share = int(np.count_nonzero(differs)), float(differs.mean())
+    behind = differs & empty
+    if np.count_nonzero(behind) > max(0.9 * count, 0.5 * np.count_nonzero(empty)) and (
+        np.ptp(a[behind], axis=0).max() <= _NOISE
+    ):
         return Diagnosis("background", "A's background is not black.")
-    if 0.05 < brighter < 0.95 and (_edges(a) | _edges(b))[differs].mean() > 0.95:
+    # In every channel: of another colour, one may be brighter and another darker.
+    brighter = bool((change[differs] >= -_NOISE).all(axis=1).mean() > _NEARLY_ALL)
+    darker = bool((change[differs] <= _NOISE).all(axis=1).mean() > _NEARLY_ALL)
+    few = share < _FEW
+    at_edges = (_edges(a) & _edges(b))[differs].mean() > _NEARLY_ALL
+    if at_edges and (few or not (brighter or darker)):
         return Diagnosis(
             "edges",
             "Only edges differ: A or B is anti-aliased, or samples lie elsewhere in the pixel.",
         )
+    if few:
+        return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
     same_outline = np.mean(a.any(axis=2) == b.any(axis=2)) > 0.99
     if same_outline and differs[~empty].mean() > 0.97:
-        if brighter > 0.95:
+        if brighter:
             return Diagnosis(
                 "brightness",
                 "A is brighter everywhere, not by one factor: an ambient term, or other lights.",
@@ -286,25 +313,36 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
             "Everything is lit otherwise, not by one factor: lights that fall off with distance,"
             " or other colours.",
         )
-    sharp = _sharpness(a, b, differs, np.abs(light)) > _SHARP
-    if brighter > 0.95:
-        if sharp:
-            return Diagnosis(
-                "missing shadows", f"Shadows are missing in A ({share:.1%} of its pixels)."
-            )
-        return Diagnosis("highlights", "Highlights are stronger or larger in A.")
-    if brighter < 0.05:
-        if sharp:
-            return Diagnosis(
-                "extra shadows",
-                "A has shadows that B has not: surfaces that shadow themselves, or a light that"
-                " is missing.",
-            )
-        return Diagnosis("missing highlight", "Highlights are missing, or weaker, in A.")
+    if brighter or darker:
+        return _one_sided(a, b, differs, brighter=brighter)
     return Diagnosis(
         "other",
         f"{share:.1%} of the pixels differ, in no way that is known: look at the geometry, the"
         " camera and the shaders.",
+    )
+
+
+def _one_sided(a: Codes, b: Codes, differs: Bools, *, brighter: bool) -> Diagnosis:
+    """Diagnosis of a part of A that is brighter than in B, or darker, by how it ends."""
+    size = np.abs(linear(a) - linear(b)).mean(axis=2)
+    if _sharpness(a, b, differs, size) > _SHARP:
+        if brighter:
+            return Diagnosis(
+                "missing shadows",
+                f"Shadows are missing in A ({differs.mean():.1%} of its pixels), or it has a light"
+                " or an object too many.",
+            )
+        return Diagnosis(
+            "extra shadows",
+            "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a light"
+            " or an object.",
+        )
+    if brighter:
+        return Diagnosis(
+            "highlights", "Highlights are stronger or larger in A, or it has a light too many."
+        )
+    return Diagnosis(
+        "missing highlight", "Highlights are missing, or weaker, in A, or it lacks a light."
     )
 
 

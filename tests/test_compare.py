@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zlib
 from functools import cache
+from itertools import permutations
 from pathlib import Path
 from typing import IO
 
@@ -143,6 +144,13 @@ def test_brightness(light: NDArray[np.float64], right: Image8, factor: float, wo
     assert words in diagnosis.text
 
 
+@pytest.mark.parametrize("factor", [0.95, 0.5, 0.318])
+def test_darker_than_what_was_clipped(factor: float) -> None:
+    """Where B is 255, its light may be any that is brighter."""
+    wrong = codes(factor * tracer.render(scene("highlights")))
+    assert f"darker by a factor of {factor} in" in diagnose(wrong, right_codes("highlights")).text
+
+
 # Samples that lie to the right move the picture to the left.
 @pytest.mark.parametrize("name", ["four-spheres", "one-box", "sticks-perspective", "room"])
 @pytest.mark.parametrize(
@@ -185,11 +193,22 @@ def test_stretched() -> None:
         ("mirrored", np.s_[:, ::-1]),
         ("flipped", np.s_[::-1]),
         ("turned", np.s_[::-1, ::-1]),
-        ("channels", np.s_[:, :, ::-1]),
     ],
 )
 def test_turned_round(right: Image8, kind: str, view: tuple[slice, ...]) -> None:
     assert diagnose(right[view], right).kind == kind
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3)))[1:])
+def test_exchanged_channels(right: Image8, order: tuple[int, ...]) -> None:
+    names = ", ".join(("red", "green", "blue")[channel] for channel in order)
+    text = f"A's channels are in another order: {names}."
+    assert diagnose(right[:, :, order], right).text == text
+
+
+def test_black(right: Image8) -> None:
+    assert diagnose(0 * right, right).text == "A is black."
+    assert diagnose(right, 0 * right).text == "B is black, and A is not."
 
 
 def test_negative(right: Image8) -> None:
@@ -210,6 +229,14 @@ def test_missing_highlights(name: str) -> None:
     wrong, right = codes(without_highlights(full)), codes(tracer.render(full))
     assert diagnose(wrong, right).kind == "missing highlight"
     assert diagnose(right, wrong).kind == "highlights"
+
+
+@pytest.mark.parametrize("name", ["highlights", "sunflower", "four-spheres"])
+def test_missing_light(name: str) -> None:
+    full = scene(name)
+    wrong = codes(tracer.render(dataclasses.replace(full, lights=full.lights[1:])))
+    assert "or it lacks a light" in diagnose(wrong, right_codes(name)).text
+    assert "or it has a light" in diagnose(right_codes(name), wrong).text
 
 
 def test_lights_that_fall_off(light: NDArray[np.float64], right: Image8) -> None:
@@ -235,11 +262,38 @@ def test_antialiased(right: Image8) -> None:
     assert diagnose(codes(smooth), right).kind == "edges"
 
 
+@pytest.mark.parametrize("name", ["one-box", "four-spheres", "highlights"])
+def test_a_few_pixels_at_edges(name: str) -> None:
+    """Samples a thousandth of a pixel away: up to three pixels differ, all in one direction."""
+    moved = codes(tracer.render(scene(name), offset=(1e-3, 1e-3)))
+    assert diagnose(moved, right_codes(name)).kind == "edges"
+    assert diagnose(right_codes(name), moved).kind == "edges"
+
+
+def test_a_few_pixels_elsewhere(right: Image8) -> None:
+    other = right.copy()
+    other[280, 150:153] //= 2
+    assert diagnose(other, right).text == "3 pixels differ: too few to tell why."
+
+
+def test_noise(right: Image8) -> None:
+    """Both brighter and darker, and with edges of its own."""
+    noise = np.random.default_rng(1).integers(-20, 21, right.shape)
+    assert diagnose(np.clip(right + noise, 0, 255).astype(np.uint8), right).kind == "other"
+
+
 @pytest.mark.parametrize("shape", [(2000, 1, 3), (1, 2000, 3), (2, 2, 3)])
 def test_a_shift_leaves_most_of_the_picture(shape: tuple[int, ...]) -> None:
     """One by the whole width would explain any picture."""
     a, b = np.random.default_rng(1).integers(0, 256, (2, *shape), dtype=np.uint8)
     assert diagnose(a, b).kind != "shifted"
+
+
+def test_two_faults(light: NDArray[np.float64], right: Image8) -> None:
+    """Mirrored and without gamma: nearly all is darker, but not in every channel."""
+    wrong = np.round(255 * np.clip(light, 0, 1)).astype(np.uint8)[:, ::-1]
+    assert diagnose(wrong, right).kind == "other"
+    assert diagnose(right, wrong).kind == "other"
 
 
 def test_another_scene(right: Image8) -> None:
