@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from reference.command import spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
+from tracer.command import end, say
 from tracer.image import quantise, whole_file
 from tracer.reader import printable
 
@@ -256,7 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _compare(options, output)
     except MemoryError:
-        print(f"{options.a}: not enough memory to compare it; compare a part", file=sys.stderr)
+        say(sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part"))
         return 2
 
 
@@ -267,22 +268,21 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
             codes.append(read_picture(path))
         except (OSError, ValueError, Image.DecompressionBombError) as error:
             reason = getattr(error, "strerror", None) or error
-            print(f"{path}: cannot be read: {reason}", file=sys.stderr)
+            say(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
             return 2
     diagnosis = diagnose(*codes)
     if codes[0].shape != codes[1].shape:
-        print(diagnosis.text)
+        say(sys.stdout, diagnosis.text)
         return 1
     a, b = (linear(picture) for picture in codes)
     result = figures(a, b)
     try:
         write_comparison(output, a, b, (printable(options.a.name), printable(options.b.name)))
     except OSError as error:
-        print(f"{output}: cannot be written: {error.strerror or error}", file=sys.stderr)
+        say(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
         return 2
-    print(result)
-    print(diagnosis.text)
-    print(printable(str(output)))
+    for line in (str(result), diagnosis.text, printable(str(output))):
+        say(sys.stdout, line)
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")
     within = (options.ssim is None or result.ssim >= options.ssim) and (
@@ -292,4 +292,4 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    end(main())
