@@ -27,6 +27,7 @@ from converters.variant import use
 from reference.command import BUILD, HERE, SCENES, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
+from tracer.command import end, say
 from tracer.image import quantise, whole_file
 from tracer.reader import printable
 
@@ -46,6 +47,7 @@ def page(
     results: Sequence[CheckResult],
     comments: dict[str, str],
     charts: Iterable[tuple[str, bytes]] = (),
+    unread: Sequence[str] = (),
 ) -> str:
     """The report as HTML.
 
@@ -57,10 +59,12 @@ def page(
         What each scene shows, by its name.
     charts : iterable of (str, bytes)
         Title and SVG of each.
+    unread : sequence of str
+        What is wrong with each scene that could not be compared.
     """
     template = TEMPLATE.read_text(encoding="utf-8")
     parts = {
-        "<!-- summary -->": _summary(results),
+        "<!-- summary -->": _summary(results, unread),
         "<!-- table -->": _table(results),
         "<!-- scenes -->": "\n".join(
             _scene(r, number, comments.get(r.name, "")) for number, r in enumerate(results)
@@ -72,19 +76,22 @@ def page(
     return template
 
 
-def _summary(results: Sequence[CheckResult]) -> str:
+def _summary(results: Sequence[CheckResult], unread: Sequence[str]) -> str:
     agree = sum(not result.faults for result in results)
     variants = ", ".join(sorted({result.variant for result in results}))
     verdict = (
         '<strong class="good">All agree.</strong>'
-        if agree == len(results) > 0
+        if agree == len(results) > 0 and not unread
         else f'<strong class="bad">{agree} agree.</strong>'
     )
-    return (
-        f"<p>{len(results)} scenes, sampled at the pixels' centres by both renderers and compared"
-        f" in linear light: away from edges they may differ by {MAX_DIFFERENCE:g}. {verdict}</p>\n"
-        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(describe())}</p>'
-    )
+    scenes = f"{len(results)} scene{'s' * (len(results) != 1)}"
+    lines = [
+        f"<p>{scenes}, sampled at the pixels' centres by both renderers and compared"
+        f" in linear light: away from edges they may differ by {MAX_DIFFERENCE:g}. {verdict}</p>",
+        *(f'<p class="bad">Not compared: {_lines(fault)}</p>' for fault in unread),
+        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(describe())}</p>',
+    ]
+    return "\n".join(lines)
 
 
 def _table(results: Sequence[CheckResult]) -> str:
@@ -130,11 +137,8 @@ def _scene(result: CheckResult, number: int, comment: str) -> str:
         f"Mitsuba\u2019s ({result.variant})": _time(result.mitsuba_seconds),
     }
     notes = [f"Out of tolerance: {fault}." for fault in result.faults]
-    if result.reasons:
-        notes.append(
-            f"Mitsuba errs on this scene ({', '.join(result.reasons)}): the oracle judged the"
-            f" {result.judged} pixels that differ."
-        )
+    if result.remark:
+        notes.append(f"{result.remark[0].upper()}{result.remark[1:]}.")
     shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return f"""
 <section class="scene" id="scene-{number}" data-width="{width}" data-height="{height}">
@@ -145,8 +149,8 @@ def _scene(result: CheckResult, number: int, comment: str) -> str:
 <figure>
 <div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
  aria-label="{name}: tracer and Mitsuba" aria-keyshortcuts="+ - 0 F">
-<div class="layer tracer">{_image(result.tracer, f"{name} by the tracer")}</div>
-<div class="layer mitsuba">{_image(result.mitsuba, f"{name} by Mitsuba")}</div>
+<div class="layer tracer">{_image(result.tracer, f"{result.name} by the tracer")}</div>
+<div class="layer mitsuba">{_image(result.mitsuba, f"{result.name} by Mitsuba")}</div>
 <div class="seam"></div>
 </div>
 <figcaption><span>tracer</span><span>Mitsuba</span></figcaption>
@@ -154,7 +158,7 @@ def _scene(result: CheckResult, number: int, comment: str) -> str:
 <figure>
 <div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
  aria-label="{name}: {shown}" aria-keyshortcuts="+ - 0 F">
-<div class="layer">{_picture(difference, f"{name}: {shown}")}</div>
+<div class="layer">{_picture(difference, f"{result.name}: {shown}")}</div>
 </div>
 <figcaption><span>{shown}</span></figcaption>
 </figure>
@@ -215,6 +219,10 @@ def _picture(codes: NDArray[np.uint8], alt: str) -> str:
     return f'<img src="{source}" alt="{html.escape(alt, quote=True)}" draggable="false">'
 
 
+def _lines(text: str) -> str:
+    return html.escape(text).replace("\n", "<br>")
+
+
 def _comment(path: Path) -> str:
     """The comment at the head of a scene file, on one line."""
     found = re.search(r"<!--(.*?)-->", path.read_text(encoding="utf-8", errors="replace"), re.S)
@@ -240,11 +248,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         use(options.variant)
     except ImportError as error:
-        print(printable(f"Mitsuba cannot run: {error}"), file=sys.stderr)
+        say(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
         return 1
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
-    results, comments = [], {}
+    results, comments, unread = [], {}, []
     for path in tqdm(paths, unit="scene", disable=None):
         try:
             name = printable(str(path) if alike else path.stem)
@@ -252,19 +260,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             comments[name] = _comment(path)
             results.append(result)
         except (*TROUBLE, OSError) as error:
-            print(told(path, error), file=sys.stderr)
+            unread.append(told(path, error))
+            say(sys.stderr, unread[-1])
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
-    text = page(results, comments, charts)
+    text = page(results, comments, charts, unread)
     try:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(options.output) as file:
             file.write(text.encode())
     except OSError as error:
-        print(f"{options.output}: cannot be written: {error.strerror or error}", file=sys.stderr)
+        reason = error.strerror or error
+        say(sys.stderr, printable(f"{options.output}: cannot be written: {reason}"))
         return 1
-    print(printable(str(options.output)))
-    return int(len(results) < len(paths) or any(result.faults for result in results))
+    say(sys.stdout, printable(str(options.output)))
+    return int(bool(unread) or any(result.faults for result in results))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    end(main())

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +162,10 @@ def test_bad_scenes_are_told_and_spare_the_others(
     text = output.read_text(encoding="utf-8")
     assert text.count('<section class="scene"') == 1
     assert "The unit sphere, lit from the upper right" in text
+    assert "All agree." not in text
+    assert "<p>1 scene, " in text
+    assert f"Not compared: {folder}: is a folder; name a scene file in it<" in text
+    assert text.count("Not compared: ") == 4
 
 
 def test_scenes_of_one_name_are_told_apart(small: Path) -> None:
@@ -177,6 +182,19 @@ def test_scenes_of_one_name_are_told_apart(small: Path) -> None:
     assert re.findall(r' href="#([^"]*)"', text) == ids
     assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small, other)))
     assert text.count("The unit sphere") == text.count("The same again") == 1
+
+
+def test_names_are_escaped_once() -> None:
+    text = page([result("<b>&")], {})
+    assert 'alt="&lt;b&gt;&amp; by the tracer"' in text
+    assert "&amp;lt;" not in text
+
+
+def test_says_what_the_oracle_says() -> None:
+    asked = replace(result(), asked=20, differing=30, agreed=19)
+    assert '<p class="soft">The oracle, asked about 20 of the 30 pixels that' in page([asked], {})
+    judged = replace(result(), judged=30, reasons=("zero-thickness boxes",))
+    assert "Mitsuba errs on 30 pixels (zero-thickness boxes): there" in page([judged], {})
 
 
 def test_ids_are_unique_and_have_no_spaces() -> None:
