@@ -29,7 +29,7 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.command import HERE, SCENES, built, parser, result
+from reference.command import HERE, SCENES, built, own_scenes, parser, result
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process, run
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
@@ -126,7 +126,7 @@ def warm(rounds: int, quick: bool) -> Table:
     """In process, one sample a pixel, on every scene."""
     variant = use().variant
     sizes = ((320, 180),) if quick else ((320, 180), (1280, 720), _LARGE)
-    names = [path.stem for path in sorted(SCENES.glob("*.xml"))]
+    names = [path.stem for path in own_scenes()]
     rows: list[tuple[object, ...]] = []
     # Both are ready: Mitsuba has compiled its kernels, and the tracer's helper is there.
     for _ in range(2):

@@ -14,13 +14,19 @@ from tracer.reader import printable
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "parser", "result", "spare_inputs"]
+__all__ = ["BUILD", "HERE", "SCENES", "built", "own_scenes", "parser", "result", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 
 BUILD = HERE.parent / "build"
 """Folder for files that can be made again; not under version control."""
+
+
+def own_scenes() -> list[Path]:
+    """This project's scenes by name, without what was converted for Mitsuba beside them."""
+    paths = SCENES.glob("*.xml")
+    return sorted(path for path in paths if not path.name.endswith(".mitsuba.xml"))
 
 
 def built(name: str) -> Path:

@@ -24,7 +24,7 @@ import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
-from reference.command import HERE, SCENES
+from reference.command import HERE, SCENES, own_scenes
 from tracer.arrays import Floats
 from tracer.reader import load_scene
 from tracer.scene import Scene
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
-    paths = sorted(SCENES.glob("*.xml"))
+    paths = own_scenes()
     scenes = {}
     for path in paths:
         scene = load_small(path)

@@ -14,10 +14,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import tracer
-from reference.command import HERE, SCENES, parser
+from reference.command import HERE, SCENES, own_scenes, parser
 from tracer.image import quantise
 
-__all__ = ["SCENES", "main", "sheet"]
+__all__ = ["main", "sheet"]
 
 _SAMPLES = 16
 # A row holds five square pictures or three wide ones.
@@ -67,7 +67,7 @@ def main() -> None:
     """Draw the README's pictures."""
     parser("reference.sheet", __doc__).parse_args()
     sunflower = _drawn(tracer.load_scene(SCENES / "sunflower.xml"), _WIDTH)
-    for name, image in (("sheet.png", sheet(SCENES.glob("*.xml"))), ("sunflower.png", sunflower)):
+    for name, image in (("sheet.png", sheet(own_scenes())), ("sunflower.png", sunflower)):
         image.save(HERE / name, optimize=True)
         print(HERE / name)
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
+from reference.command import own_scenes
 from reference.workloads import crowd
 from tracer import (
     Box,
@@ -30,7 +31,7 @@ from tracer import (
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
 
-SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.xml"))
+SCENES = own_scenes()
 
 
 def small(path: Path) -> Scene:

@@ -209,7 +209,11 @@ NOT_XML = [
     ),
     ("<scen/>", "1: scen: the root must be <scene>"),
     (f"<Scene>{EMPTY}</Scene>", "1: Scene: the root must be <scene>"),
-    (f'<scene version="2">{EMPTY}</scene>', "1: scene: unknown attribute 'version'; remove it"),
+    (f'<scene colour="2">{EMPTY}</scene>', "1: scene: unknown attribute 'colour'; remove it"),
+    (
+        '<scene version="3.0.0">\n<integrator type="path"/><shape type="sphere"/></scene>',
+        "1: scene: has a version, so it is Mitsuba's; name the scene it was made from",
+    ),
     ("<html><body>", "1: html: the root must be <scene>"),
 ]
 

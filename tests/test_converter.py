@@ -22,6 +22,7 @@ from converters.flavours import exact, normalisation, square_height, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
+from reference.command import own_scenes
 from reference.regenerate import load_small
 from tracer import (
     Box,
@@ -37,7 +38,7 @@ from tracer import (
 )
 
 ROOT = Path(__file__).resolve().parent.parent
-SCENES = sorted((ROOT / "scenes").glob("*.xml"))
+SCENES = own_scenes()
 
 
 def scene_of(*surfaces: Sphere | Box, **camera: object) -> Scene:

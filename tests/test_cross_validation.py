@@ -26,6 +26,7 @@ from converters.check import (
     render_mitsuba,
 )
 from converters.variant import SCALAR, use
+from reference.command import own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import (
     FOLDER,
@@ -42,7 +43,7 @@ from tracer.rendering import render
 
 pytestmark = pytest.mark.cross_validation
 
-PATHS = sorted(SCENES.glob("*.xml"))
+PATHS = own_scenes()
 NAMES = [path.stem for path in PATHS]
 BUILD = Path(__file__).resolve().parent.parent / "build" / "comparisons"
 

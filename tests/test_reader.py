@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import gc
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from reference.command import own_scenes
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
 
 EMPTY = "<camera/><image>4 3</image>"
@@ -224,7 +224,7 @@ def test_nothing_is_left_for_the_garbage_collector(scene_of):
 
 
 def test_scenes_of_the_project_are_read():
-    paths = sorted((Path(__file__).parents[1] / "scenes").glob("*.xml"))
+    paths = own_scenes()
     assert len(paths) >= 12
     for path in paths:
         assert load_scene(path).width > 0

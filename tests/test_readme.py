@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from reference import sheet
+from reference.command import own_scenes
 from tracer import SceneFileError, load_scene
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -101,7 +102,7 @@ def test_layout_names_every_module_after_those_it_imports() -> None:
 
 def test_sheet_shows_every_scene() -> None:
     """Five square scenes and nine wide ones make a row and three."""
-    image = sheet.sheet(sheet.SCENES.glob("*.xml"))
+    image = sheet.sheet(own_scenes())
     square = (960 - 4 * 12) // 5 + 22
     wide = round(180 * ((960 - 2 * 12) // 3) / 320) + 22
     assert image.size == (960, square + 3 * wide + 3 * 12)

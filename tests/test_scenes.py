@@ -9,14 +9,23 @@ import numpy as np
 import pytest
 
 import tracer
+from reference.command import SCENES, own_scenes
 from reference.generate import many_objects, sunflower
 
-SCENES = Path(__file__).resolve().parent.parent / "scenes"
-PATHS = sorted(SCENES.glob("*.xml"))
+PATHS = own_scenes()
 
 
 def test_there_are_a_dozen() -> None:
     assert len(PATHS) >= 12
+
+
+def test_what_is_converted_beside_them_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("reference.command.SCENES", tmp_path)
+    for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
+        (tmp_path / name).touch()
+    assert [path.name for path in own_scenes()] == ["ball.xml", "room.xml"]
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)

@@ -239,6 +239,9 @@ class Contents:
         if element.tag != "scene":
             message = f"{short(element.tag)}: the root must be <scene>"
             self.faults.give_up(_line(element), message)
+        if "version" in element.attrib:
+            message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
+            self.faults.give_up(_line(element), message)
         self.root_line = _line(element)
         self.no_attributes(element)
 
