@@ -446,3 +446,16 @@ def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, modul
     loaded = done.stdout.split()
     assert "tracer.rendering" in loaded
     assert module not in loaded
+
+
+def test_a_working_folder_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert command_line.main(["x.xml"]) == 1
+    assert capsys.readouterr().err == (
+        "the working folder cannot be found: No such file or directory; change to another\n"
+    )

@@ -67,6 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         from tracer.reader import printable
 
         parser.error(printable(str(error)))
+    except OSError as error:  # only what a relative path starts from can fail
+        say(sys.stderr, f"the working folder cannot be found: {error.strerror}; change to another")
+        return 1
     try:
         failures = 0
         for scene, output in zip(arguments.scenes, outputs, strict=True):
