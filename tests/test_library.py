@@ -194,6 +194,11 @@ def test_arrays_that_do_not_fit(arrays: dict[str, Any], faults: list[str]) -> No
     assert str(bad.value).splitlines() == faults
 
 
+def test_three_numbers_of_another_shape() -> None:
+    with pytest.raises(SceneError, match=r"^center: needs 3 numbers, has shape \(1, 3\)$"):
+        Sphere(center=[[0, 0, 0]])  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("make", "fault"),
     [

@@ -87,7 +87,8 @@ def number(value: float) -> str:
 def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (3,):
-        faults.append(Fault(name, f"needs 3 numbers, has {array.size}"))
+        has = array.size if array.ndim < 2 else f"shape {array.shape}"
+        faults.append(Fault(name, f"needs 3 numbers, has {has}"))
         return (0.0, 0.0, 1.0)
     x, y, z = array.tolist()
     if not np.isfinite(array).all():
