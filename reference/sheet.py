@@ -37,13 +37,14 @@ def sheet(paths: Iterable[Path]) -> Image.Image:
             if (scene.width == scene.height) == (per_row == 5)
         ]
         rows += [tiles[k : k + per_row] for k in range(0, len(tiles), per_row)]
-    height = sum(row[0].height + _GAP for row in rows) - _GAP
+    heights = [max(tile.height for tile in row) for row in rows]
+    height = sum(heights) + _GAP * (len(rows) - 1)
     image = Image.new("RGB", (_WIDTH, height), _PAPER)
     top = 0
-    for row in rows:
+    for row, tallest in zip(rows, heights, strict=True):
         for k, tile in enumerate(row):
             image.paste(tile, (k * (tile.width + _GAP), top))
-        top += row[0].height + _GAP
+        top += tallest + _GAP
     return image
 
 

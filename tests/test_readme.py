@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from scene_files import small_one
 
 from reference import sheet
 from reference.command import own_scenes
@@ -106,3 +107,11 @@ def test_sheet_shows_every_scene() -> None:
     square = (960 - 4 * 12) // 5 + 22
     wide = round(180 * ((960 - 2 * 12) // 3) / 320) + 22
     assert image.size == (960, square + 3 * wide + 3 * 12)
+
+
+def test_a_row_of_the_sheet_is_as_high_as_its_tallest_scene(tmp_path: Path) -> None:
+    paths = []
+    for name, size in (("flat", "40 20"), ("tall", "20 40")):
+        (tmp_path / name).mkdir()
+        paths.append(small_one(tmp_path / name, size))
+    assert sheet.sheet(paths).size == (960, 2 * ((960 - 2 * 12) // 3) + 22)
