@@ -136,7 +136,7 @@ def test_regenerate_makes_what_is_stored(tmp_path: Path, monkeypatch: pytest.Mon
     scenes.mkdir()
     (scenes / "one-box.xml").write_bytes((SCENES / "one-box.xml").read_bytes())
     (tmp_path / "gone.exr").touch()
-    monkeypatch.setattr("reference.regenerate.SCENES", scenes)
+    monkeypatch.setattr("reference.command.SCENES", scenes)
     assert main(["-o", str(tmp_path)]) == 0
     made = manifest(tmp_path)["scenes"]
     assert made.keys() == {"one-box"}
