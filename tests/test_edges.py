@@ -186,3 +186,32 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
             assert (hit[i] == inner[i])[~near[i]].all(), surfaces[i]
         else:
             assert hit[i].all() or not hit[i].any(), surfaces[i]
+
+
+def a_disc_in_a_cell(radius: float, aside: float) -> tuple[Lines, Floats]:
+    """Ahead of the eye, in cells from its centre; and how far its outline turns."""
+    zero, one = np.zeros(1), np.ones(1)
+    step = 1e-4
+    ray = (aside * step * one, zero, one)
+    across, down = (step * one, zero, zero), (zero, step * one, zero)
+    pencil = Pencil(Kind.EDGE, np.zeros(1, dtype=np.intp), ray, across, down)
+    lines, turn, _ = pencil.discs((zero, zero, 1e3 * one), 1e3 * radius * step * one)
+    return lines, turn
+
+
+@pytest.mark.parametrize("aside", [-0.4, 0.0, 0.3])
+@pytest.mark.parametrize("radius", [6.0, 10.0])
+def test_a_line_in_place_of_a_flat_arc_leaves_its_area_as_it_is(
+    radius: float, aside: float
+) -> None:
+    lines, turn = a_disc_in_a_cell(radius, radius + aside)
+    assert 0.05 < turn[0] < 0.2
+    y = (np.arange(2000) + 0.5) / 2000 - 0.5
+    within = np.clip(np.sqrt(radius**2 - y * y) - radius - aside, -0.5, 0.5).mean() + 0.5
+    # Without the arc's sagitta it would be off by 1 / (24 radius), or 0.004 and more.
+    assert 1 - lines.areas_and_moments()[0] == pytest.approx(within, abs=5e-4)
+
+
+def test_a_disc_with_both_sides_in_a_cell_is_no_line() -> None:
+    assert np.isinf(a_disc_in_a_cell(0.1, 0.12)[1])
+    assert not np.isinf(a_disc_in_a_cell(10.0, 10.1)[1])
