@@ -123,7 +123,9 @@ def _rounding(a: Codes, b: Codes) -> Diagnosis:
         )
     if (a >= b).all():
         return Diagnosis(
-            "cut off", "One level of rounding: B is cut off, or A rounded up, in place of rounded."
+            "cut off",
+            "One level of rounding, only upwards: B is cut off, or A is rounded up, or A's factor"
+            " is more than 255.",
         )
     return Diagnosis(
         "rounding", "One level of rounding, up and down: 255 is not the factor, or noise was added."
@@ -161,6 +163,9 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
                 text = f"A is shifted by {_way(right, down)}."
                 yield _Hypothesis("shifted", text, *_around(b, [(right, down)]))
     yield from _tones(a, b)
+    full = b == 255
+    text = "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap round."
+    yield _Hypothesis("unclipped", text, np.where(full, 0, b - 1.0), np.where(full, 255, b + 1.0))
 
 
 def _tones(a: Codes, b: Codes) -> Iterator[_Hypothesis]:

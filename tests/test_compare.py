@@ -108,6 +108,11 @@ def test_cut_off(light: NDArray[np.float64], right: Image8) -> None:
     assert "B is cut off" in diagnose(right, cut).text
 
 
+def test_factor_of_256(light: NDArray[np.float64], right: Image8) -> None:
+    other = np.minimum(np.round(256 * np.clip(light, 0, 1) ** (1 / 2.2)), 255).astype(np.uint8)
+    assert "A's factor is more than 255" in diagnose(other, right).text
+
+
 def test_a_handful_of_levels(right: Image8) -> None:
     other = right.copy()
     other[150, 150] += 1
@@ -149,6 +154,14 @@ def test_darker_than_what_was_clipped(factor: float) -> None:
     """Where B is 255, its light may be any that is brighter."""
     wrong = codes(factor * tracer.render(scene("highlights")))
     assert f"darker by a factor of {factor} in" in diagnose(wrong, right_codes("highlights")).text
+
+
+@pytest.mark.parametrize("name", ["highlights", "sunflower"])
+def test_not_clipped(name: str) -> None:
+    levels = np.round(255 * tracer.render(scene(name)) ** (1 / 2.2)).astype(int)
+    assert levels.max() > 255
+    diagnosis = diagnose((levels % 256).astype(np.uint8), right_codes(name))
+    assert "light beyond 1 is to be clipped" in diagnosis.text
 
 
 # Samples that lie to the right move the picture to the left.
