@@ -19,7 +19,7 @@ from unittest import mock
 import numpy as np
 
 from reference import machine
-from reference.command import HERE, SCENES, parser, result
+from reference.command import HERE, SCENES, need_scenes, parser, result
 from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
@@ -227,9 +227,9 @@ def _shown(table: Table) -> Table:
 
 def main() -> None:
     """Measure, and write the tables."""
-    options = parser(
-        "reference.ablation", __doc__, quick="small sizes, one round, a rough truth"
-    ).parse_args()
+    used = parser("reference.ablation", __doc__, quick="small sizes, one round, a rough truth")
+    options = used.parse_args()
+    need_scenes(used)
     where = machine.describe()
     found = [_one_sample(options.quick), _antialiased(options.quick)]
     write_records(result("ablation.csv", quick=options.quick), where, found)

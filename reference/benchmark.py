@@ -29,7 +29,7 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.command import HERE, SCENES, built, own_scenes, parser, result
+from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process, run
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
@@ -417,7 +417,9 @@ def tables(*, quick: bool) -> Iterator[tuple[Section, Table]]:
 
 def main() -> None:
     """Measure, and write the report."""
-    options = parser("reference.benchmark", __doc__, quick="small sizes, two rounds").parse_args()
+    used = parser("reference.benchmark", __doc__, quick="small sizes, two rounds")
+    options = used.parse_args()
+    need_scenes(used)
     where = machine.describe()
     found: dict[Section, Table] = {}
     for section, table in tables(quick=options.quick):

@@ -14,7 +14,17 @@ from tracer.reader import printable
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "own_scenes", "parser", "result", "spare_inputs"]
+__all__ = [
+    "BUILD",
+    "HERE",
+    "SCENES",
+    "built",
+    "need_scenes",
+    "own_scenes",
+    "parser",
+    "result",
+    "spare_inputs",
+]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
@@ -27,6 +37,13 @@ def own_scenes() -> list[Path]:
     """This project's scenes by name, without what was converted for Mitsuba beside them."""
     paths = SCENES.glob("*.xml")
     return sorted(path for path in paths if not path.name.endswith(".mitsuba.xml"))
+
+
+def need_scenes(used: argparse.ArgumentParser) -> None:
+    """End with status 2 where this project's scenes are not: in a copy that pip has installed."""
+    if not own_scenes():
+        wrong = f"{SCENES} holds no scenes; clone the project, and install it from there with -e"
+        used.exit(2, printable(f"{used.prog}: {wrong}") + "\n")
 
 
 def built(name: str) -> Path:

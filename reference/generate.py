@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
-from reference.command import SCENES, parser
+from reference.command import SCENES, need_scenes, parser
 
 __all__ = ["main", "many_objects", "sunflower"]
 
@@ -144,7 +144,9 @@ def _text(values: Iterable[float]) -> str:
 
 def main() -> None:
     """Write the scenes into ``scenes/``."""
-    parser("reference.generate", __doc__).parse_args()
+    used = parser("reference.generate", __doc__)
+    used.parse_args()
+    need_scenes(used)
     for name, text in (("many-objects", many_objects()), ("sunflower", sunflower())):
         path = SCENES / f"{name}.xml"
         path.write_text(text, encoding="utf-8")

@@ -24,7 +24,7 @@ import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
-from reference.command import HERE, SCENES, own_scenes
+from reference.command import HERE, SCENES, need_scenes, own_scenes
 from tracer.arrays import Floats
 from tracer.reader import load_scene
 from tracer.scene import Scene
@@ -91,6 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
     options = parser.parse_args(arguments)
+    need_scenes(parser)
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
     paths = own_scenes()

@@ -24,7 +24,7 @@ from tqdm import tqdm
 from converters.check import MAX_DIFFERENCE, CheckResult, check
 from converters.trouble import TROUBLE, told
 from converters.variant import use
-from reference.command import BUILD, HERE, own_scenes, spare_inputs
+from reference.command import BUILD, HERE, need_scenes, own_scenes, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
 from tracer.command import end, say
@@ -243,6 +243,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = parser.parse_args(arguments)
+    if not options.scenes:
+        need_scenes(parser)
     paths = sorted({*(options.scenes or own_scenes())})
     spare_inputs(parser, options.output, (*paths, TEMPLATE, *CHARTS.values()))
     try:

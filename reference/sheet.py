@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import tracer
-from reference.command import HERE, SCENES, own_scenes, parser
+from reference.command import HERE, SCENES, need_scenes, own_scenes, parser
 from tracer.image import quantise
 
 __all__ = ["main", "sheet"]
@@ -66,7 +66,9 @@ def _drawn(scene: tracer.Scene, width: int) -> Image.Image:
 
 def main() -> None:
     """Draw the README's pictures."""
-    parser("reference.sheet", __doc__).parse_args()
+    used = parser("reference.sheet", __doc__)
+    used.parse_args()
+    need_scenes(used)
     sunflower = _drawn(tracer.load_scene(SCENES / "sunflower.xml"), _WIDTH)
     for name, image in (("sheet.png", sheet(own_scenes())), ("sunflower.png", sunflower)):
         image.save(HERE / name, optimize=True)

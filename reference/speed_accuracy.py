@@ -32,7 +32,7 @@ from tqdm import tqdm
 from converters.variant import LLVM, SCALAR, use
 from reference import alternatives, machine, rivals
 from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
-from reference.command import SCENES, built, parser, result
+from reference.command import SCENES, built, need_scenes, parser, result
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
@@ -511,6 +511,7 @@ def main() -> None:
     options = parser("reference.speed_accuracy", __doc__, quick="one scene, few samples")
     options.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     chosen = options.parse_args()
+    need_scenes(options)
     scenes, chart = _scenes(chosen.quick), result("speed_accuracy.csv", quick=chosen.quick)
     if chosen.redraw:
         points = _stored(chart)
