@@ -75,5 +75,10 @@ def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.A
 
 def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[Path]) -> None:
     """End with wrong usage where the result would replace what it is made from."""
-    if os.path.realpath(output) in map(os.path.realpath, inputs):
+    try:
+        replaces = os.path.realpath(output) in map(os.path.realpath, inputs)
+    except OSError as error:  # only what a relative path starts from can fail
+        reason = error.strerror or error
+        used.exit(2, f"the working folder cannot be found: {reason}; change to another\n")
+    if replaces:
         used.error(printable(f"{output}: this would replace an input; choose another with -o"))
