@@ -25,7 +25,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from tracer.command import at_least, begin, end, heed_signals, is_folder, named, say
+from tracer.command import at_least, begin, end, heed_signals, is_folder, named, no_folder, say
 
 __all__ = ["main", "run"]
 
@@ -57,6 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from tracer.reader import printable
 
         parser.error(printable(str(error)))
+    except OSError as error:
+        say(sys.stderr, no_folder(error))
+        return 1
     if options.check and options.samples is not None:
         parser.error("--check compares at the centres of the pixels; it takes no --samples")
     if options.variant is not None and not (options.render or options.check):

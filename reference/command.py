@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from tracer.command import no_folder
 from tracer.reader import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
@@ -77,8 +78,7 @@ def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[P
     """End with wrong usage where the result would replace what it is made from."""
     try:
         replaces = os.path.realpath(output) in map(os.path.realpath, inputs)
-    except OSError as error:  # only what a relative path starts from can fail
-        reason = error.strerror or error
-        used.exit(2, f"the working folder cannot be found: {reason}; change to another\n")
+    except OSError as error:
+        used.exit(2, no_folder(error) + "\n")
     if replaces:
         used.error(printable(f"{output}: this would replace an input; choose another with -o"))

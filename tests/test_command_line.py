@@ -20,6 +20,7 @@ import pytest
 from PIL import Image
 
 import tracer
+from converters import to_mitsuba
 from tracer import __main__ as command_line
 from tracer.image import quantise
 
@@ -455,7 +456,8 @@ def test_a_working_folder_that_is_gone(
     gone.mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    assert command_line.main(["x.xml"]) == 1
-    assert capsys.readouterr().err == (
-        "the working folder cannot be found: No such file or directory; change to another\n"
-    )
+    for main in (command_line.main, to_mitsuba.main):
+        assert main(["x.xml"]) == 1
+        assert capsys.readouterr().err == (
+            "the working folder cannot be found: No such file or directory; change to another\n"
+        )

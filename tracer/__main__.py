@@ -16,7 +16,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
 
 from tracer import __version__
-from tracer.command import at_least, begin, heed_signals, is_folder, named, say
+from tracer.command import at_least, begin, heed_signals, is_folder, named, no_folder, say
 
 if TYPE_CHECKING:
     from tracer.image import Packed
@@ -67,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         from tracer.reader import printable
 
         parser.error(printable(str(error)))
-    except OSError as error:  # only what a relative path starts from can fail
-        say(sys.stderr, f"the working folder cannot be found: {error.strerror}; change to another")
+    except OSError as error:
+        say(sys.stderr, no_folder(error))
         return 1
     try:
         failures = 0

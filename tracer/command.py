@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn, TextIO
 
-__all__ = ["at_least", "begin", "end", "heed_signals", "is_folder", "named", "say"]
+__all__ = ["at_least", "begin", "end", "heed_signals", "is_folder", "named", "no_folder", "say"]
 
 
 def named(text: str) -> str:
@@ -37,6 +37,11 @@ def at_least(least: int) -> Callable[[str], int]:
 def is_folder(path: str) -> bool:
     """Whether results are to be written to a folder of this name, there or not."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
+
+
+def no_folder(error: OSError) -> str:
+    """What is wrong if a path has no place: only the folder that it starts from can be missing."""
+    return f"the working folder cannot be found: {error.strerror or error}; change to another"
 
 
 def say(stream: TextIO | None, text: str) -> None:
