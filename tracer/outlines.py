@@ -224,7 +224,9 @@ class Outlines(NamedTuple):
         return Frames(*(np.concatenate(pair) for pair in pairs))
 
     def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
-        # One column more than the picture has on either side: antialiasing looks there.
+        # One column more than the picture has on either side: antialiasing looks there.  An object
+        # that is beside the picture in one row may enter it before the next: its span there is
+        # empty, at the rim, but not left out.
         keep = np.flatnonzero(left <= right)
         keep = keep[np.argsort(row[keep], kind="stable")]
         low, high = -1.0, self.raster.width + 1.0
@@ -235,7 +237,7 @@ class Outlines(NamedTuple):
 def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     """Project all surfaces onto the picture.
 
-    The silhouettes of small boxes are left out unless pixels are `split`.
+    The silhouettes of small boxes, and all turns, are left out unless pixels are `split`.
     """
     u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
@@ -298,7 +300,7 @@ def _turns_of_boxes(raster: Raster, surfaces: Surfaces) -> Iterator[Turns]:
 
 
 def _rows_in_frames(frames: Frames, rows: Floats, width: int, pad: float) -> tuple[Ints, Ints]:
-    """Pairs (object, row) with the row inside the object's frame."""
+    """Pairs (object, row) with the row inside the object's frame, if that is in the picture."""
     top, bottom = frames.top - pad, frames.bottom + pad
     beside = (frames.left - pad > width + 1) | (frames.right + pad < -1)
     at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
