@@ -15,7 +15,7 @@ import gc
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -50,7 +50,8 @@ def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
 
 
 # Short times vary most: up to `_MORE` times the rounds, until they add up to `_ENOUGH` seconds.
-_MORE, _ENOUGH = 5, 0.5
+# Whole processes vary more than what goes on in one.
+_MORE, _ENOUGH, _ENOUGH_OF_PROCESSES = 5, 0.5, 2.0
 
 
 def _warm(tasks: dict[str, Task], rounds: int) -> dict[str, Timing]:
@@ -58,6 +59,14 @@ def _warm(tasks: dict[str, Task], rounds: int) -> dict[str, Timing]:
     for task in tasks.values():
         task(0)
     return interleaved(tasks, rounds, most=_MORE * rounds, seconds=_ENOUGH)
+
+
+def _processes(commands: Mapping[str, Sequence[str]], rounds: int) -> dict[str, Timing]:
+    """Time whole processes in turns, each after a run to warm up."""
+    for command in commands.values():
+        run(*command)
+    tasks = {who: process(command) for who, command in commands.items()}
+    return interleaved(tasks, rounds, most=_MORE * rounds, seconds=_ENOUGH_OF_PROCESSES)
 
 
 def _tracer(scene: Scene, rounds: int) -> Task:
@@ -90,8 +99,8 @@ def _speedup(of: Timing, over: Timing) -> str:
 def whole_process(rounds: int, quick: bool) -> Table:
     """XML to PNG, from the shell."""
     variant = use().variant
-    png, numpy = built("out.png"), process([sys.executable, "-c", "import numpy"])
-    start = interleaved({"numpy": numpy}, rounds)["numpy"]
+    png = built("out.png")
+    start = _processes({"numpy": [sys.executable, "-c", "import numpy"]}, rounds)["numpy"]
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
@@ -107,16 +116,14 @@ def whole_process(rounds: int, quick: bool) -> Table:
             }
             if rivals.povray_installed():
                 commands["POV-Ray"] = rivals.povray_command(scene, png)
-            for command in commands.values():
-                run(*command)
-            found = interleaved({who: process(what) for who, what in commands.items()}, rounds)
+            found = _processes(commands, rounds)
             ours, exactly, stocks, *_ = found.values()
             speedups = _speedup(ours, exactly), _speedup(ours, stocks)
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
     return Table(
         "Whole process: from XML to PNG",
-        f"Milliseconds, from the shell: median (fastest–slowest) of {rounds}. Mitsuba {variant}"
-        f" with a warm kernel cache. `python -c 'import numpy'` alone takes {start}.",
+        f"Milliseconds, from the shell: median (fastest–slowest) of at least {rounds}. Mitsuba"
+        f" {variant} with a warm kernel cache. `python -c 'import numpy'` alone takes {start}.",
         ("scene", *commands, *_SPEEDUPS),
         rows,
     )
