@@ -15,7 +15,7 @@ import gc
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -31,7 +31,7 @@ from converters.variant import use
 from reference import machine, minimal, rivals
 from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result
 from reference.tables import Table, quote, times, write_records
-from reference.timing import Task, Timing, interleaved, on_copies, process, run
+from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
@@ -54,19 +54,17 @@ def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
 _MORE, _ENOUGH, _ENOUGH_OF_PROCESSES = 5, 0.5, 2.0
 
 
-def _warm(tasks: dict[str, Task], rounds: int) -> dict[str, Timing]:
+def _warm(tasks: dict[str, Task], rounds: int, enough: float = _ENOUGH) -> dict[str, Timing]:
     """Time tasks in turns, each after a run to warm up."""
     for task in tasks.values():
         task(0)
-    return interleaved(tasks, rounds, most=_MORE * rounds, seconds=_ENOUGH)
+    return interleaved(tasks, rounds, most=_MORE * rounds, seconds=enough)
 
 
-def _processes(commands: Mapping[str, Sequence[str]], rounds: int) -> dict[str, Timing]:
-    """Time whole processes in turns, each after a run to warm up."""
-    for command in commands.values():
-        run(*command)
+def _processes(commands: dict[str, list[str]], rounds: int) -> dict[str, Timing]:
+    """The same of whole processes."""
     tasks = {who: process(command) for who, command in commands.items()}
-    return interleaved(tasks, rounds, most=_MORE * rounds, seconds=_ENOUGH_OF_PROCESSES)
+    return _warm(tasks, rounds, _ENOUGH_OF_PROCESSES)
 
 
 def _tracer(scene: Scene, rounds: int) -> Task:

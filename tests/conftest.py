@@ -36,6 +36,16 @@ def signals_heeded() -> Iterator[None]:
         signal.signal(kind, signal.SIG_IGN)
 
 
+@pytest.fixture
+def no_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The working folder is gone: what commands say of that."""
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    return "the working folder cannot be found: No such file or directory; change to another\n"
+
+
 def open_files() -> int:
     """How many files this process has open, but for those that only wait for the collector."""
     gc.collect()

@@ -614,17 +614,11 @@ def test_inputs_are_not_replaced(
 
 
 def test_a_working_folder_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    no_working_folder: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
     with pytest.raises(SystemExit, match="2"):
         main(["a.png", "b.png"])
-    assert capsys.readouterr().err == (
-        "the working folder cannot be found: No such file or directory; change to another\n"
-    )
+    assert capsys.readouterr().err == no_working_folder
 
 
 def test_what_cannot_be_written_whole_leaves_what_was_there(
