@@ -37,10 +37,8 @@ _LAYERS = 8.0
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
-# Surfaces that cross within a pixel are no farther apart at its centre than the pixel's size over
-# the cosines of the angles at which they are seen: for boxes these are known, and kept within
-# limits; spheres have the least.
-_LEAST_CLOSE, _MOST_CLOSE = 64.0, 16384.0
+# Slopes (`View.slope`) of boxes are known, and kept within these limits; spheres have the least.
+_LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
 
 # Samples farther apart, in pixels, are no neighbours.
 _GAP = 4.0
@@ -59,9 +57,9 @@ class View(NamedTuple):
     outlines : Outlines
     eye_inside : (n,)
         Of all surfaces, spheres first, those that are seen from inside.
-    close : (n,)
-        Of all surfaces: how far from another that crosses it within a pixel each may be, along the
-        ray through the pixel's centre, in sizes of a pixel at that distance.
+    slope : (n,)
+        Of all surfaces: by how much, at most, the distance from the eye changes from a pixel to the
+        next, in sizes of a pixel at that distance; one over the least cosine of incidence.
     layers : float
         How many objects at most lie behind a sample, on average over any row.
     """
@@ -70,7 +68,7 @@ class View(NamedTuple):
     surfaces: Surfaces
     outlines: Outlines
     eye_inside: Bools
-    close: Floats
+    slope: Floats
     layers: float
 
     def at_once(self, samples: int) -> int:
@@ -90,19 +88,19 @@ def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
         surfaces=surfaces,
         outlines=outlines,
         eye_inside=eye_inside,
-        close=_closeness(surfaces, eye, in_box),
+        slope=_slopes(surfaces, eye, in_box),
         layers=outlines.layers(),
     )
 
 
-def _closeness(surfaces: Surfaces, eye: Floats, inside: Bools) -> Floats:
-    """`View.close`: for boxes, 2 / (the least cosine at which a face may be seen)."""
+def _slopes(surfaces: Surfaces, eye: Floats, inside: Bools) -> Floats:
+    """`View.slope`, from the eye's height over faces and the distance of their farthest corner."""
     low, high = surfaces.min_pt - eye, surfaces.max_pt - eye
     farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=1))
     heights = np.where(inside[:, None], np.minimum(-low, high), np.maximum(low, -high))
     least = np.min(heights, axis=1, initial=np.inf, where=heights > 0)
-    boxes = np.clip(2 * farthest / least, _LEAST_CLOSE, _MOST_CLOSE)
-    return np.append(np.full(surfaces.sphere_count, _LEAST_CLOSE), boxes)
+    boxes = np.clip(farthest / least, _LEAST_SLOPE, _MOST_SLOPE)
+    return np.append(np.full(surfaces.sphere_count, _LEAST_SLOPE), boxes)
 
 
 class Group(NamedTuple):
@@ -273,10 +271,10 @@ class _Fragments(NamedTuple):
         """Values of rows, for each of the samples."""
         return np.repeat(values[self.row], self.counts)
 
-    def close(self, view: View) -> Any:
-        """`View.close` for each sample; a single number if all have the least."""
-        close = view.close[self.owner + (not self.sphere) * view.surfaces.sphere_count]
-        return self.spread(close) if np.any(close > _LEAST_CLOSE) else _LEAST_CLOSE
+    def slope(self, view: View) -> Any:
+        """`View.slope` for each sample; a single number if all have the least."""
+        slope = view.slope[self.owner + (not self.sphere) * view.surfaces.sphere_count]
+        return self.spread(slope) if np.any(slope > _LEAST_SLOPE) else _LEAST_SLOPE
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -324,16 +322,18 @@ def _close_behind(
         return []
     raster = view.raster
     pixel = size * max(raster.step_u, raster.step_v)
-    ahead: Floats | float = _LEAST_CLOSE
-    grazed = [(group, close) for group in seen if np.any((close := group.close(view)) > ahead)]
+    ahead: Floats | float = _LEAST_SLOPE
+    grazed = [(group, slope) for group in seen if np.any((slope := group.slope(view)) > ahead)]
     if grazed:
-        ahead = np.full(samples.size, _LEAST_CLOSE)
-        for group, close in grazed:
-            ahead[group.sample] = close
+        ahead = np.full(samples.size, _LEAST_SLOPE)
+        for group, slope in grazed:
+            ahead[group.sample] = slope
     behind = []
     for group in groups:
         first = nearest[group.sample]
-        step = pixel * np.maximum(select(ahead, group.sample), group.close(view))
+        # From a pixel's centre to where the two cross, each distance changes by at most its slope
+        # times half the diagonal.
+        step = 2 * pixel * np.maximum(select(ahead, group.sample), group.slope(view))
         # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
         # of directions are then computed for these few alone.
         most = first * (1 + 2 * step / raster.depth)
