@@ -128,7 +128,7 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    rough = cells.error > cells.tolerance
+    rough = ~(cells.error <= cells.tolerance)
     lines = joined([outlines_across(lighting.view, cells, seen, rough), *seen.lines])
     unresolved = seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)

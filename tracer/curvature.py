@@ -21,12 +21,12 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     """
     count = key.size
     total, error = np.empty(radiance.shape), np.zeros(count)
-    isolated = np.ones(count, dtype=np.bool_)
+    unknown = np.zeros(count, dtype=np.int8)
     for stride in (1, width):
         middle = slice(stride, count - stride)
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
-        isolated[middle] &= ~(before | after)
+        unknown[middle] += ~(before | after)
         # Edges are few: differences are taken everywhere, and those across edges put right.
         edge = np.flatnonzero(~same)
         one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
@@ -49,7 +49,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
         np.maximum(error, np.abs(channel), out=error)
     # A pixel unlike all its neighbours is suspect: of surfaces that coincide, rounding may show now
     # one and now the other.
-    error[isolated] = np.inf
+    error[unknown == 1], error[unknown == 2] = np.nan, np.inf
     return total, error
 
 

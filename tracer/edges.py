@@ -154,7 +154,8 @@ class Lines(NamedTuple):
 
         On a sphere near its limb light is a function of s = sqrt(z).  The points are those of
         Gauss's quadrature, found from the moments of s: the means of 1, s, s^2 and s^3 are exact.
-        Each lies in the middle of its line of equal z.  Shares are of the whole cell.
+        Along the limb each lies near the middle of its line of equal z, so that the mean of what
+        rises evenly that way is exact as well.  Shares are of the whole cell.
         """
         a, b, c = (-m for m in self._scaled())
         x, y = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])[:, :, None]
@@ -177,7 +178,11 @@ class Lines(NamedTuple):
         ends = [(x - 0.5) / b, (x + 0.5) / b], [(-y - 0.5) / a, (-y + 0.5) / a]
         begin = np.maximum(*(np.minimum(*m) for m in ends))
         end = np.minimum(*(np.maximum(*m) for m in ends))
-        along = (begin + end) / 2
+        middle, half = (begin + end) / 2, (end - begin) / 2
+        _, moment_x, moment_y = self.areas_and_moments()  # of the other part: the sum is zero
+        moment = (b * moment_x - a * moment_y) / (a * a + b * b)
+        missing = moment - (shares * middle).sum(axis=0)
+        along = middle + half * np.clip(missing / (shares * half).sum(axis=0), -1, 1)
         return shares, x - along * b, y + along * a
 
     def _scaled(self) -> tuple[Floats, Floats, Floats]:
