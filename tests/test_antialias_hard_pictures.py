@@ -351,6 +351,38 @@ def test_a_smooth_surface_in_large_pixels() -> None:
     )
 
 
+def test_a_surface_one_pixel_high() -> None:
+    # A highlight bends from row to row, and no row beside it says how.
+    half = (0.5 + 1 / 41) * 2 / 13
+    gloss = Phong(diffuse=(0.1,) * 3, specular=(1, 1, 1), exponent=34)
+    bar = Box(min_pt=(-9, -half, -1), max_pt=(9, half, 0), shader=gloss)
+    camera = Camera(view_point=(0, 0, 1), view_width=0.2, view_height=2)
+    lights = [PointLight(position=(0, 0, 1))]
+    scene = Scene(camera=camera, width=24, height=13, lights=lights, surfaces=[bar])
+    no_worse_than_the_uniform_grid(scene)
+
+
+def test_the_outline_of_a_hidden_ball() -> None:
+    # It divides nothing of the wall before it, whose light rises along it.
+    gloss = Phong(diffuse=(0.1,) * 3, specular=(1, 1, 1), exponent=200)
+    wall = Box(min_pt=(-9, -9, -1), max_pt=(9, 9, 0), shader=gloss)
+    ball = Sphere(center=(-78.5399, -49.3374, -99.1142), radius=95)
+    camera = Camera(view_point=(0, 0, 3), view_width=0.4, view_height=0.8 / 3)
+    lights = [PointLight(position=(0.5, -0.4, 3))]
+    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[wall, ball])
+    no_worse_than_the_uniform_grid(scene, numbers=(4, 16))
+
+
+def test_glitter_below_the_horizon_of_a_planet() -> None:
+    # Two pixels below it light does not depend on the distance from it alone.
+    gloss = Phong(diffuse=(0.5,) * 3, specular=(1, 1, 1), exponent=5)
+    planet = Sphere(center=(0, -8580, 0), radius=8580, shader=gloss)
+    camera = Camera(view_point=(0, 0.8, 5), view_width=1.44, view_height=0.96)
+    lights = [PointLight(position=(8, 0.8, -19))]
+    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[planet])
+    no_worse_than_the_uniform_grid(scene)
+
+
 def test_more_lights_than_bits() -> None:
     lights = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)

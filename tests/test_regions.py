@@ -94,3 +94,9 @@ def test_means_of_roots_within_a_limb_are_exact(seed: int) -> None:
             z = -(lines.c[cell] + lines.a[cell] * fine_x + lines.b[cell] * fine_y) / steep[cell]
             exact = np.where(z > 0, np.maximum(z, 0) ** power, 0).mean()
             assert mean[cell] == pytest.approx(exact, abs=2e-3), (cell, power)
+    # So are those of what rises evenly along the limb.
+    for place, fine in ((sides.x, fine_x), (sides.y, fine_y)):
+        mean = np.bincount(sides.cell, sides.share * np.where(inside > 0, place, 0), minlength=200)
+        for cell in range(0, 200, 7):
+            z = -(lines.c[cell] + lines.a[cell] * fine_x + lines.b[cell] * fine_y)
+            assert mean[cell] == pytest.approx(np.where(z > 0, fine, 0).mean(), abs=2e-3), cell

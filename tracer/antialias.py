@@ -128,17 +128,21 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    rough = ~(cells.error <= cells.tolerance)
+    rough = ~(cells.error <= cells.tolerance)  # NaN as well
     lines = joined([outlines_across(lighting.view, cells, seen, rough), *seen.lines])
     unresolved = seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
     colors = np.empty((3, sides.cell.size))
+    divided = np.ones(unresolved.size, dtype=np.bool_)
     beyond = np.flatnonzero(sides.beyond)
     if beyond.size:
-        colors[:, beyond], found, more = _beyond(lighting, cells, sides.take(beyond))
+        there = sides.take(beyond)
+        colors[:, beyond], key, found, more = _beyond(lighting, cells, there)
         unresolved[more] = True
         lines = joined([lines, found])
+        divided[there.cell] = False
+        divided[there.cell[key != seen.key[there.cell]]] = True
     # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
     lines = _few(lines, unresolved)
     kept = np.flatnonzero(~unresolved[sides.cell])
@@ -159,7 +163,12 @@ def _refine(
     first, _ = equal_runs(sides.cell[order])
     if first.size:
         total = np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
-        mean[:, sides.cell[order[first]]] = total
+        cell = sides.cell[order[first]]
+        # An outline behind what is seen divides nothing: there the sample in the middle, corrected,
+        # is better.
+        off = np.abs(total - mean[:, cell]).max(axis=0)
+        better = np.flatnonzero(divided[cell] | (off > cells.tolerance))
+        mean[:, cell[better]] = total[:, better]
 
 
 def _few(lines: Lines, unresolved: Bools) -> Lines:
@@ -170,8 +179,8 @@ def _few(lines: Lines, unresolved: Bools) -> Lines:
     return lines.take(np.flatnonzero(ranges(0, count) < _LINES))
 
 
-def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Lines, Ints]:
-    """Look around points beyond lines: radiance (3, n), lines in their cells, unresolved cells."""
+def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Ints, Lines, Ints]:
+    """Look around points beyond lines: radiance (3, n), keys, lines in cells, unresolved cells."""
     cell, x, y = sides.cell, sides.x, sides.y
     # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
@@ -180,7 +189,7 @@ def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Li
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
     lines = Lines(cell[found.cell], found.kind, a, b, c).crossing()
-    return seen.radiance, lines, cell[seen.unresolved]
+    return seen.radiance, seen.key, lines, cell[seen.unresolved]
 
 
 def _sample(
@@ -244,6 +253,7 @@ def _split(
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )
+        # What was not known of the whole (NaN), the quarters tell.
         quarters = quarters._replace(error=np.fmax(quarters.error, error))
         radiance = np.add(closer.radiance, bend, out=bend)
         every = np.ones(x.size, dtype=np.bool_)

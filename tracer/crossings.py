@@ -24,7 +24,7 @@ _TURN = 57.0
 _ON_LINE = 1e-6
 
 # Within this distance of its limb, in half cells, light on a sphere is a function of the distance.
-_NEAR_LIMB = 6.0
+_NEAR_LIMB = 3.0
 
 
 class Ends(NamedTuple):

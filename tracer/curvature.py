@@ -16,8 +16,8 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
 
     The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
     are differences between a pixel and its neighbours, where both of these see the same as it
-    does; where only one does, the difference counts as error.  Results for pixels on the rim are
-    meaningless.
+    does; where only one does, the difference counts as error; where neither does, the error is not
+    known: NaN.  Results for pixels on the rim are meaningless.
     """
     count = key.size
     total, error = np.empty(radiance.shape), np.zeros(count)
@@ -47,9 +47,10 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
+    error[unknown == 1] = np.nan
     # A pixel unlike all its neighbours is suspect: of surfaces that coincide, rounding may show now
     # one and now the other.
-    error[unknown == 1], error[unknown == 2] = np.nan, np.inf
+    error[unknown == 2] = np.inf
     return total, error
 
 

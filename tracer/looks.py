@@ -39,7 +39,8 @@ class Cells(NamedTuple):
     x, y : (n,)
         Their centres, in pixels.
     error : (n,)
-        By how much the sample at the centre, corrected by `curvature`, may differ from the mean.
+        By how much the sample at the centre, corrected by `curvature`, may differ from the mean;
+        NaN if only a closer look can tell.
     cell, owner : (m,)
         Pairs of a cell and an object whose outline may cross it.
     """
