@@ -159,6 +159,19 @@ def test_a_row_of_rays_along_an_edge() -> None:
     assert image[9, 0].any()
 
 
+def test_an_arc_of_more_than_half_a_circle() -> None:
+    # Seen from inside a ball, near its wall: the ball on the chord holds least of the arc.
+    for eye, toward, other, light in (
+        ((0.5, -0.72, 0.37), (-0.6, 0.4, -0.7), (-0.3, -0.4, 0.6), (0.3, -0.4, 0.3)),
+        ((0.15, -0.85, -0.39), (-0.2, 0.5, 1.2), (0.5, -0.5, 0), (-0.4, 0.4, -0.4)),
+    ):
+        camera = Camera(
+            view_point=eye, view_dir=toward, view_up=(0.3, 1, 0.2), view_width=12, view_height=2
+        )
+        walled = scene(Sphere(), Sphere(center=other, radius=0.1), light=light, camera=camera)
+        assert_same(replace(walled, width=30, height=8))
+
+
 def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
@@ -207,6 +220,15 @@ def test_no_lights() -> None:
 )
 def test_light_at_odd_places(other: Sphere | Box, light: tuple[float, float, float]) -> None:
     assert_same(scene(FLOOR, other, light=light))
+
+
+def test_a_light_on_a_face_but_for_rounding() -> None:
+    # What shines up from a table is not inside it because 0.3 is less than 0.1 + 0.2.
+    table = Box(min_pt=(-1, 0, -1), max_pt=(1, 0.1 + 0.2, 1))
+    ball = Sphere(center=(0, 0.9, 0), radius=0.5)
+    below = scene(table, ball, light=(0, 0.3, 0))
+    assert_same(below)
+    assert render(below).any()
 
 
 @pytest.mark.parametrize("other", [BALL, CUBE])
