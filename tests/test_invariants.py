@@ -21,6 +21,7 @@ from tracer import (
     antialias,
     render,
     rendering,
+    shadow,
 )
 from tracer.arrays import Floats, Ints
 from tracer.rendering import render_bands
@@ -171,3 +172,18 @@ def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPa
     image = render(scene, samples, threads=1)
     bands = [b.copy() for b in render_bands(scene, samples, threads=2, band_pixels=100)]
     assert np.array_equal(np.concatenate(bands), image)
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_strips(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Pixels of a large band are looked at strip by strip; what is found in all serves its samples,
+    # whether shadows are found by stretches or by light buffers.
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+    monkeypatch.setattr(shadow, "_FEW", 10**9 if few else -1)
+    monkeypatch.setattr(shadow, "_MOST", -1)
+    for seed in range(3):
+        scene = random_scene("scattered", seed, 36, 24)
+        image = render(scene, 16, threads=1)
+        with monkeypatch.context() as strips:
+            strips.setattr(antialias, "_STRIP", 200)
+            assert np.array_equal(render(scene, 16, threads=1), image)
