@@ -319,6 +319,10 @@ STRUCTURE = [
         EMPTY + '<shader name="a" type="Phong"/>' + SPHERE.format('<shader ref="a" type="Phong"/>'),
         "shader: unknown attribute 'type'; known: ref",
     ),
+    (
+        EMPTY + '<shader name="a" type="Phong" ref="a"/>',
+        "shader: unknown attribute 'ref'; known: name, type",
+    ),
     (EMPTY + "1 2 3", "scene: stray text '1 2 3'; remove it"),
     (EMPTY + SPHERE.format("r = 2"), "surface: stray text 'r = 2'; remove it"),
     (
