@@ -146,6 +146,15 @@ def test_surfaces_of_arrays() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("center", "has"), [((1, 2), "2"), (3, "1"), ([[1, 2, 3]], "shape (1, 3)")]
+)
+def test_what_is_no_vector(center: Any, has: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        Sphere(center=center)
+    assert str(caught.value) == f"center: needs 3 numbers, has {has}"
+
+
 NO_PERMUTATION = "sphere_index, box_index: must together be a permutation of 0 ... 2"
 
 
