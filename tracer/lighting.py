@@ -20,7 +20,6 @@ from tracer.arrays import (
     scaled,
     select,
 )
-from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.sampling import Samples
 from tracer.scene import Scene
@@ -114,7 +113,7 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
     occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
     result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
-        kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
+        kept_out = occluders.eye_inside & ~occluders.light_inside[number]
         for group in hits.groups:
             n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]

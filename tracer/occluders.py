@@ -41,9 +41,13 @@ class Occluders(NamedTuple):
     surfaces : Surfaces
     eye : (3,)
     lights : (lights, 3)
-    side : (lights, n)
-        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`.  To each box
-        `INSIDE`, or else `ON`, as it might be on it: the light's rounding then counts as well.
+    side : (lights, spheres)
+        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`.
+    light_inside : (lights, n)
+        Whether each light is inside each object.
+    light_on : (lights, n)
+        Whether each light may be on an object's surface, so that its rounding counts: any box that
+        it is not inside of.
     on_plane : (lights, n)
         Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
@@ -60,6 +64,8 @@ class Occluders(NamedTuple):
     eye: Floats
     lights: Floats
     side: NDArray[np.int8]
+    light_inside: Bools
+    light_on: Bools
     on_plane: Bools
     eye_inside: Bools
     seen: Bools
@@ -209,15 +215,14 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         reach = slack[radius.size :] + SLACK * np.abs(place)
         for plane in (low, high):
             on_plane[:, radius.size :] |= np.abs(place - plane) <= reach
-    side = [
-        sphere_side(distance, radius, SURFACE_TOLERANCE * around),
-        np.where(inside, INSIDE, ON).astype(np.int8),
-    ]
+    side = sphere_side(distance, radius, SURFACE_TOLERANCE * around)
     return Occluders(
         surfaces=surfaces,
         eye=eye,
         lights=lights,
-        side=np.concatenate(side, axis=1),
+        side=side,
+        light_inside=np.concatenate([side == INSIDE, inside], axis=1),
+        light_on=np.concatenate([side == ON, ~inside], axis=1),
         on_plane=on_plane,
         eye_inside=view.eye_inside,
         seen=view.outlines.in_picture(),

@@ -90,8 +90,8 @@ class Shadows(NamedTuple):
             # without `does`, says nothing.
             must = does & self._blocks(hits, candidates, point, light, occluder, -reach)
             # Nor does that of a sphere with the light on its surface.
-            on = entries(self.occluders.side, light, occluder) == ON
-            must &= ~(on & (occluder < self.occluders.surfaces.sphere_count))
+            if not self._of_boxes(candidates):
+                must &= entries(self.occluders.side, light, occluder) != ON
             put(blocked, light[does], point[does], True)
             put(solid, light[must], point[must], True)
             changes = does_larger[may] | does | (np.abs(gap[may]) <= reach)
@@ -250,7 +250,7 @@ class Shadows(NamedTuple):
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
         at_light = np.abs(occluders.lights).sum(axis=1)[light]
-        on = entries(occluders.side, light, occluder) == ON
+        on = entries(occluders.light_on, light, occluder)
         reach = np.where(on, np.maximum(reach, at_light), reach)
         return SURFACE_TOLERANCE * (reach + occluders.size[occluder])
 

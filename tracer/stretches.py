@@ -37,7 +37,6 @@ from tracer.capsules import (
     sphere_and_capsule,
     sphere_around_capsule,
 )
-from tracer.intersection import INSIDE
 from tracer.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.visibility import Hits
 
@@ -135,7 +134,7 @@ class _Search(NamedTuple):
         self, lists: _OccluderLists, blocks: _Tiles, tiles: _Tiles
     ) -> tuple[Ints, Ints, Ints]:
         """Lights, tiles, and objects that may come between: by blocks, then by their tiles."""
-        lights, objects = self.occluders.side.shape
+        lights, objects = self.occluders.light_inside.shape
         # A row of keys for each light, with one for each block.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
         place, listed = expand(lists.first[key + 1] - lists.first[key], lists.first[key])
@@ -229,7 +228,7 @@ def _near(
     met_or_cut = sphere_and_capsule if lists.spheres else box_and_capsule
     meets, cuts = met_or_cut(*_capsules(occluders, lists, middle, radius, light, occluder))
     if lists.light_inside:
-        at = np.flatnonzero(entries(occluders.side, light, occluder) == INSIDE)
+        at = np.flatnonzero(entries(occluders.light_inside, light, occluder))
         around = sphere_around_capsule if lists.spheres else box_around_capsule
         some = pick(middle, at), radius[at], light[at], occluder[at]
         meets[at] &= ~around(*_capsules(occluders, lists, *some))
@@ -338,7 +337,7 @@ def stretch_finder(occluders: Occluders) -> StretchFinder:
     lists = (
         _OccluderLists(
             kind == 0,
-            bool((occluders.side[:, place] == INSIDE).any()),
+            bool(occluders.light_inside[:, place].any()),
             np.cumsum([0, *np.concatenate(many[kind])]),
             np.concatenate(listed[kind]),
         )
