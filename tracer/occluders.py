@@ -22,6 +22,7 @@ __all__ = [
     "Candidates",
     "Finder",
     "Occluders",
+    "Pairs",
     "candidates_by_kind",
     "occluders_of",
     "point_candidates",
@@ -104,6 +105,23 @@ class Balls(NamedTuple):
         )
 
 
+class Pairs(NamedTuple):
+    """Pairs of a point and an object that may keep a light from it.
+
+    Attributes
+    ----------
+    point, light, occluder : (n,)
+    """
+
+    point: Ints
+    light: Ints
+    occluder: Ints
+
+    def take(self, index: Ints) -> Pairs:
+        """Some of them."""
+        return Pairs(self.point[index], self.light[index], self.occluder[index])
+
+
 class Candidates(NamedTuple):
     """Objects that may keep lights from points, still to be tested: at least one.
 
@@ -119,11 +137,11 @@ class Candidates(NamedTuple):
     light: Ints
     occluder: Ints
 
-    def points(self) -> tuple[Ints, Ints, Ints]:
+    def pairs(self) -> Pairs:
         """All points of all balls, with their light and object."""
         start = self.balls.start
         point = start if self.single else ranges(start, self.balls.length)
-        return point, self.spread(self.light), self.spread(self.occluder)
+        return Pairs(point, self.spread(self.light), self.spread(self.occluder))
 
     @property
     def single(self) -> bool:
@@ -160,20 +178,16 @@ class Finder(Protocol):
 
 
 def point_candidates(
-    occluders: Occluders,
-    own: Ints,
-    p: Triple,
-    point: Ints,
-    light: Ints,
-    occluder: Ints,
-    footprint: Floats | None,
+    occluders: Occluders, own: Ints, p: Triple, pairs: Pairs, footprint: Floats | None
 ) -> Candidates:
     """Candidates for single points, each at `p`; `own` (n,): the object that each hit is on."""
+    point = pairs.point
     owner = own[point]
     radius = occluders.slack[owner]
     if footprint is not None:
         radius = radius + footprint[point]
-    return Candidates(Balls(owner, point, np.ones_like(point), p, radius), light, occluder)
+    balls = Balls(owner, point, np.ones_like(point), p, radius)
+    return Candidates(balls, pairs.light, pairs.occluder)
 
 
 def candidates_by_kind(
@@ -190,9 +204,8 @@ def candidates_by_kind(
     for of_kind in (occluder < spheres, occluder >= spheres):
         at = np.flatnonzero(of_kind)
         if at.size:
-            which, lights = point[at], np.full(at.size, light)
-            p = pick(points, which)
-            yield point_candidates(occluders, own, p, which, lights, occluder[at], footprint)
+            pairs = Pairs(point[at], np.full(at.size, light), occluder[at])
+            yield point_candidates(occluders, own, pick(points, pairs.point), pairs, footprint)
 
 
 def occluders_of(view: View, lights: Floats) -> Occluders:

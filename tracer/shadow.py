@@ -26,7 +26,7 @@ from tracer.intersection import (
     sphere_crosses,
 )
 from tracer.light_buffers import LightBufferFinder, light_buffer_finder
-from tracer.occluders import SLACK, Candidates, Finder, Occluders, point_candidates
+from tracer.occluders import SLACK, Candidates, Finder, Occluders, Pairs, point_candidates
 from tracer.shadow_cache import ShadowCache, ShadowEdges
 from tracer.stretches import stretch_finder
 from tracer.visibility import Hits
@@ -59,9 +59,9 @@ class Shadows(NamedTuple):
         dark = np.zeros(facing.shape, dtype=np.bool_)
         blocked = np.zeros(facing.shape, dtype=np.bool_)
         for candidates in self.finder.candidates(hits, facing, dark):
-            point, light, occluder = candidates.points()
-            blocks = np.flatnonzero(self._blocks(hits, candidates, point, light, occluder))
-            put(blocked, light[blocks], point[blocks], True)
+            pairs = candidates.pairs()
+            block = pairs.take(np.flatnonzero(self._blocks(hits, candidates, pairs)))
+            put(blocked, block.light, block.point, True)
         return blocked | dark
 
     def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, ShadowEdges]:
@@ -71,38 +71,38 @@ class Shadows(NamedTuple):
         or when grown by the footprint, or have the light within it of their surface; and they do
         not block when shrunk by it.  Where any object does even then, all that is near is dark.
         """
-        blocked, solid, dark = np.zeros((3, *facing.shape), dtype=np.bool_)
+        blocked, dark, solid = np.zeros((3, *facing.shape), dtype=np.bool_)
         own, none = hits.own, np.zeros(0, dtype=np.intp)
-        found = [(none, none, none)]
+        found = [Pairs(none, none, none)]
         for candidates in self.finder.candidates(hits, facing, dark, footprint):
-            point, light, occluder = candidates.points()
-            reach = footprint[point]
-            does_larger = self._blocks(hits, candidates, point, light, occluder, reach)
+            pairs = candidates.pairs()
+            reach = footprint[pairs.point]
+            grown = self._blocks(hits, candidates, pairs, reach)
             gap = self._gap_to_light(candidates)
-            may = np.flatnonzero(does_larger | (gap <= reach))
-            if not may.size:
+            near = np.flatnonzero(grown | (gap <= reach))
+            if not near.size:
                 continue
-            point, light, occluder, reach = point[may], light[may], occluder[may], reach[may]
-            p = hits.points(point)
-            candidates = point_candidates(self.occluders, own, p, point, light, occluder, footprint)
-            does = self._blocks(hits, candidates, point, light, occluder)
-            # A point on a sphere's inner side is outside the shrunk one: the answer of that alone,
-            # without `does`, says nothing.
-            must = does & self._blocks(hits, candidates, point, light, occluder, -reach)
+            pairs, reach, grown, gap = pairs.take(near), reach[near], grown[near], gap[near]
+            single = point_candidates(
+                self.occluders, own, hits.points(pairs.point), pairs, footprint
+            )
+            itself = self._blocks(hits, single, pairs)
+            # A point on a sphere's inner side is outside the shrunk one: the answer of that alone
+            # says nothing.
+            shrunk = itself & self._blocks(hits, single, pairs, -reach)
             # Nor does that of a sphere with the light on its surface.
-            if not self._of_boxes(candidates):
-                must &= entries(self.occluders.side, light, occluder) != ON
-            put(blocked, light[does], point[does], True)
-            put(solid, light[must], point[must], True)
-            changes = does_larger[may] | does | (np.abs(gap[may]) <= reach)
-            edge = ~must & changes & entries(facing, light, point)
-            found.append((point[edge], light[edge], occluder[edge]))
-        point, light, occluder = (np.concatenate(m) for m in zip(*found, strict=True))
+            if not self._of_boxes(single):
+                shrunk &= entries(self.occluders.side, pairs.light, pairs.occluder) != ON
+            put(blocked, pairs.light[itself], pairs.point[itself], True)
+            put(solid, pairs.light[shrunk], pairs.point[shrunk], True)
+            changes = grown | itself | (np.abs(gap) <= reach)
+            edge = ~shrunk & changes & entries(facing, pairs.light, pairs.point)
+            found.append(pairs.take(np.flatnonzero(edge)))
+        every = Pairs(*(np.concatenate(m) for m in zip(*found, strict=True)))
         blocked |= dark
         dark |= solid
-        seen = np.flatnonzero(~entries(dark, light, point))
-        found_there = point[seen], light[seen], occluder[seen]
-        return blocked, ShadowEdges(hits, own, footprint, facing, dark, *found_there)
+        edges = every.take(np.flatnonzero(~entries(dark, every.light, every.point)))
+        return blocked, ShadowEdges(hits, own, footprint, facing, dark, *edges)
 
     @property
     def caches(self) -> bool:
@@ -123,33 +123,25 @@ class Shadows(NamedTuple):
         self,
         hits: Hits,
         candidates: Candidates,
-        point: Ints,
-        light: Ints,
-        occluder: Ints,
+        pairs: Pairs,
         larger: Floats | None = None,
     ) -> Bools:
         """Whether objects keep lights from points: the exact test of `candidates`, pair by pair.
 
-        `point`, `light`, `occluder`: their `points()`; `larger` (n,) grows objects on all sides.
+        `pairs` (n,): those of the candidates; `larger` (n,) grows objects on all sides.
         """
         # A ball around one point is centred on it.
-        p = candidates.balls.middle if candidates.single else hits.points(point)
+        p = candidates.balls.middle if candidates.single else hits.points(pairs.point)
         end = each(candidates.spread, columns(self.occluders.lights, candidates.light))
         block = self._boxes_block if self._of_boxes(candidates) else self._spheres_block
-        return block(candidates, p, end, light, occluder, larger)
+        return block(candidates, pairs, p, end, larger)
 
     def _of_boxes(self, candidates: Candidates) -> bool:
         """Whether the objects are boxes."""
         return bool(candidates.occluder[0] >= self.occluders.surfaces.sphere_count)
 
     def _boxes_block(
-        self,
-        candidates: Candidates,
-        p: Triple,
-        end: Triple,
-        light: Ints,
-        occluder: Ints,
-        larger: Floats | None,
+        self, candidates: Candidates, pairs: Pairs, p: Triple, end: Triple, larger: Floats | None
     ) -> Bools:
         """`_blocks` for boxes, from points `p` to the lights at `end`."""
         surfaces = self.occluders.surfaces
@@ -167,7 +159,7 @@ class Shadows(NamedTuple):
                 pick(end, at),
                 pick(low, at),
                 pick(high, at),
-                self._tolerance(pick(p, at), light[at], occluder[at]),
+                self._tolerance(pick(p, at), pairs.take(at)),
             )
         if larger is not None:
             # A box shrunk to less than nothing blocks nothing.
@@ -175,13 +167,7 @@ class Shadows(NamedTuple):
         return blocks
 
     def _spheres_block(
-        self,
-        candidates: Candidates,
-        p: Triple,
-        end: Triple,
-        light: Ints,
-        occluder: Ints,
-        larger: Floats | None,
+        self, candidates: Candidates, pairs: Pairs, p: Triple, end: Triple, larger: Floats | None
     ) -> Bools:
         """`_blocks` for spheres, from points `p` to the lights at `end`."""
         occluders, surfaces = self.occluders, self.occluders.surfaces
@@ -200,18 +186,18 @@ class Shadows(NamedTuple):
         closely |= dot(aside, aside) <= reach * reach
         at = np.flatnonzero(candidates.spread(closely))
         if at.size:
-            ball = occluder[at]
+            _, light, ball = pairs.take(at)
             distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))
             closely = distance <= radius[at] * (1 + SLACK) + occluders.slack[ball]
-            at = at[closely | (entries(occluders.side, light[at], ball) != OUTSIDE)]
-            ball = occluder[at]
+            at = at[closely | (entries(occluders.side, light, ball) != OUTSIDE)]
+            some = pairs.take(at)
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
                 pick(to_center, at),
                 radius[at],
-                self._tolerance(pick(p, at), light[at], ball),
-                entries(occluders.side, light[at], ball),
-                occluders.eye_inside[ball],
+                self._tolerance(pick(p, at), some),
+                entries(occluders.side, some.light, some.occluder),
+                occluders.eye_inside[some.occluder],
             )
         return blocks
 
@@ -243,16 +229,16 @@ class Shadows(NamedTuple):
             result |= np.abs(offset, out=offset) <= reach
         return result
 
-    def _tolerance(self, p: Triple, light: Ints, occluder: Ints) -> Floats:
+    def _tolerance(self, p: Triple, pairs: Pairs) -> Floats:
         """How near to an object the ends of a segment count as on it, pair by pair."""
         occluders = self.occluders
         x, y, z = occluders.eye.tolist()
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
-        at_light = np.abs(occluders.lights).sum(axis=1)[light]
-        on = entries(occluders.light_on, light, occluder)
+        at_light = np.abs(occluders.lights).sum(axis=1)[pairs.light]
+        on = entries(occluders.light_on, pairs.light, pairs.occluder)
         reach = np.where(on, np.maximum(reach, at_light), reach)
-        return SURFACE_TOLERANCE * (reach + occluders.size[occluder])
+        return SURFACE_TOLERANCE * (reach + occluders.size[pairs.occluder])
 
 
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
