@@ -112,13 +112,14 @@ def test_too_many_pixels_are_counted_without_overflow() -> None:
         (4.0, TypeError, "must be an int, is 4.0"),
         (2.5, TypeError, "must be an int, is 2.5"),
         ("4", TypeError, "must be an int, is '4'"),
-        (-1, ValueError, "must be at least 1, is -1"),
-        (np.int8(-1), ValueError, "must be at least 1, is -1"),
+        (-1, ValueError, "must be at least {}, is -1"),
+        (np.int8(-1), ValueError, "must be at least {}, is -1"),
     ],
 )
 def test_numbers_of_samples_and_threads_that_are_none(
     name: str, value: Any, error: type[Exception], message: str
 ) -> None:
+    message = message.format({"samples": 1, "threads": 0}[name])
     with pytest.raises(error, match=f"^{name} {message}$"):
         render(a_scene(), **{name: value})
 

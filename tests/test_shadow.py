@@ -122,7 +122,7 @@ def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
         surfaces=[floor, *balls],
     )
     asked = found = 0
-    edges, points = Shadows.edges, Candidates.points
+    edges, pairs = Shadows.edges, Candidates.pairs
 
     def counted(self: Shadows, hits: Hits, facing: Bools, footprint: Floats) -> Any:
         nonlocal asked
@@ -132,10 +132,10 @@ def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
     def tried(self: Candidates) -> Any:
         nonlocal found
         found += int(self.balls.length.sum())
-        return points(self)
+        return pairs(self)
 
     monkeypatch.setattr(Shadows, "edges", counted)
-    monkeypatch.setattr(Candidates, "points", tried)
+    monkeypatch.setattr(Candidates, "pairs", tried)
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
     monkeypatch.setattr(shadow, "_FEW", 10**9 if few else -1)
     monkeypatch.setattr(shadow, "_MOST", -1)

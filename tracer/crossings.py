@@ -139,7 +139,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
-        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.edges)
+        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.planes)
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
         lines.append(edges)

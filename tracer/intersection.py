@@ -46,10 +46,10 @@ class Disc(NamedTuple):
     ----------
     hypot2
         Square of the rays' second component in that plane; the first, s, is along the row.
-    tilt, bend
-        The cross product centre x ray, in that plane a number, is bend - tilt * s.
-    along, ahead
-        centre . ray is along * s + ahead.
+    u, w
+        The centre: along the row, and ahead.
+    u_hypot, w_hypot
+        These times the rays' second component.
     chord2
         The disc's squared radius; negative where the plane misses the sphere.
     power
@@ -57,10 +57,10 @@ class Disc(NamedTuple):
     """
 
     hypot2: Floats
-    tilt: Floats
-    bend: Floats
-    along: Floats
-    ahead: Floats
+    u: Floats
+    w: Floats
+    u_hypot: Floats
+    w_hypot: Floats
     chord2: Floats
     power: Floats
 
@@ -75,8 +75,7 @@ def disc_in_row(g: Floats, depth: float, center: Triple, radius: Floats, power: 
     hypot = np.sqrt(hypot2)
     aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
     chord2 = (radius - aside) * (radius + aside)
-    # In that plane the centre is (u, ahead), and a ray (s, hypot).
-    return Disc(hypot2, ahead, u * hypot, u, ahead * hypot, chord2, power)
+    return Disc(hypot2, u, ahead, u * hypot, ahead * hypot, chord2, power)
 
 
 def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
@@ -103,9 +102,10 @@ def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
         its sign, times the radius and the direction's length.
     """
     length2 = s * s + disc.hypot2
-    cross = disc.bend - disc.tilt * s
+    # Of the centre (u, w) and the ray (s, hypot) the cross product and the dot product.
+    cross = disc.u_hypot - disc.w * s
     rise = np.sqrt(length2 * disc.chord2 - cross * cross)
-    root = disc.along * s + disc.ahead + rise
+    root = disc.u * s + disc.w_hypot + rise
     power = disc.power
     t = power / root if np.all(power > 0) else np.where(power > 0, power / root, root / length2)
     # Not a number where there is no root; negative behind the eye.

@@ -107,7 +107,7 @@ class Outlines(NamedTuple):
         Of spheres: seen from the eye, in the camera's axes; power is
         |centre|^2 - radius^2, as in `Disc`.
     sphere_frames : Frames
-    edges : three (6, b)
+    planes : three (6, b)
         Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
         frame says enough.
     shaped : (b,)
@@ -122,7 +122,7 @@ class Outlines(NamedTuple):
     radius: Floats
     power: Floats
     sphere_frames: Frames
-    edges: Triple
+    planes: Triple
     shaped: NDArray[np.bool_]
     box_frames: Frames
     turns: Turns
@@ -137,7 +137,7 @@ class Outlines(NamedTuple):
             self.radius[owner],
             self.power[owner],
         )
-        low, high = _tangents(disc.along, disc.tilt, disc.chord2, disc.power)
+        low, high = _tangents(disc.u, disc.w, disc.chord2, disc.power)
         hypot = np.sqrt(disc.hypot2)
         left, right = self.raster.column(low * hypot), self.raster.column(high * hypot)
         return self._clip(owner, row, left, right, pad)
@@ -151,12 +151,11 @@ class Outlines(NamedTuple):
         low = np.full(at.size, -np.inf)
         high = np.full(at.size, np.inf)
         for k in range(6):
-            slope = self.edges[0][k][box]
-            tilted, level = self.edges[1][k][box] * g, self.edges[2][k][box]
+            slope, tilt, level = (m[k][box] for m in self.planes)
+            tilted = tilt * g
             # Inside, slope * s + tilted + level >= 0, up to rounding.  The slack for that decides
             # where the plane contains the whole row.
-            tilt = np.abs(self.edges[1][k][box])
-            slack = _ROUNDING * (tilt * (np.abs(g) + self.raster.depth) + np.abs(level))
+            slack = _ROUNDING * (np.abs(tilt) * (np.abs(g) + self.raster.depth) + np.abs(level))
             # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
             # Without a plane it is 0 / 0, which fmax ignores.
             bound = -(tilted + level + slack) / (slope + 0.0)

@@ -165,18 +165,18 @@ def _rendered(
 
 def _processes(threads: int | None, pays: bool) -> int:
     """As many as are asked for, or else one or two; not more than there are processors."""
-    asked = _at_least_one(threads, "threads") if threads else 2 if pays else 1
+    asked = _integer(threads or 0, "threads", 0) or (2 if pays else 1)
     return min(asked, processors())
 
 
-def _at_least_one(value: int, name: str) -> int:
+def _integer(value: int, name: str, least: int) -> int:
     """As a Python integer, checked: NumPy's overflow, and have other methods."""
     try:
         number = int(operator.index(value))
     except TypeError:
         raise TypeError(f"{name} must be an int, is {value!r}") from None
-    if number < 1:
-        raise ValueError(f"{name} must be at least 1, is {number}")
+    if number < least:
+        raise ValueError(f"{name} must be at least {least}, is {number}")
     return number
 
 
@@ -203,7 +203,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def of(cls, scene: Scene, samples: int, offset: tuple[float, float] = (0.0, 0.0)) -> _Picture:
         """As good as this many samples a pixel, or better: by lattices everywhere, or splitting."""
-        samples = _at_least_one(samples, "samples")
+        samples = _integer(samples, "samples", 1)
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
