@@ -148,12 +148,36 @@ def test_surfaces_of_arrays() -> None:
 
 
 @pytest.mark.parametrize(
-    ("center", "has"), [((1, 2), "2"), (3, "1"), ([[1, 2, 3]], "shape (1, 3)")]
+    ("center", "told"),
+    [
+        ((1, 2), "needs 3 numbers, has 2"),
+        (3, "needs 3 numbers, has 1"),
+        ([[1, 2, 3]], "needs 3 numbers, has shape (1, 3)"),
+        ("abc", "must be given in numbers, is 'abc'"),
+        ((1, (2, 3)), "must be given in numbers, is (1, (2, 3))"),
+        ((0, 10**400, 0), "must be finite"),
+    ],
 )
-def test_what_is_no_vector(center: Any, has: str) -> None:
+def test_what_is_no_vector(center: Any, told: str) -> None:
     with pytest.raises(SceneError) as caught:
         Sphere(center=center)
-    assert str(caught.value) == f"center: needs 3 numbers, has {has}"
+    assert str(caught.value) == f"center: {told}"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("a", "must be given in numbers, is 'a'"),
+        ((1, 2), "must be a single number, has 2"),
+        (10**400, "must be finite"),
+    ],
+)
+def test_what_is_no_number(value: Any, told: str) -> None:
+    for name, make in (("radius", Sphere), ("exponent", Phong), ("projDistance", Camera)):
+        field = {"projDistance": "proj_distance"}.get(name, name)
+        with pytest.raises(SceneError) as caught:
+            make(**{field: value})
+        assert str(caught.value) == f"{name}: {told}"
 
 
 NO_PERMUTATION = "sphere_index, box_index: must together be a permutation of 0 ... 2"

@@ -84,8 +84,21 @@ def number(value: float) -> str:
     return f"{value:.17g}" if float(f"{value:.6g}") != value else f"{value:g}"
 
 
+def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
+    """As an array; None after a fault."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except OverflowError:
+        faults.append(Fault(name, "must be finite"))
+    except (TypeError, ValueError):
+        faults.append(Fault(name, f"must be given in numbers, is {value!r}"))
+    return None
+
+
 def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    array = np.asarray(value, dtype=np.float64)
+    array = _floats(value, name, faults)
+    if array is None:
+        return (0.0, 0.0, 1.0)
     if array.shape != (3,):
         has = array.size if array.ndim < 2 else f"shape {array.shape}"
         faults.append(Fault(name, f"needs 3 numbers, has {has}"))
@@ -112,8 +125,18 @@ def _color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     return color
 
 
+def _number(value: float, name: str, faults: list[Fault]) -> float:
+    array = _floats(value, name, faults)
+    if array is None:
+        return 1.0
+    if array.size != 1:
+        faults.append(Fault(name, f"must be a single number, has {array.size}"))
+        return 1.0
+    return array.item()
+
+
 def _positive(value: float, name: str, faults: list[Fault]) -> float:
-    value = float(value)
+    value = _number(value, name, faults)
     if not (0 < value < np.inf):
         faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
         return 1.0
@@ -282,7 +305,7 @@ class Phong:
         faults: list[Fault] = []
         object.__setattr__(self, "diffuse", _color(self.diffuse, "diffuseColor", faults))
         object.__setattr__(self, "specular", _color(self.specular, "specularColor", faults))
-        exponent = float(self.exponent)
+        exponent = _number(self.exponent, "exponent", faults)
         if not (0 <= exponent < np.inf):
             faults.append(
                 Fault("exponent", f"must be finite and not negative, is {number(exponent)}")
@@ -306,7 +329,7 @@ class Sphere:
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         object.__setattr__(self, "center", _vector(self.center, "center", faults))
-        object.__setattr__(self, "radius", float(self.radius))
+        object.__setattr__(self, "radius", _number(self.radius, "radius", faults))
         faults += _sphere_faults(np.array([self.center]), np.array([self.radius]))
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
         if faults:
