@@ -153,12 +153,11 @@ def _refine(
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _AT_ONCE:
-        at_once = lighting.view.at_once(_CHUNK)
-        colors[:, beside] = _sample(lights, cells, lines, rest, per_side, at_once, mean, near)
+        _sample(lights, cells, lines, rest, per_side, lighting.view.at_once(_CHUNK), mean)
     else:
         _split(lighting, lights, cells, seen, rest, per_side, mean)
-        at = cells.at(near.cell, near.x, near.y)
-        colors[:, beside] = radiance_in(lights, *at, near.cell)
+    at = cells.at(near.cell, near.x, near.y)
+    colors[:, beside] = radiance_in(lights, *at, near.cell)
     order = np.argsort(sides.cell, kind="stable")
     first, _ = equal_runs(sides.cell[order])
     if first.size:
@@ -200,38 +199,26 @@ def _sample(
     per_side: int,
     at_once: int,
     mean: Floats,
-    near: Points,
-) -> Floats:
+) -> None:
     """Replace the mean radiance (3, n) of some cells by that of a lattice of samples in each.
 
-    `at_once`: how many samples, about, are taken together.  Returns the radiance of the points
-    `near`, which are sampled with the first of them.
+    `at_once`: how many samples, about, are taken together.
     """
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
-    step, colors = max(1, at_once // lattice.size), []
-    for begin in range(0, max(some.size, 1), step):
+    step = max(1, at_once // lattice.size)
+    for begin in range(0, some.size, step):
         part = some[begin : begin + step]
         held = np.flatnonzero(np.isin(lines.cell, part))
         weights, empty = post_stratified(lines.take(held), part, x, y)
-        points = empty.joined(near)
-        (every_x, every_y), (own_x, own_y) = (
-            cells.places(part, x, y),
-            cells.at(points.cell, points.x, points.y),
-        )
-        inside = np.append(np.repeat(part, lattice.size), points.cell)
-        at = np.append(every_x, own_x), np.append(every_y, own_y)
-        radiance, lone, other = np.split(
-            radiance_in(lights, *at, inside),
-            [weights.size, weights.size + empty.cell.size],
-            axis=1,
-        )
-        mean[:, part] = (radiance.reshape(3, *weights.shape) * weights).sum(axis=2)
-        for channel, values in zip(mean, lone, strict=True):
+        inside = np.append(np.repeat(part, lattice.size), empty.cell)
+        every, lone = cells.places(part, x, y), cells.at(empty.cell, empty.x, empty.y)
+        at_x, at_y = map(np.append, every, lone)
+        radiance = radiance_in(lights, at_x, at_y, inside)
+        spread, single = np.split(radiance, [weights.size], axis=1)
+        mean[:, part] = (spread.reshape(3, *weights.shape) * weights).sum(axis=2)
+        for channel, values in zip(mean, single, strict=True):
             np.add.at(channel, empty.cell, empty.share * values)
-        colors.append(other)
-        near = near.take(np.zeros(0, dtype=np.intp))
-    return np.concatenate(colors, axis=1)
 
 
 def _split(
