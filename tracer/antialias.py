@@ -129,8 +129,9 @@ def _refine(
     asked for.  `wanted` (n,): where means are of interest.
     """
     rough = ~(cells.error <= cells.tolerance)  # NaN as well
-    lines = joined([outlines_across(lighting.view, cells, seen, rough), *seen.lines])
-    unresolved = seen.unresolved | rough
+    outlines, beside_limbs = outlines_across(lighting.view, cells, seen, rough)
+    rough[beside_limbs] = False
+    lines, unresolved = joined([outlines, *seen.lines]), seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
     colors = np.empty((3, sides.cell.size))
@@ -158,16 +159,22 @@ def _refine(
         _split(lighting, lights, cells, seen, rest, per_side, mean)
     at = cells.at(near.cell, near.x, near.y)
     colors[:, beside] = radiance_in(lights, *at, near.cell)
+    cell, total = _total(sides, colors)
+    # A hidden outline divides nothing: there the sample in the middle, corrected, is better, unless
+    # the two differ.
+    differ = np.any(np.abs(total - mean[:, cell]) > cells.tolerance, axis=0)
+    shown = np.flatnonzero(divided[cell] | differ)
+    mean[:, cell[shown]] = total[:, shown]
+
+
+def _total(sides: Points, colors: Floats) -> tuple[Ints, Floats]:
+    """Cells (m,), and the sums (3, m) of the colours (3, n) of their sides, weighted by shares."""
     order = np.argsort(sides.cell, kind="stable")
-    first, _ = equal_runs(sides.cell[order])
-    if first.size:
-        total = np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
-        cell = sides.cell[order[first]]
-        # An outline behind what is seen divides nothing: there the sample in the middle, corrected,
-        # is better.
-        off = np.abs(total - mean[:, cell]).max(axis=0)
-        better = np.flatnonzero(divided[cell] | (off > cells.tolerance))
-        mean[:, cell[better]] = total[:, better]
+    cell = sides.cell[order]
+    first, _ = equal_runs(cell)
+    if not first.size:
+        return cell, colors
+    return cell[first], np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
 
 
 def _few(lines: Lines, unresolved: Bools) -> Lines:

@@ -114,15 +114,15 @@ def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
     return row[each_one], column - columns.start, owner[each_one]
 
 
-def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines:
+def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> tuple[Lines, Ints]:
     """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
 
-    `rough` (n,): cells in which the light bends too much for one sample.  If that is because they
-    see a sphere beside its limb, they get the limb's line, whether it crosses them or not, and are
-    marked rough no more.
+    `rough` (n,): cells in which the light bends too much for one sample.  Those where that is so
+    because they see a sphere beside its limb get the limb's line, whether it crosses them or not,
+    and are returned as well.
     """
     outlines, spheres = view.outlines, view.surfaces.sphere_count
-    lines = []
+    lines, beside_limbs = [], np.zeros(0, dtype=np.intp)
     at = np.flatnonzero(cells.owner < spheres)
     beside, own = seen.spheres(rough)
     cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
@@ -133,7 +133,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines
         seen.unresolved[cell[near & ~straight]] = True
         explained = straight & (np.abs(discs.c) < _NEAR_LIMB * discs.reach())
         explained[: at.size] = False
-        rough[cell[explained]] = False
+        beside_limbs = cell[explained]
         drawn = np.flatnonzero((turn <= BEND) & (discs.crosses() | explained))
         lines.append(discs.take(drawn))
     at = np.flatnonzero(cells.owner >= spheres)
@@ -143,7 +143,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> Lines
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
         lines.append(edges)
-    return joined(lines)
+    return joined(lines), beside_limbs
 
 
 def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:
