@@ -139,7 +139,7 @@ def _refine(
     beyond = np.flatnonzero(sides.beyond)
     if beyond.size:
         there = sides.take(beyond)
-        colors[:, beyond], key, found, more = _beyond(lighting, cells, there)
+        colors[:, beyond], key, found, more = _look_beyond(lighting, cells, there)
         unresolved[more] = True
         lines = joined([lines, found])
         divided[there.cell] = False
@@ -185,7 +185,9 @@ def _few(lines: Lines, unresolved: Bools) -> Lines:
     return lines.take(np.flatnonzero(ranges(0, count) < _LINES))
 
 
-def _beyond(lighting: Lighting, cells: Cells, sides: Points) -> tuple[Floats, Ints, Lines, Ints]:
+def _look_beyond(
+    lighting: Lighting, cells: Cells, sides: Points
+) -> tuple[Floats, Ints, Lines, Ints]:
     """Look around points beyond lines: radiance (3, n), keys, lines in cells, unresolved cells."""
     cell, x, y = sides.cell, sides.x, sides.y
     # A square of twice the size, around whichever point of a cell, contains all of the cell.

@@ -5,7 +5,7 @@ values; small objects share arrays, with their data gathered for each sample.
 NumPy's broadcasting lets the same arithmetic serve both.
 
 Vectors are triples of such values (structure of arrays): each operation then
-runs over contiguous memory.  To take some elements of
+runs over contiguous memory.  Docstrings say "three (n,)".  To take some elements of
 
     a value, or (n,)             select
     a triple of such values      pick

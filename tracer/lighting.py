@@ -136,7 +136,8 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
 def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
     """Radiance, three (n,), of a group towards the eye.
 
-    `light`, `lit` (lights, n): what comes in there, and whether it reaches the points.
+    `highlights`: of the group.  `light`, `lit` (lights, n): what comes in there, and whether it
+    reaches the points.
     """
     lighting, group = highlights.lighting, highlights.group
     # Sums over the lights, without the shaders' colours: intensity times n.l, and times highlight.

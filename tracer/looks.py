@@ -110,24 +110,24 @@ class Seen(NamedTuple):
 
     def spheres(self, some: Bools) -> tuple[Ints, Ints]:
         """Those of some cells (n,) whose middles see spheres, and which spheres."""
-        samples, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
-        for found, order in self.shadow_edges:
+        cells, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+        for found, cell in self.shadow_edges:
             for group in found.hits.groups:
                 if group.flat:
                     continue
-                sample = order[group.sample]
-                at = np.flatnonzero(some[sample])
-                samples.append(sample[at])
+                inside = cell[group.sample]
+                at = np.flatnonzero(some[inside])
+                cells.append(inside[at])
                 owners.append(found.own[group.part][at])
-        return np.concatenate(samples), np.concatenate(owners)
+        return np.concatenate(cells), np.concatenate(owners)
 
     def lights(self, lighting: Lighting, some: Ints) -> Lights:
         """The lights for samples in some cells, with what looks have found of shadows there."""
         if not lighting.shadows.caches:
             return lambda _: lighting
-        sample = np.concatenate([order[found.hits.sample] for found, order in self.shadow_edges])
+        seen = np.concatenate([cell[found.hits.sample] for found, cell in self.shadow_edges])
         place = np.full(self.key.size, -1)
-        place[sample] = np.arange(sample.size)
+        place[seen] = np.arange(seen.size)
         near = np.empty(self.key.size, dtype=np.intp)
         near[some] = np.arange(some.size)
         cached = lighting.shadows.cached([found for found, _ in self.shadow_edges], place[some])
@@ -178,17 +178,17 @@ def look(
     size: float,
     tolerance: float,
     seen: Seen,
-    order: Ints,
+    cell: Ints,
     share: float = 1.0,
 ) -> None:
     """Look at cells of a size around samples; what is found goes into `seen`.
 
-    `order` (n,): the place in `seen` of each sample.  `tolerance`: by how much a sample may err, in
-    radiance.  `share`: the part of its cell's width that a sample stands for.
+    `cell` (n,): the cell of `seen` around each sample.  `tolerance`: by how much a sample may err,
+    in radiance.  `share`: the part of its cell's width that a sample stands for.
     """
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
-    seen.lines.append(intersections(hits, behind, surfaces, order, size, seen.unresolved))
+    seen.lines.append(intersections(hits, behind, surfaces, cell, size, seen.unresolved))
     light = incoming(lighting, hits)
     facing = light.n_dot_l > 0
     sights = [hits.distance_and_cosine(group) for group in hits.groups]
@@ -199,27 +199,27 @@ def look(
     wide = near_lights(light, share * footprint)
     reach = footprint
     if wide.size:
-        seen.unresolved[order[hits.sample[wide]]] = True
+        seen.unresolved[cell[hits.sample[wide]]] = True
         reach = footprint.copy()
         reach[wide] = 0
     blocked, found = lighting.shadows.edges(hits, facing, reach)
     lit = facing & ~blocked
-    seen.shadow_edges.append((found, order))
+    seen.shadow_edges.append((found, cell))
     for group, sight in zip(hits.groups, sights, strict=True):
-        cell, part = order[group.sample], group.part
-        patches = Patches(lighting, hits, group, cell, footprint[part], size)
+        inside, part = cell[group.sample], group.part
+        patches = Patches(lighting, hits, group, inside, footprint[part], size)
         here, reached = light.part(part), lit[:, part]
         highlights = Highlights.of(lighting, hits, group, sight)
         shaded = shade(highlights, here, reached)
         for channel, values in zip(seen.radiance, shaded, strict=True):
-            channel[cell] = values
+            channel[inside] = values
         key = group.spread(group.owner * 4) + group.face
         for bit in reached:
             # An odd factor: with more lights than bits, the first are not shifted out.
             key = key * 3 + bit
-        seen.key[cell] = key
+        seen.key[inside] = key
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
-            seen.unresolved[cell[places]] = True
+            seen.unresolved[inside[places]] = True
         at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
         if at.size:
             places = found.point[at] - part.start

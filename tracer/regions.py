@@ -71,10 +71,10 @@ def sides_of(lines: Lines) -> Points:
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
     beyond = other & (side * np.tile(lines.c, 2) <= 0)
-    sides = Points(np.tile(lines.cell, 2), shares, x, y, beyond)
     limb = np.flatnonzero(lines.kind == Kind.LIMB)
     within = share.size + limb
-    sides.share[within] = 0
+    shares[within] = 0  # two points stand for that side
+    sides = Points(np.tile(lines.cell, 2), shares, x, y, beyond)
     shares, x, y = lines.take(limb).gauss_points()
     roots = Points(
         np.tile(lines.cell[limb], 2),

@@ -38,6 +38,7 @@ _LAYERS = 8.0
 _PAD = 0.5
 
 # Slopes (`View.slope`) of boxes are known, and kept within these limits; spheres have the least.
+# What crosses another surface at a slope that is steeper still may be missed.
 _LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
 
 # Samples farther apart, in pixels, are no neighbours.
