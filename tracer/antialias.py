@@ -97,7 +97,9 @@ def antialiased(
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
         places = np.arange(first * width, first * width + strip.size)
         look(lighting, strip, 1.0, tolerance, seen, places)
-    bend, error = curvature(seen.radiance, seen.key, width)
+    bend, error, partial = curvature(seen.radiance, seen.key, width)
+    # What is known does not ask for a closer look; what is not, may.
+    error[partial & (error <= tolerance)] = np.nan
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(ends, across)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
@@ -128,11 +130,15 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    rough = ~(cells.error <= cells.tolerance)  # NaN as well
+    rough = cells.error > cells.tolerance
     outlines, beside_limbs = outlines_across(lighting.view, cells, seen, rough)
     rough[beside_limbs] = False
     lines, unresolved = joined([outlines, *seen.lines]), seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
+    # Each side of a line has samples of its own; what is not divided needs to be known as a whole.
+    unknown = np.isnan(cells.error)
+    unknown[lines.cell] = False
+    unresolved |= unknown
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
     colors = np.empty((3, sides.cell.size))
     divided = np.ones(unresolved.size, dtype=np.bool_)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints
+from tracer.arrays import Bools, Floats, Ints
 
 __all__ = ["curvature", "extrapolated"]
 
 
-def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
+def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bools]:
     """What to add to the samples at pixels' centres for the pixels' means, and its error (n,).
 
-    `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.
+    `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.  The third
+    array (n,) says where the error is that of one direction only, as nothing is known of the other.
 
     The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
     are differences between a pixel and its neighbours, where both of these see the same as it
-    does; where only one does, the difference counts as error; where neither does, the error is not
-    known: NaN.  Results for pixels on the rim are meaningless.
+    does; where only one does, the difference counts as error; where neither does, nothing is known.
+    Results for pixels on the rim are meaningless.
     """
     count = key.size
     total, error = np.empty(radiance.shape), np.zeros(count)
@@ -47,11 +48,10 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
-    error[unknown == 1] = np.nan
     # A pixel unlike all its neighbours is suspect: of surfaces that coincide, rounding may show now
     # one and now the other.
     error[unknown == 2] = np.inf
-    return total, error
+    return total, error, unknown == 1
 
 
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
