@@ -562,6 +562,30 @@ def test_what_one_fault_leads_to_is_no_fault(faults):
     ]
 
 
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("1 2", "3 4 5 6"),
+        ("1 2 3 4", "5 6"),
+        ("1 2 3 4 5 6", ""),
+        ("1 2 3", "4 5 6 7"),
+        ("1 2 3 ; 4 5 6", ""),
+        ("", "1 2 3 ; 4 5 6"),
+        ("1 2 3 ;", "4 5 6"),
+        ("1 2 ; 3", "4 5 6"),
+    ],
+)
+def test_no_surface_takes_numbers_of_the_next(faults, texts):
+    """The numbers of many surfaces are read at once, from texts with a ; in between."""
+    content = "".join(SPHERE.format(f"<center>{text}</center>") + "\n" for text in texts)
+    expected = []
+    for line, words in enumerate(map(str.split, texts), 1):
+        expected += [f"{line}: center: ';' {DECIMAL}"] * words.count(";")
+        if len(words) != 3:
+            expected.append(f"{line}: center: needs 3 numbers, has {len(words)}")
+    assert faults(f"<scene>{content}{EMPTY}</scene>") == expected
+
+
 # Limits
 
 

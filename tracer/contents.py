@@ -1,6 +1,7 @@
 """What the elements of a scene file say: here tags and text become a scene.
 
-Surfaces go straight into flat arrays, and are checked all at once at the end.
+Surfaces go straight into flat arrays, the numbers of many at a time, and are checked all at once
+at the end.
 Every fault is noted, in words and with its line, and reading goes on after it.
 """
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 import re
 from array import array
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
@@ -26,6 +27,7 @@ from tracer.scene import (
     Shader,
     Sphere,
     Surfaces,
+    Vector,
 )
 
 if TYPE_CHECKING:
@@ -78,13 +80,11 @@ _SHADERS: Mapping[str, tuple[Callable[..., Shader], _Fields]] = {
 # A shader holds no numbers: 0 says that the parameter is its place among the shaders.
 _SPHERE: _Fields = {"shader": ("shader", 0), "center": ("center", 3), "radius": ("radius", 1)}
 _BOX: _Fields = {"shader": ("shader", 0), "minPt": ("min_pt", 3), "maxPt": ("max_pt", 3)}
-_SURFACES = {"Sphere": _SPHERE, "Box": _BOX}
 
 _SCENE = ("camera", "image", "light", "shader", "surface")
 # Elements that hold elements, and no text.
 CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
-_UNIT_SPHERE = Sphere()
 _NAN = float("nan")
 
 _Made = TypeVar("_Made")
@@ -154,10 +154,25 @@ def _line(element: _Element) -> int:
     return element.line if isinstance(element, LineElement) else 0
 
 
-def _giving(parameter: str, element: _Element, fields: _Fields) -> _Element:
-    """The child of `element` that gives a parameter; `element` itself if none does."""
-    tags = [tag for tag, field in fields.items() if field[0] == parameter]
-    return next((child for child in element if child.tag in tags), element)
+def _numbers(elements: Sequence[Any], count: int) -> list[float] | None:
+    """The numbers in all `elements`; None unless each is there and surely holds `count`."""
+    try:
+        if any(map(len, elements)) or any(element.keys() for element in elements):
+            return None
+        # One text for all: to read each by itself takes longer than to make a number of it.
+        text = " ; ".join([element.text for element in elements])
+        words = text.split()
+        between = words[count :: count + 1]
+        del words[count :: count + 1]
+        if (
+            len(words) == count * len(elements)
+            and between == [";"] * (len(elements) - 1)
+            and _is_plain(text)
+        ):
+            return [*map(float, words)]
+    except (TypeError, ValueError):  # of None, and of a word that is no number
+        pass
+    return None
 
 
 def _unread(values: Iterable[float]) -> bool:
@@ -198,18 +213,38 @@ class Faults:
         raise GiveUp
 
 
+class _Column:
+    """One parameter of all spheres or of all boxes: the numbers, and the line of each surface's.
+
+    `default` is what stands for a parameter that is not given.
+    """
+
+    __slots__ = ("default", "lines", "numbers", "unread")
+
+    def __init__(self, default: Vector | tuple[float]) -> None:
+        self.default = default
+        self.numbers = array("d")
+        self.lines = array("q")
+        # Of the surfaces whose numbers come next, the elements that hold them.
+        self.unread: list[_Element | None] = []
+
+
 class _Rows:
-    """All spheres or all boxes, in flat arrays: two parameters, their lines, shader and index."""
+    """All spheres or all boxes: what their elements may hold, and what these say, in columns."""
 
-    __slots__ = ("first", "index", "lines", "parameters", "second", "shader")
+    __slots__ = ("columns", "fields", "index", "required", "shader")
 
-    def __init__(self, *parameters: str) -> None:
-        self.parameters = parameters
-        self.first = array("d")
-        self.second = array("d")
+    def __init__(
+        self,
+        fields: _Fields,
+        required: tuple[str, ...] = (),
+        **defaults: Vector | tuple[float],
+    ) -> None:
+        self.fields = fields
+        self.required = required
+        self.columns = {name: _Column(default) for name, default in defaults.items()}
         self.shader = array("q")
         self.index = array("q")
-        self.lines = array("q")
 
 
 class Contents:
@@ -230,8 +265,11 @@ class Contents:
         # Of each place, the lines that refer to it.
         self.references: dict[int, array[int]] = {}
         self.white: int | None = None
-        self.spheres = _Rows("center", "radius")
-        self.boxes = _Rows("min_pt", "max_pt")
+        unit = Sphere()
+        self.spheres = _Rows(_SPHERE, center=unit.center, radius=(unit.radius,))
+        missing = (_NAN, _NAN, _NAN)
+        self.boxes = _Rows(_BOX, ("minPt", "maxPt"), min_pt=missing, max_pt=missing)
+        self.rows = {"Sphere": self.spheres, "Box": self.boxes}
         self.surface_count = 0
 
     def root(self, element: _Element) -> None:
@@ -245,26 +283,28 @@ class Contents:
         self.root_line = _line(element)
         self.no_attributes(element)
 
-    def take(self, element: _Element) -> None:
-        """Take in a child of the root."""
-        tag = element.tag
-        if tag == "surface":
-            self.surface(element)
-        elif tag == "shader":
-            self.shader(element, nested=False)
-        elif tag == "light":
-            self.light(element)
-        elif tag in ("camera", "image"):
-            earlier = self.seen.setdefault(tag, element)
-            if earlier is not element:
-                self.repeated(element, earlier)
-            self.no_attributes(element)
-            if tag == "camera":
-                self.camera = self.made(Camera, element, _CAMERA) or Camera()
+    def take(self, elements: Iterable[_Element]) -> None:
+        """Take in children of the root."""
+        for element in elements:
+            tag = element.tag
+            if tag == "surface":
+                self.surface(element)
+            elif tag == "shader":
+                self.shader(element, nested=False)
+            elif tag == "light":
+                self.light(element)
+            elif tag in ("camera", "image"):
+                earlier = self.seen.setdefault(tag, element)
+                if earlier is not element:
+                    self.repeated(element, earlier)
+                self.no_attributes(element)
+                if tag == "camera":
+                    self.camera = self.made(Camera, element, _CAMERA) or Camera()
+                else:
+                    self.image(element)
             else:
-                self.image(element)
-        else:
-            self.unknown(element, "scene", _SCENE)
+                self.unknown(element, "scene", _SCENE)
+        self.numbers_of_surfaces()
 
     def image(self, element: _Element) -> None:
         self.no_children(element)
@@ -308,7 +348,7 @@ class Contents:
         if kind in _SHADERS:
             shader = self.made(_SHADERS[kind][0], element, _SHADERS[kind][1])
         else:
-            self.values(element, _PHONG)
+            self.values(self.parts(element, _PHONG), _PHONG)
         name = attributes.get("name")
         if name is None:
             if not nested:
@@ -336,76 +376,89 @@ class Contents:
         return place
 
     def surface(self, element: _Element) -> None:
-        kind = self.type_of(element, _SURFACES, ("type",))
-        if kind == "Sphere":
-            rows, fields = self.spheres, _SPHERE
-            values = self.values(element, fields)
-            rows.first.fromlist(values.get("center", [*_UNIT_SPHERE.center]))
-            rows.second.fromlist(values.get("radius", [_UNIT_SPHERE.radius]))
-        elif kind == "Box":
-            rows, fields = self.boxes, _BOX
-            values = self.values(element, fields, ("minPt", "maxPt"))
-            rows.first.fromlist(values["min_pt"])
-            rows.second.fromlist(values["max_pt"])
-        else:
-            self.values(element, {**_SPHERE, **_BOX})
+        """Take in all but the numbers: these are read later, those of many surfaces at once."""
+        kind = self.type_of(element, self.rows, ("type",))
+        rows = self.rows.get(kind)
+        if rows is None:
+            fields = {**_SPHERE, **_BOX}
+            self.values(self.parts(element, fields), fields)
             return
+        parts = self.parts(element, rows.fields, rows.required)
+        for parameter, column in rows.columns.items():
+            column.unread.append(parts.get(parameter))
         rows.index.append(self.surface_count)
         self.surface_count += 1
-        if "shader" in values:
-            rows.shader.fromlist(values["shader"])
+        shader = parts.get("shader")
+        if shader is not None:
+            rows.shader.append(self.shader(shader, nested=True))
         else:
             if self.white is None:
                 self.white = len(self.shaders)
                 self.shaders.append(Lambertian())
             rows.shader.append(self.white)
-        if self.faults.lined:
-            # For faults found when all surfaces are checked at once, in `all_surfaces`.
-            for parameter in rows.parameters:
-                rows.lines.append(_line(_giving(parameter, element, fields)))
+
+    def numbers_of_surfaces(self) -> None:
+        """Read the numbers of the surfaces taken in since the last call."""
+        for rows in self.rows.values():
+            for column in rows.columns.values():
+                default, unread = column.default, column.unread
+                numbers = _numbers(unread, len(default))
+                if numbers is None:  # one by one
+                    numbers = [
+                        number
+                        for child in unread
+                        for number in (
+                            default if child is None else self.numbers(child, len(default))
+                        )
+                    ]
+                column.numbers.fromlist(numbers)
+                if self.faults.lined:
+                    # For faults found when all surfaces are checked at once, in `all_surfaces`.
+                    column.lines.extend(0 if child is None else _line(child) for child in unread)
+                unread.clear()
 
     # What elements have in common
 
-    def values(
+    def parts(
         self, element: _Element, fields: _Fields, required: tuple[str, ...] = ()
-    ) -> dict[str, list[Any]]:
-        """What the children of an element say, by parameter of its dataclass: lists of numbers.
-
-        NaN, which no file can hold, stands for numbers that could not be read: what validation
-        says about it is dropped, as that fault is noted already.
-        """
-        values: dict[str, list[Any]] = {}
+    ) -> dict[str, _Element]:
+        """The children of an element, by parameter of its dataclass."""
+        parts: dict[str, _Element] = {}
         for child in element:
             field = fields.get(child.tag)
             if field is None:
                 self.unknown(child, element.attrib.get("type", element.tag), fields)
-                continue
-            parameter, count = field
-            if parameter in values:
-                self.repeated(child, _giving(parameter, element, fields))
-            elif count:
-                values[parameter] = self.numbers(child, count)
+            elif field[0] in parts:
+                self.repeated(child, parts[field[0]])
             else:
-                values[parameter] = [self.shader(child, nested=True)]
+                parts[field[0]] = child
         for tag in required:
-            parameter, count = fields[tag]
-            if parameter not in values:
+            if fields[tag][0] not in parts:
                 self.fault(element, f"{element.tag}: has no {tag}; add <{tag}>x y z</{tag}>")
-                values[parameter] = [_NAN] * count
-        return values
+        return parts
+
+    def values(self, parts: dict[str, _Element], fields: _Fields) -> dict[str, list[Any]]:
+        """What `parts` say: for each parameter a list of numbers.
+
+        NaN, which no file can hold, stands for numbers that could not be read: what validation
+        says about it is dropped, as that fault is noted already.
+        """
+        counts = dict(fields.values())
+        return {
+            parameter: self.numbers(child, counts[parameter])
+            if counts[parameter]
+            else [self.shader(child, nested=True)]
+            for parameter, child in parts.items()
+        }
 
     def numbers(self, element: _Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
-        text = element.text or ""
-        words = text.split()
-        if len(words) == count and _is_plain(text) and not (element.keys() or len(element)):
-            try:
-                return [*map(float, words)]
-            except ValueError:
-                pass
+        numbers = _numbers([element], count)
+        if numbers is not None:
+            return numbers
         self.no_attributes(element)
         self.no_children(element)
-        words = _words(text)
+        words = _words(element.text or "")
         for word in words:
             if not _is_decimal(word):
                 self.fault(
@@ -428,17 +481,23 @@ class Contents:
         required: tuple[str, ...] = (),
     ) -> _Made | None:
         """The dataclass of an element, or None after a fault."""
-        values = self.values(element, fields, required)
+        parts = self.parts(element, fields, required)
+        values = self.values(parts, fields)
+        for tag in required:
+            parameter, count = fields[tag]
+            values.setdefault(parameter, [_NAN] * count)
         single = {parameter for parameter, count in fields.values() if count == 1}
         try:
             return make(**{name: v[0] if name in single else v for name, v in values.items()})
         except SceneError as error:
             for fault in error.faults:
                 parameter, _ = fields[fault.field]
-                child = _giving(parameter, element, fields)
+                child = parts.get(parameter)
                 if not _unread(values.get(parameter, ())):
-                    tag = fault.field if child is element else child.tag
-                    self.fault(child, f"{tag}: {fault.message}")
+                    if child is None:
+                        self.fault(element, str(fault))
+                    else:
+                        self.fault(child, f"{child.tag}: {fault.message}")
         return None
 
     def type_of(self, element: _Element, known: Collection[str], allowed: tuple[str, ...]) -> str:
@@ -517,26 +576,27 @@ class Contents:
     def all_surfaces(self) -> Surfaces:
         """All surfaces, checked whole; none after a fault."""
         spheres, boxes = self.spheres, self.boxes
+        center, radius = spheres.columns.values()
+        min_pt, max_pt = boxes.columns.values()
         try:
             return Surfaces(
-                center=np.asarray(spheres.first),
-                radius=np.asarray(spheres.second),
+                center=np.asarray(center.numbers),
+                radius=np.asarray(radius.numbers),
                 sphere_shader=np.asarray(spheres.shader),
                 sphere_index=np.asarray(spheres.index),
-                min_pt=np.asarray(boxes.first),
-                max_pt=np.asarray(boxes.second),
+                min_pt=np.asarray(min_pt.numbers),
+                max_pt=np.asarray(max_pt.numbers),
                 box_shader=np.asarray(boxes.shader),
                 box_index=np.asarray(boxes.index),
                 shaders=tuple(shader or Lambertian() for shader in self.shaders),
             )
         except SceneError as error:
             for fault in error.faults:
-                rows, fields = (spheres, _SPHERE) if fault.field in _SPHERE else (boxes, _BOX)
-                parameter, count = fields[fault.field]
+                rows = spheres if fault.field in _SPHERE else boxes
+                parameter, count = rows.fields[fault.field]
+                column = rows.columns[parameter]
                 row = bisect_left(rows.index, fault.surface or 0)
-                which = rows.parameters.index(parameter)
-                values = (rows.first, rows.second)[which][row * count : (row + 1) * count]
-                if not _unread(values):
-                    line = rows.lines[2 * row + which] if self.faults.lined else 0
+                if not _unread(column.numbers[row * count : (row + 1) * count]):
+                    line = column.lines[row] if self.faults.lined else 0
                     self.fault(line, f"{fault.field}: {fault.message}")
         return Surfaces()

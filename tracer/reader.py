@@ -270,7 +270,7 @@ class _LineReader:
         self.strayed = False
         element = self.open.pop()
         if len(self.open) == 1:
-            self.contents.take(element)
+            self.contents.take([element])
 
 
 # The beginning of a file that is surely UTF-8, where a search for ASCII bytes misses nothing.
@@ -352,10 +352,10 @@ def _take_children(contents: Contents, scene: Element, count: int) -> bool:
     """Take in the first `count` children of the root, and delete them; whether there are any."""
     contents.root(scene)
     texts = {element.tail for element in scene.iter()}
-    texts.update(element.text for element in scene.iter() if element.tag in CONTAINERS)
+    for tag in CONTAINERS:
+        texts.update([element.text for element in scene.iter(tag)])
     if any(text and not text.isspace() for text in texts):
         raise _Unclear
-    for element in scene[:count]:
-        contents.take(element)
+    contents.take(scene[:count])
     del scene[:count]
     return count > 0
