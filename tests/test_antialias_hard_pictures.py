@@ -25,6 +25,7 @@ from tracer import (
     render,
     shadow,
 )
+from tracer.scene import Vector
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
 RED = Lambertian(diffuse=(1, 0, 0))
@@ -373,12 +374,21 @@ def test_the_outline_of_a_hidden_ball() -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(4, 16))
 
 
-def test_glitter_below_the_horizon_of_a_planet() -> None:
-    # Two pixels below it light does not depend on the distance from it alone.
+@pytest.mark.parametrize(
+    ("radius", "eye", "up", "wide", "light"),
+    [
+        (8580, (0, 0.8, 5), 0, 1.44, (8, 0.8, -19)),
+        (1115, (0, 0.293, 0), -0.0724, 1.375, (-4, 0.298, -57.6)),
+    ],
+)
+def test_glitter_below_the_horizon_of_a_planet(
+    radius: float, eye: Vector, up: float, wide: float, light: Vector
+) -> None:
+    # One or two pixels below it light does not depend on the distance from it alone.
     gloss = Phong(diffuse=(0.5,) * 3, specular=(1, 1, 1), exponent=5)
-    planet = Sphere(center=(0, -8580, 0), radius=8580, shader=gloss)
-    camera = Camera(view_point=(0, 0.8, 5), view_width=1.44, view_height=0.96)
-    lights = [PointLight(position=(8, 0.8, -19))]
+    planet = Sphere(center=(0, -radius, 0), radius=radius, shader=gloss)
+    camera = Camera(view_point=eye, view_dir=(0, up, -1), view_width=wide, view_height=wide * 2 / 3)
+    lights = [PointLight(position=light)]
     scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[planet])
     no_worse_than_the_uniform_grid(scene)
 

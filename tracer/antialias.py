@@ -131,8 +131,8 @@ def _refine(
     asked for.  `wanted` (n,): where means are of interest.
     """
     rough = cells.error > cells.tolerance
-    outlines, beside_limbs = outlines_across(lighting.view, cells, seen, rough)
-    rough[beside_limbs] = False
+    outlines, within_limbs = outlines_across(lighting.view, cells, seen)
+    rough[within_limbs] = False
     lines, unresolved = joined([outlines, *seen.lines]), seen.unresolved | rough
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
     # Each side of a line has samples of its own; what is not divided needs to be known as a whole.

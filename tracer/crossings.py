@@ -23,9 +23,6 @@ _TURN = 57.0
 # What is so near to the line between two rows of pixels lies in both.
 _ON_LINE = 1e-6
 
-# Within this distance of its limb, in half cells, light on a sphere is a function of the distance.
-_NEAR_LIMB = 3.0
-
 
 class Ends(NamedTuple):
     """Where objects begin and end in rows of pixels.
@@ -114,28 +111,24 @@ def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
     return row[each_one], column - columns.start, owner[each_one]
 
 
-def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> tuple[Lines, Ints]:
+def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
     """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
 
-    `rough` (n,): cells in which the light bends too much for one sample.  Those where that is so
-    because they see a sphere beside its limb get the limb's line, whether it crosses them or not,
-    and are returned as well.
+    Also returned are the cells whose middles see a sphere within its limb: there the light bends
+    as it falls off towards that line.
     """
     outlines, spheres = view.outlines, view.surfaces.sphere_count
-    lines, beside_limbs = [], np.zeros(0, dtype=np.intp)
+    lines, within_limbs = [], np.zeros(0, dtype=np.intp)
     at = np.flatnonzero(cells.owner < spheres)
-    beside, own = seen.spheres(rough)
-    cell, ball = np.append(cells.cell[at], beside), np.append(cells.owner[at], own)
-    if cell.size:
+    if at.size:
+        cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
         straight = turn <= min(BEND, _TURN * cells.tolerance)
         seen.unresolved[cell[near & ~straight]] = True
-        explained = straight & (np.abs(discs.c) < _NEAR_LIMB * discs.reach())
-        explained[: at.size] = False
-        beside_limbs = cell[explained]
-        drawn = np.flatnonzero((turn <= BEND) & (discs.crosses() | explained))
-        lines.append(discs.take(drawn))
+        crosses = discs.crosses()
+        lines.append(discs.take(np.flatnonzero((turn <= BEND) & crosses)))
+        within_limbs = cell[straight & crosses & (seen.spheres()[cell] == ball)]
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
@@ -143,7 +136,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen, rough: Bools) -> tuple
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
         lines.append(edges)
-    return joined(lines), beside_limbs
+    return joined(lines), within_limbs
 
 
 def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:

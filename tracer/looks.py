@@ -108,18 +108,14 @@ class Seen(NamedTuple):
         none = np.zeros(count, dtype=np.bool_)
         return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
 
-    def spheres(self, some: Bools) -> tuple[Ints, Ints]:
-        """Those of some cells (n,) whose middles see spheres, and which spheres."""
-        cells, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+    def spheres(self) -> Ints:
+        """The sphere (n,) that the sample in each cell's middle sees; -1 for what is none."""
+        seen = np.full(self.key.size, -1)
         for found, cell in self.shadow_edges:
             for group in found.hits.groups:
-                if group.flat:
-                    continue
-                inside = cell[group.sample]
-                at = np.flatnonzero(some[inside])
-                cells.append(inside[at])
-                owners.append(found.own[group.part][at])
-        return np.concatenate(cells), np.concatenate(owners)
+                if not group.flat:
+                    seen[cell[group.sample]] = found.own[group.part]
+        return seen
 
     def lights(self, lighting: Lighting, some: Ints) -> Lights:
         """The lights for samples in some cells, with what looks have found of shadows there."""
