@@ -122,8 +122,8 @@ ONE_SAMPLE = [
     Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
     Part("no planes between cells and objects", [(light_buffers, "_FEW_CELLS", _ALWAYS)]),
     Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
-    Part("no bands: the picture in one", [(rendering, "_BAND_PIXELS", _ALWAYS)]),
-    Part("bands of 16,384 pixels", [(rendering, "_BAND_PIXELS", 1 << 14)]),
+    Part("no bands: the picture in one", [(rendering, "_BAND_SAMPLES", _ALWAYS)]),
+    Part("bands of 16,384 pixels", [(rendering, "_BAND_SAMPLES", 1 << 14)]),
     Part("no highlights from cosines: from vectors", [(shading, "_SHOWS", -1.0)]),
     Part("two processes", [], processes=2),
 ]

@@ -369,6 +369,10 @@ VALUES = [
         [f"radius: '{'x' * 37}...' {DECIMAL}"],
     ),
     (SPHERE.format("<center>1 1e999 0</center>"), ["center: must be finite"]),
+    (
+        SPHERE.format("<radius>-2.3456789</radius>"),
+        ["radius: must be positive and finite, is -2.3456789"],
+    ),
     (LIGHT.format("<color>1e999 1 0</color>"), ["color: must be finite"]),
     (
         SPHERE.format("<radius>1e999</radius>"),
@@ -633,6 +637,12 @@ def test_what_would_eat_memory_or_time(faults, content, fault):
 def test_deepest_nesting(faults, levels, fault):
     inside = levels - 1
     assert faults(f"<scene>{EMPTY}{'<a>' * inside}{'</a>' * inside}</scene>") == [f"1: {fault}"]
+
+
+@pytest.mark.parametrize(("count", "fault"), [(64, "b: unknown"), (65, "surface: more")])
+def test_most_children(faults, count, fault):
+    told = faults(f"<scene>{EMPTY}<surface type='Sphere'>{'<b/>' * count}</surface></scene>")
+    assert told[-1].startswith(f"1: {fault}")
 
 
 BOMBS = {

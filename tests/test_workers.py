@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
@@ -49,6 +50,20 @@ def children() -> int:
 def test_results_in_order(others: int) -> None:
     with forked(patiently, COUNT, others) as team:
         assert list(team.results(patiently)) == list(range(COUNT))
+
+
+def test_no_copies_beside_another_thread() -> None:
+    """It may hold a lock, which nobody would release in a copy."""
+    ends = threading.Event()
+    thread = threading.Thread(target=ends.wait)
+    thread.start()
+    try:
+        with forked(patiently, COUNT, 2) as team:
+            assert not team.workers
+            assert list(team.results(patiently)) == list(range(COUNT))
+    finally:
+        ends.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("count", range(17))

@@ -198,7 +198,7 @@ def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Pa
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 from tqdm import tqdm  # takes longer to import than a small picture to render
 
-                tqdm.monitor_interval = 0  # else it starts a thread; see can_fork
+                tqdm.monitor_interval = 0  # else it starts a thread; see `forked`
                 bar = tqdm(desc=name, total=rows, unit="row", leave=False)
             if bar is not None:
                 bar.update(done - bar.n)

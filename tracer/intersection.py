@@ -250,18 +250,14 @@ def box_blocks(
     face is not blocked; a flat plate blocks.  An end within `tolerance` of a
     face's plane is on it; without a tolerance, no end may be as near as that.
     """
-    enter: Floats | None = None
-    leave: Floats | None = None
+    enter, leave = np.array(-np.inf), np.array(np.inf)
     for k in range(3):
         start, end = p[k], light[k]
         if tolerance is not None:
             start = _snap(start, low[k], high[k], tolerance)
             end = _snap(end, low[k], high[k], tolerance)
         near, far = _slab(low[k] - start, high[k] - start, end - start, closed=False)
-        enter = near if enter is None else np.maximum(enter, near)
-        leave = far if leave is None else np.minimum(leave, far)
-    assert enter is not None
-    assert leave is not None
+        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     blocked: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return blocked
 

@@ -26,7 +26,7 @@ from tracer.outlines import outlines_of
 from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
 from tracer.visibility import view_of
-from tracer.workers import AHEAD, Job, Work, can_fork, forked, processors
+from tracer.workers import AHEAD, Job, Work, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -36,7 +36,7 @@ T = TypeVar("T")
 _QUIET = np.errstate(all="ignore")
 
 # Samples in a band, and the least that pays; both times `_SPLIT_BANDS` where pixels are split.
-_BAND_PIXELS, _LEAST_PIXELS = 3 << 15, 1 << 15
+_BAND_SAMPLES, _LEAST_SAMPLES = 3 << 15, 1 << 15
 _SPLIT_BANDS = 3
 
 # A picture's load grows with its samples, its lights, its objects up to `_FEW_OBJECTS`, and how
@@ -123,7 +123,7 @@ def render_each(
     3) on the processor that renders it, and returns something small.
     """
     picture = _Picture.of(scene, samples)
-    processes = _processes(threads, can_fork() and picture.load() >= _WORTH_FORKING)
+    processes = _processes(threads, picture.load() >= _WORTH_FORKING)
     bands = _Bands.of(picture, processes)
     renderer = _Renderer.of(bands)
 
@@ -266,11 +266,11 @@ class _Bands(NamedTuple):
         width, height = picture.scene.width, picture.scene.height
         # Few pixels of a band are split: larger bands have enough of them for long arrays.
         times = (_SPLIT_BANDS if picture.split else 1) / picture.lattice.size
-        at_once = max(1, int(band_pixels or _BAND_PIXELS * times))
+        at_once = max(1, int(band_pixels or _BAND_SAMPLES * times))
         step = max(1, at_once // width)
         if processes > 1:
             # Enough bands that all processes end at about the same time, unless they get too small.
-            least = _LEAST_PIXELS * times
+            least = _LEAST_SAMPLES * times
             count = max(processes, min(4 * processes, int(width * height / least)))
             step = min(step, -(-height // count))
         tops = [*range(0, height, step), height]

@@ -2,7 +2,8 @@
 
 Everything is checked when it is made, whether it comes from XML or from
 Python, so the renderer never meets an impossible value.  A check that fails
-raises :class:`SceneError`, which lists *every* fault of the object at once.
+raises :class:`SceneError`, which tells all faults that can be told at once, not only
+the first.
 
 Surfaces come in thousands, so :class:`Surfaces` keeps them as arrays and
 checks them whole; it still reads like a sequence of :class:`Sphere` and
@@ -12,6 +13,7 @@ checks them whole; it still reads like a sequence of :class:`Sphere` and
 from __future__ import annotations
 
 import operator
+import reprlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias, overload
@@ -81,7 +83,7 @@ class SceneError(ValueError):
 
 def number(value: float) -> str:
     """A number as a person would write it: 3, 0.5, 1e+20."""
-    return f"{value:.17g}" if float(f"{value:.6g}") != value else f"{value:g}"
+    return f"{value}".removesuffix(".0")
 
 
 def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
@@ -91,7 +93,7 @@ def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
     except OverflowError:
         faults.append(Fault(name, "must be finite"))
     except (TypeError, ValueError):
-        faults.append(Fault(name, f"must be given in numbers, is {value!r}"))
+        faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
     return None
 
 
@@ -154,18 +156,24 @@ def _check_types(
 
 def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
     """A copy as (n, 3)."""
-    array = np.array(value, dtype=np.float64, order="C")
-    if array.size % 3 or array.shape[1:] not in ((), (3,)):
+    array = _floats(value, name, faults)
+    if array is not None and (array.size % 3 or array.shape[1:] not in ((), (3,))):
         faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
-        return np.zeros((0, 3))
-    return array.reshape(-1, 3)
+        array = None
+    return np.zeros((0, 3)) if array is None else array.reshape(-1, 3).copy()
+
+
+def _values(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
+    """A copy as (n,)."""
+    array = _floats(value, name, faults)
+    return np.zeros(0) if array is None else array.flatten()
 
 
 def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
     """A copy as (n,)."""
-    given = np.asarray(value).reshape(-1)
+    given = _values(value, name, faults)
     with np.errstate(invalid="ignore"):
-        array = np.array(given, dtype=np.intp)
+        array = given.astype(np.intp)
     if not np.array_equal(array, given):
         faults.append(Fault(name, "must be whole numbers"))
     return array
@@ -184,6 +192,14 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
         # The message leaves it out: it may have more digits than float() or str() accepts.
         faults.append(Fault("image", f"{name} must be at most {MAX_PIXELS}"))
     return size
+
+
+def _settle(made: object, faults: list[Fault], **values: object) -> None:
+    """Set fields of a frozen dataclass to what was read from them; raise all `faults`, if any."""
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
+    if faults:
+        raise SceneError(faults)
 
 
 @np.errstate(under="ignore")
@@ -218,8 +234,8 @@ class Camera:
     Raises
     ------
     SceneError
-        For a zero vector, a size that is not positive, `view_up` parallel to
-        `proj_normal` or `proj_normal` perpendicular to `view_dir`.
+        For anything but finite numbers, a zero vector, a distance or size that is not positive,
+        `view_up` parallel to `proj_normal` or `proj_normal` perpendicular to `view_dir`.
     """
 
     view_point: Vector = (0.0, 0.0, 0.0)
@@ -267,35 +283,53 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight:
-    """A point light; `intensity` (3,) does not fall off with distance."""
+    """A point light; its `intensity`, RGB, does not fall off with distance.
+
+    Raises
+    ------
+    SceneError
+        For what is not three finite numbers, and a negative intensity.
+    """
 
     position: Vector
     intensity: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        object.__setattr__(self, "position", _vector(self.position, "position", faults))
-        object.__setattr__(self, "intensity", _color(self.intensity, "intensity", faults))
-        if faults:
-            raise SceneError(faults)
+        position = _vector(self.position, "position", faults)
+        intensity = _color(self.intensity, "intensity", faults)
+        _settle(self, faults, position=position, intensity=intensity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambertian:
-    """Radiance kd max(0, n.l) per light (Shirley, Fundamentals of CG, 2nd ed., 9.1)."""
+    """Radiance I kd n.l from each light that is not hidden (Shirley, Fundamentals of CG, 9.1).
+
+    Raises
+    ------
+    SceneError
+        For a `diffuse` (kd), RGB, that is not three finite numbers of at least 0.
+    """
 
     diffuse: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        object.__setattr__(self, "diffuse", _color(self.diffuse, "diffuseColor", faults))
-        if faults:
-            raise SceneError(faults)
+        _settle(self, faults, diffuse=_color(self.diffuse, "diffuseColor", faults))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phong:
-    """Blinn-Phong: kd max(0, n.l) + ks max(0, n.h)^exponent (Blinn 1977)."""
+    """Blinn-Phong: I (kd n.l + ks (n.h)^exponent) from each light that is not hidden (Blinn 1977).
+
+    A light behind the surface (n.l <= 0) is hidden: it makes no highlight either.
+
+    Raises
+    ------
+    SceneError
+        For a `diffuse` (kd) or `specular` (ks), RGB, that is not three finite numbers of at least
+        0, and an `exponent` that is negative or not finite.
+    """
 
     diffuse: Vector = (1.0, 1.0, 1.0)
     specular: Vector = (0.0, 0.0, 0.0)
@@ -303,16 +337,14 @@ class Phong:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        object.__setattr__(self, "diffuse", _color(self.diffuse, "diffuseColor", faults))
-        object.__setattr__(self, "specular", _color(self.specular, "specularColor", faults))
+        diffuse = _color(self.diffuse, "diffuseColor", faults)
+        specular = _color(self.specular, "specularColor", faults)
         exponent = _number(self.exponent, "exponent", faults)
         if not (0 <= exponent < np.inf):
             faults.append(
                 Fault("exponent", f"must be finite and not negative, is {number(exponent)}")
             )
-        object.__setattr__(self, "exponent", exponent)
-        if faults:
-            raise SceneError(faults)
+        _settle(self, faults, diffuse=diffuse, specular=specular, exponent=exponent)
 
 
 Shader: TypeAlias = Lambertian | Phong
@@ -320,7 +352,14 @@ Shader: TypeAlias = Lambertian | Phong
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere:
-    """A sphere; white and Lambertian if it has no shader."""
+    """A sphere; white and Lambertian if it has no shader.
+
+    Raises
+    ------
+    SceneError
+        For a centre that is not three finite numbers, a radius that is not positive and finite,
+        or a shader of another type.
+    """
 
     center: Vector = (0.0, 0.0, 0.0)
     radius: float = 1.0
@@ -328,17 +367,22 @@ class Sphere:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        object.__setattr__(self, "center", _vector(self.center, "center", faults))
-        object.__setattr__(self, "radius", _number(self.radius, "radius", faults))
-        faults += _sphere_faults(np.array([self.center]), np.array([self.radius]))
+        center = _vector(self.center, "center", faults)
+        radius = _positive(self.radius, "radius", faults)
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
-        if faults:
-            raise SceneError(faults)
+        _settle(self, faults, center=center, radius=radius)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box:
-    """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader."""
+    """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
+
+    Raises
+    ------
+    SceneError
+        For corners that are not three finite numbers, `min_pt` beyond `max_pt` along any axis, or a
+        shader of another type.
+    """
 
     min_pt: Vector
     max_pt: Vector
@@ -346,37 +390,28 @@ class Box:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        object.__setattr__(self, "min_pt", _vector(self.min_pt, "minPt", faults))
-        object.__setattr__(self, "max_pt", _vector(self.max_pt, "maxPt", faults))
+        low, high = _vector(self.min_pt, "minPt", faults), _vector(self.max_pt, "maxPt", faults)
         if not faults:
-            faults += _box_faults(np.array([self.min_pt]), np.array([self.max_pt]))
+            faults += _box_faults(np.array([low]), np.array([high]), np.array([None]))
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
-        if faults:
-            raise SceneError(faults)
+        _settle(self, faults, min_pt=low, max_pt=high)
 
 
-def _sphere_faults(center: Floats, radius: Floats, index: Ints | None = None) -> Iterable[Fault]:
+def _sphere_faults(center: Floats, radius: Floats, index: NDArray[Any]) -> Iterable[Fault]:
     for i in np.flatnonzero(~((radius > 0) & (radius < np.inf))).tolist():
-        yield Fault(
-            "radius",
-            f"must be positive and finite, is {number(radius[i])}",
-            None if index is None else int(index[i]),
-        )
+        message = f"must be positive and finite, is {number(radius[i])}"
+        yield Fault("radius", message, index.item(i))
     for i in np.flatnonzero(~np.isfinite(center).all(axis=1)).tolist():
-        yield Fault("center", "must be finite", None if index is None else int(index[i]))
+        yield Fault("center", "must be finite", index.item(i))
 
 
-def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints | None = None) -> Iterable[Fault]:
+def _box_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
     for name, corner in (("minPt", min_pt), ("maxPt", max_pt)):
         for i in np.flatnonzero(~np.isfinite(corner).all(axis=1)).tolist():
-            yield Fault(name, "must be finite", None if index is None else int(index[i]))
+            yield Fault(name, "must be finite", index.item(i))
     for i, axis in np.argwhere(min_pt > max_pt).tolist():
-        yield Fault(
-            "minPt",
-            f"must not exceed maxPt, but {'xyz'[axis]} has {number(min_pt[i, axis])}"
-            f" > {number(max_pt[i, axis])}",
-            None if index is None else int(index[i]),
-        )
+        has = f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
+        yield Fault("minPt", f"must not exceed maxPt, but {has}", index.item(i))
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -431,7 +466,7 @@ class Surfaces(Sequence[Sphere | Box]):
     ) -> None:
         faults: list[Fault] = []
         self.center = _rows(center, "center", faults)
-        self.radius = np.array(radius, dtype=np.float64).reshape(-1)
+        self.radius = _values(radius, "radius", faults)
         self.min_pt = _rows(min_pt, "min_pt", faults)
         self.max_pt = _rows(max_pt, "max_pt", faults)
         self.sphere_shader = _integers(sphere_shader, "sphere_shader", faults)
@@ -618,22 +653,19 @@ class Scene:
     surfaces: Surfaces = field(default_factory=Surfaces)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lights", tuple(self.lights))
-        if not isinstance(self.surfaces, Surfaces):
-            object.__setattr__(self, "surfaces", Surfaces.of(self.surfaces))
-        faults: list[Fault] = []
+        lights, surfaces, faults = tuple(self.lights), self.surfaces, list[Fault]()
+        if not isinstance(surfaces, Surfaces):
+            surfaces = Surfaces.of(surfaces)
         _check_types((self.camera,), (Camera,), "camera", faults)
-        _check_types(self.lights, (PointLight,), "lights", faults)
-        for name in ("width", "height"):
-            object.__setattr__(self, name, _size(getattr(self, name), name, faults))
-        if not faults and self.width * self.height > MAX_PIXELS:
-            gib = self.width * self.height * 24 / 2**30
+        _check_types(lights, (PointLight,), "lights", faults)
+        width, height = _size(self.width, "width", faults), _size(self.height, "height", faults)
+        if not faults and width * height > MAX_PIXELS:
+            gib = width * height * 24 / 2**30
             faults.append(
                 Fault(
                     "image",
-                    f"{self.width} x {self.height} pixels are too many: the picture would take"
+                    f"{width} x {height} pixels are too many: the picture would take"
                     f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed",
                 )
             )
-        if faults:
-            raise SceneError(faults)
+        _settle(self, faults, width=width, height=height, lights=lights, surfaces=surfaces)

@@ -15,7 +15,6 @@ import os
 import pickle
 import select
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -37,7 +36,6 @@ __all__ = [
     "Team",
     "Work",
     "Worker",
-    "can_fork",
     "forked",
     "keep_apart",
     "pipes",
@@ -344,11 +342,6 @@ def keep_apart(process: int) -> None:
             os.sched_setaffinity(process, others)
 
 
-def can_fork() -> bool:
-    """Whether forking is safe: on Linux, where it is well tried, and with no other threads."""
-    return sys.platform == "linux" and threading.active_count() == 1
-
-
 class _Fork(Worker):
     """A copy of this process."""
 
@@ -378,11 +371,15 @@ class _Fork(Worker):
 
 @contextmanager
 def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
-    """A team of this process and `others` copies of it, or fewer, for `count` numbers."""
+    """A team of this process and `others` copies of it, or fewer, for `count` numbers.
+
+    It has no copies if this process has other threads: a lock that one of them holds would never
+    be released in a copy.
+    """
     others = min(others, count - 1)
     team = Team.alone(count)
     with ExitStack() as stack:
-        if others > 0 and POSSIBLE:
+        if others > 0 and POSSIBLE and threading.active_count() == 1:
             with suppress(OSError):  # out of processes or files
                 numbers = Numbers()
                 stack.callback(os.close, numbers.file)
