@@ -51,6 +51,8 @@ __all__ = [
     "write_exr",
 ]
 
+_EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
+
 EDGE_SHIFT = 0.003
 """How far a sample moves, in pixels and both ways, to see whether an edge is near."""
 EDGE_CHANGE = 1e-2
@@ -375,5 +377,5 @@ def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
         use()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    with whole_file(path) as file:
+    with whole_file(path, _EXR) as file:
         file.write(stream.raw_buffer())

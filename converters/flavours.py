@@ -14,7 +14,10 @@ from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader
 
-__all__ = ["Normalisation", "exact", "normalisation", "square_height", "stock"]
+__all__ = ["WRITTEN", "Normalisation", "exact", "normalisation", "square_height", "stock"]
+
+WRITTEN = "<!--\nWritten by converters.to_mitsuba"
+"""How every converted scene begins."""
 
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
@@ -169,11 +172,11 @@ def _bsdf_names(shaders: Sequence[Shader]) -> tuple[list[str], dict[str, Shader]
 
 def _document(comment: str, parts: Sequence[str]) -> str:
     body = "\n".join(parts)
-    return f'<!--\n{comment.strip()}\n-->\n<scene version="3.0.0">\n{body}\n</scene>\n'
+    return f'{WRITTEN}, {comment.strip()}\n-->\n<scene version="3.0.0">\n{body}\n</scene>\n'
 
 
 _EXACT = """
-Written by converters.to_mitsuba, in the exact flavour.
+in the exact flavour.
 
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
 plugins. Load it after "import converters.plugins"; the mitsuba command does not know them.
@@ -283,7 +286,7 @@ def square_height(scene: Scene) -> int:
 
 
 _STOCK = """
-Written by converters.to_mitsuba, with stock plugins only: it opens in the plain mitsuba command.
+with stock plugins only: it opens in the plain mitsuba command.
 
 The geometry and the camera are exact. Approximate are
 - the lights: Mitsuba's fall off with the square of the distance, those of the scene format do

@@ -194,7 +194,7 @@ def _say_unwritten(path: Path, error: OSError) -> None:
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
-    from converters.flavours import exact, stock
+    from converters.flavours import WRITTEN, exact, stock
     from tracer.image import whole_file
     from tracer.reader import load_scene, printable
 
@@ -202,7 +202,7 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     name, flavour = ("exact", exact) if options.exact else ("stock", stock)
     scene = load_scene(path)
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
-    with whole_file(target) as file:
+    with whole_file(target, WRITTEN.encode()) as file:
         file.write(text.encode())
     say(sys.stdout, printable(f"{target}: {name} flavour"))
     return True

@@ -22,7 +22,7 @@ from reference.command import spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
 from tracer.command import end, say
-from tracer.image import quantise, whole_file
+from tracer.image import PNG, quantise, whole_file
 from tracer.reader import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
@@ -163,7 +163,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     if gain:
         legend = f"orange: {labels[0]} is brighter, blue: darker"
         draw.text((left, _MARGIN + _LABEL + panel_height + 4), legend, fill=_INK, font=font)
-    with whole_file(path) as file:
+    with whole_file(path, PNG) as file:
         sheet.save(file, format="PNG")
 
 

@@ -33,6 +33,9 @@ from tracer.reader import printable
 
 __all__ = ["main", "page"]
 
+# How each report begins, as the template does.
+_HTML = b"<!doctype html>"
+
 TEMPLATE = HERE / "report-template.html"
 
 CHARTS = {
@@ -268,7 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = page(results, comments, charts, unread)
     try:
         options.output.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(options.output) as file:
+        with whole_file(options.output, _HTML) as file:
             file.write(text.encode())
     except OSError as error:
         reason = error.strerror or error

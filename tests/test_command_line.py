@@ -22,7 +22,7 @@ from PIL import Image
 import tracer
 from converters import to_mitsuba
 from tracer import __main__ as command_line
-from tracer.image import quantise
+from tracer.image import PNG, quantise
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
@@ -259,6 +259,17 @@ def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     assert names(scene.parent) == ["ball.xml"]
 
 
+def test_what_is_no_picture_is_not_replaced(scene, capsys):
+    other = scene.with_name("other.xml")
+    other.write_text("<scene/>")
+    assert command_line.main([str(scene), "-o", str(other)]) == 1
+    assert capsys.readouterr().err == (
+        f"{other}: cannot be written: a file of another kind is there; choose another with -o\n"
+    )
+    assert other.read_text() == "<scene/>"
+    assert names(scene.parent) == ["ball.xml", "other.xml"]
+
+
 def started(scene: Path) -> subprocess.Popen[str]:
     """A process that is rendering: its picture has been begun."""
     process = subprocess.Popen(
@@ -279,13 +290,13 @@ def started(scene: Path) -> subprocess.Popen[str]:
 def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     scene.write_text(SLOW)
     picture = scene.with_name("ball.xml.png")
-    picture.write_bytes(b"precious")
+    picture.write_bytes(PNG + b"precious")
     process = started(scene)
     process.send_signal(kind)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (130, "", "")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
-    assert picture.read_bytes() == b"precious"
+    assert picture.read_bytes() == PNG + b"precious"
 
 
 @pytest.mark.usefixtures("signals_heeded")

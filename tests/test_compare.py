@@ -22,6 +22,7 @@ from skimage.metrics import structural_similarity
 import tracer
 from reference.compare import figures, main, read_picture, write_comparison
 from reference.diagnosis import diagnose, linear
+from tracer.image import PNG
 
 ROOT = Path(__file__).resolve().parent.parent
 Image8 = NDArray[np.uint8]
@@ -630,11 +631,11 @@ def test_what_cannot_be_written_whole_leaves_what_was_there(
 
     picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
     output = tmp_path / "out.png"
-    output.write_bytes(b"precious")
+    output.write_bytes(PNG + b"precious")
     monkeypatch.setattr(Image.Image, "save", fail)
     assert main([picture, picture, "-o", str(output)]) == 2
     assert capsys.readouterr().err == f"{output}: cannot be written: the disk is full\n"
-    assert output.read_bytes() == b"precious"
+    assert output.read_bytes() == PNG + b"precious"
     assert len(list(tmp_path.iterdir())) == 2
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 from scene_files import ONE_SPHERE, overflowing, small_one
 
 from converters.check import Rendering, check_scene, compare, doubts, render_mitsuba
-from converters.flavours import exact, normalisation, square_height, stock
+from converters.flavours import WRITTEN, exact, normalisation, square_height, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
@@ -36,6 +36,7 @@ from tracer import (
     load_scene,
     render,
 )
+from tracer.image import PNG
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = own_scenes()
@@ -226,6 +227,20 @@ def test_what_is_no_regular_file_stays(
     assert sorted(small.parent.iterdir()) == [pipe, small]
 
 
+@pytest.mark.parametrize("what", [[], ["--render"], ["--check"]])
+def test_what_is_of_another_kind_stays(
+    small: Path, capsys: pytest.CaptureFixture[str], what: list[str]
+) -> None:
+    other = small.with_name("other.xml")
+    other.write_text("<scene>")
+    assert main([*what, str(small), "-o", str(other)]) == 1
+    assert (
+        capsys.readouterr().err == f"{other}: cannot be written: a file of another kind is there\n"
+    )
+    assert other.read_text() == "<scene>"
+    assert sorted(small.parent.iterdir()) == [other, small]
+
+
 @pytest.mark.parametrize(("named", "bad"), [("x.png", "x.exr"), ("x.exr", "x.png")])
 def test_the_file_that_cannot_be_written_is_the_one_told(
     small: Path, capsys: pytest.CaptureFixture[str], named: str, bad: str
@@ -239,14 +254,14 @@ def test_the_file_that_cannot_be_written_is_the_one_told(
 @pytest.mark.parametrize(
     ("what", "written", "magic"),
     [
-        ([], "x.xml", b"<!--"),
-        (["--render"], "x.png", b"\x89PNG"),
+        ([], "x.xml", WRITTEN.encode()),
+        (["--render"], "x.png", PNG),
         (["--render"], "x.exr", b"\x76\x2f\x31\x01"),
-        (["--check"], "x.png", b"\x89PNG"),
+        (["--check"], "x.png", PNG),
     ],
 )
 def test_links_are_followed(small: Path, what: list[str], written: str, magic: bytes) -> None:
-    (small.parent / "real").write_bytes(b"old")
+    (small.parent / "real").write_bytes(magic + b"old")
     (small.parent / written).symlink_to("real")
     target = small.with_name("x.png" if what else "x.xml")
     variant = ["--variant", SCALAR] if what else []

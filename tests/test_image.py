@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from tracer import write_png
-from tracer.image import packed, quantise, write_bands
+from tracer.image import PNG, packed, quantise, write_bands
 
 
 def codes_of(values) -> np.ndarray:
@@ -111,6 +111,19 @@ def test_what_is_no_image(tmp_path, image, message):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_codes_are_no_radiance(tmp_path):
+    with pytest.raises(TypeError, match="not codes of type uint8"):
+        write_png(tmp_path / "picture.png", np.zeros((4, 3, 3), dtype=np.uint8))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_name_the_picture(tmp_path):
+    picture = tmp_path / "missing" / "picture.png"
+    with pytest.raises(FileNotFoundError) as caught:
+        write_png(picture, np.zeros((1, 1, 3)))
+    assert caught.value.filename == str(picture)
+
+
 @pytest.mark.parametrize("size", [(1, 1), (1, 500), (500, 1), (3, 2), (180, 320), (3, 40_000)])
 def test_pillow_reads_what_was_written(tmp_path, size):
     image = np.random.default_rng(size).uniform(-0.2, 1.2, (*size, 3))
@@ -158,13 +171,16 @@ def test_a_row_too_few(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+PRECIOUS = PNG + b"precious"
+
+
 class TestWhatIsThereAlready:
     """It is replaced by a whole picture, or not touched."""
 
     @pytest.fixture
     def picture(self, tmp_path) -> Path:
         path = tmp_path / "picture.png"
-        path.write_bytes(b"precious")
+        path.write_bytes(PRECIOUS)
         return path
 
     @pytest.mark.parametrize(
@@ -180,7 +196,7 @@ class TestWhatIsThereAlready:
     def test_wrong_bands(self, picture, bands, error):
         with pytest.raises(error):
             write_bands(picture, 4, 3, map(packed, bands))
-        assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
 
     @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
     def test_a_failure_halfway(self, picture, error):
@@ -191,7 +207,7 @@ class TestWhatIsThereAlready:
 
         with pytest.raises(error):
             write_bands(picture, 4, 3, bands())
-        assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
 
     def test_a_full_disk(self, picture):
         """The system refuses to let a file grow beyond the limit of a process."""
@@ -207,14 +223,26 @@ class TestWhatIsThereAlready:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, old)
             signal.signal(signal.SIGXFSZ, handler)
-        assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
 
     def test_it_may_not_be_written(self, picture, monkeypatch):
         """As for a user without privileges: root may write everything."""
         monkeypatch.setattr(os, "access", lambda *_: False)
         with pytest.raises(PermissionError):
             write_png(picture, np.zeros((1, 1, 3)))
-        assert [path.read_bytes() for path in picture.parent.iterdir()] == [b"precious"]
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
+
+    @pytest.mark.parametrize("text", [b"<scene>", PNG[:-1], b"\n"])
+    def test_it_is_no_picture(self, picture, text):
+        picture.write_bytes(text)
+        with pytest.raises(FileExistsError, match="a file of another kind is there"):
+            write_png(picture, np.zeros((1, 1, 3)))
+        assert [path.read_bytes() for path in picture.parent.iterdir()] == [text]
+
+    def test_it_is_empty(self, picture):
+        picture.write_bytes(b"")
+        write_png(picture, np.zeros((1, 1, 3)))
+        assert picture.read_bytes().startswith(PNG)
 
     def test_its_permissions_are_kept(self, picture):
         picture.chmod(0o640)

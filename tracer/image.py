@@ -23,7 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats
 
-__all__ = ["Packed", "packed", "quantise", "whole_file", "write_bands", "write_png"]
+__all__ = ["PNG", "Packed", "packed", "quantise", "whole_file", "write_bands", "write_png"]
+
+PNG = b"\x89PNG\r\n\x1a\n"
+"""How a PNG file begins (ISO/IEC 15948, 5.2)."""
 
 # Values worked on at a time: what stays in a core's cache.
 _BLOCK = 1 << 15
@@ -93,6 +96,8 @@ def quantise(image: ArrayLike) -> NDArray[np.uint8]:
 
     Raises
     ------
+    TypeError
+        For an image of type uint8, which holds codes, not radiance.
     ValueError
         For another shape, or a NaN.
     """
@@ -113,16 +118,18 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     Parameters
     ----------
     path : str or path-like
-        A file that is there already is replaced, once the new one is whole.
+        A PNG file that is there already is replaced, once the new one is whole.
     image : (height, width, 3) array_like
         Linear RGB; see `quantise`.
 
     Raises
     ------
+    TypeError
+        For an image of type uint8, which holds codes, not radiance.
     ValueError
         For another shape, a picture of no pixels, or a NaN.
     OSError
-        If the file cannot be written.
+        If the file cannot be written, or what is there is no PNG file.
     """
     radiance = _checked(image)
     height, width, _ = radiance.shape
@@ -154,8 +161,8 @@ def packed(band: Floats) -> Packed:
 
     Raises
     ------
-    ValueError
-        For another shape, or a NaN.
+    TypeError, ValueError
+        See `quantise`.
     """
     codes = quantise(band)
     rows, width, _ = codes.shape
@@ -186,12 +193,12 @@ def write_bands(
     ValueError
         For a picture of no pixels, or bands that do not make it up.
     OSError
-        If the file cannot be written.
+        If the file cannot be written, or what is there is no PNG file.
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
-    with whole_file(path) as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
+    with whole_file(path, PNG) as file:
+        file.write(PNG)
         # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
         _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
         # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
@@ -217,7 +224,10 @@ def _adler_of_both(first: int, second: int, size: int) -> int:
 
 
 def _checked(image: ArrayLike) -> Floats:
-    radiance = np.ascontiguousarray(image, dtype=np.float64)
+    given = np.asarray(image)
+    if given.dtype == np.uint8:
+        raise TypeError("an image is linear radiance, from 0 to 1, not codes of type uint8")
+    radiance = np.ascontiguousarray(given, dtype=np.float64)
     if radiance.ndim != 3 or radiance.shape[2] != 3:
         raise ValueError(f"an image has shape (height, width, 3), not {radiance.shape}")
     if np.isnan(radiance).any():
@@ -234,13 +244,16 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+def whole_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` if all goes well, and else vanishes.
 
     Parameters
     ----------
     path : str or path-like
         A link stays one: what it points to is replaced.
+    begins : bytes
+        How such files begin.  A file that does not is somebody's work, and stays, unless it is
+        empty.
 
     Yields
     ------
@@ -249,7 +262,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     Raises
     ------
     OSError
-        If it cannot be written, or what is there is no regular file.
+        If it cannot be written, or what is there is no regular file, or of another kind.
     """
     target = os.path.realpath(path)
     mode = None
@@ -261,6 +274,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
             raise OSError(errno.EINVAL, "not a regular file", target)
         if not os.access(target, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), target)
+        with open(target, "rb") as there:
+            if there.read(len(begins)) not in (begins, b""):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
     name = f".{os.getpid()}-{os.urandom(4).hex()}.part"
     beside = os.path.join(os.path.dirname(target), name)
     try:
@@ -269,7 +285,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         if mode is not None:
             os.chmod(beside, stat.S_IMODE(mode))
         os.replace(beside, target)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.filename == beside:
+            error.filename = target
         with suppress(OSError):
             os.unlink(beside)
         raise
