@@ -141,15 +141,15 @@ def test_help():
         (["--frobnicate", "ball.xml"], "unrecognized arguments: --frobnicate"),
         (
             ["ball.xml", "--samples", "0"],
-            "argument --samples: must be a whole number from 1, is '0'",
+            "argument --samples: must be a whole number from 1 to 999999999, is '0'",
         ),
         (
             ["ball.xml", "--samples", "1_0"],
-            "argument --samples: must be a whole number from 1, is '1_0'",
+            "argument --samples: must be a whole number from 1 to 999999999, is '1_0'",
         ),
         (
             ["ball.xml", "--threads", "-1"],
-            "argument --threads: must be a whole number from 0, is '-1'",
+            "argument --threads: must be a whole number from 0 to 999999999, is '-1'",
         ),
         (["ball.xml", "-o"], "argument -o/--output: expected one argument"),
         (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),

@@ -278,7 +278,7 @@ def test_links_are_followed(small: Path, what: list[str], written: str, magic: b
         (["a/x.xml", "b/x.xml", "-o", "/tmp"], "two scenes of one name"),
         (["a.xml", "-o", "a.xml"], "would replace a scene"),
         (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
-        (["a.xml", "--samples", "0"], "must be a whole number from 1, is '0'"),
+        (["a.xml", "--samples", "0"], "must be a whole number from 1 to 999999999, is '0'"),
         (["a.xml", "--check", "--samples", "4"], "it takes no --samples"),
         (["a.xml", "--check", "--render"], "not allowed with"),
         (["a.xml", "--variant", "nope"], "--variant is for --render and --check"),

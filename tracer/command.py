@@ -28,7 +28,8 @@ def at_least(least: int) -> Callable[[str], int]:
 
     def whole_number(text: str) -> int:
         if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"must be a whole number from {least}, is {text!r}")
+            wanted = f"must be a whole number from {least} to 999999999"
+            raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}")
         return int(text)
 
     return whole_number

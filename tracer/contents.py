@@ -343,13 +343,15 @@ class Contents:
             if self.faults.lined:
                 self.references.setdefault(place, array("q")).append(_line(element))
             return place
+        name = attributes.get("name")
+        if nested and name is not None and "type" not in attributes and not len(element):
+            message = "shader: has a name, but no type; to refer to a shader, write"
+            self.fault(element, f'{message} ref="{short(name)}"')
+            return self.place(name)
         kind = self.type_of(element, _SHADERS, ("type", "name"))
         shader: Shader | None = None
         if kind in _SHADERS:
             shader = self.made(_SHADERS[kind][0], element, _SHADERS[kind][1])
-        else:
-            self.values(self.parts(element, _PHONG), _PHONG)
-        name = attributes.get("name")
         if name is None:
             if not nested:
                 self.fault(element, 'shader: has no name; add one, as in name="white"')
@@ -379,9 +381,10 @@ class Contents:
         """Take in all but the numbers: these are read later, those of many surfaces at once."""
         kind = self.type_of(element, self.rows, ("type",))
         rows = self.rows.get(kind)
-        if rows is None:
-            fields = {**_SPHERE, **_BOX}
-            self.values(self.parts(element, fields), fields)
+        if rows is None:  # what else it holds cannot be judged, but shaders may be defined there
+            for child in element:
+                if child.tag == "shader":
+                    self.shader(child, nested=True)
             return
         parts = self.parts(element, rows.fields, rows.required)
         for parameter, column in rows.columns.items():
@@ -437,19 +440,14 @@ class Contents:
                 self.fault(element, f"{element.tag}: has no {tag}; add <{tag}>x y z</{tag}>")
         return parts
 
-    def values(self, parts: dict[str, _Element], fields: _Fields) -> dict[str, list[Any]]:
+    def values(self, parts: dict[str, _Element], fields: _Fields) -> dict[str, list[float]]:
         """What `parts` say: for each parameter a list of numbers.
 
         NaN, which no file can hold, stands for numbers that could not be read: what validation
         says about it is dropped, as that fault is noted already.
         """
         counts = dict(fields.values())
-        return {
-            parameter: self.numbers(child, counts[parameter])
-            if counts[parameter]
-            else [self.shader(child, nested=True)]
-            for parameter, child in parts.items()
-        }
+        return {name: self.numbers(child, counts[name]) for name, child in parts.items()}
 
     def numbers(self, element: _Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
@@ -458,15 +456,21 @@ class Contents:
             return numbers
         self.no_attributes(element)
         self.no_children(element)
-        words = _words(element.text or "")
-        for word in words:
-            if not _is_decimal(word):
-                self.fault(
-                    element,
-                    f"{element.tag}: {quoted(word)} is no decimal number;"
-                    " write it as 2, -.5 or 1e-3",
-                )
-        if len(words) != count and len(element) == 0:
+        text = element.text or ""
+        for comma in " .":
+            words = _words(text.replace(",", comma))
+            if "," in text and len(words) == count and all(map(_is_decimal, words)):
+                right = quoted(" ".join(words))
+                self.fault(element, f"{element.tag}: has commas; write it as {right}")
+                return [_NAN] * count
+        words = _words(text)
+        wrong = [word for word in words if not _is_decimal(word)]
+        for word in wrong:
+            self.fault(
+                element,
+                f"{element.tag}: {quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3",
+            )
+        if len(words) != count and len(element) == 0 and not wrong:
             self.fault(
                 element,
                 f"{element.tag}: needs {count} number{'s' * (count > 1)}, has {len(words)}",
@@ -518,10 +522,12 @@ class Contents:
         return kind
 
     def unknown(self, element: _Element, of: str, known: Iterable[str]) -> None:
-        self.fault(
-            element,
-            f"{short(element.tag)}: unknown in {short(of)}; {_nearest(element.tag, known)}",
-        )
+        remedy = _nearest(element.tag, known)
+        for tag, kinds in (("surface", self.rows), ("shader", _SHADERS)):
+            for kind in kinds:
+                if kind.lower() == element.tag.lower():
+                    remedy = f'write <{tag} type="{kind}">'
+        self.fault(element, f"{short(element.tag)}: unknown in {short(of)}; {remedy}")
 
     def repeated(self, element: _Element, earlier: _Element) -> None:
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"

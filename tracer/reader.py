@@ -205,8 +205,17 @@ class _LineReader:
             return "in a comment, write - in place of --"
         if before.rstrip().endswith(b"=") and after[:1].isalnum():
             return 'put the value of an attribute in quotes, as in type="Sphere"'
+        if after[:3].decode(errors="ignore") in tuple("\u201c\u201d\u2018\u2019"):
+            return 'write straight quotes, as in type="Sphere"'
         if after >= b"\x80":
             return "save the file as UTF-8"
+        tag = before[before.rfind(b"<") :]
+        if after.startswith(b"<") and (tag[1:2].isalpha() or tag.startswith(b"</")):
+            line = self.parser.ErrorLineNumber - tag.count(b"\n")
+            if b">" not in tag:
+                return f"end the tag of line {line} with >"
+            if tag.count(b'"') % 2 or tag.count(b"'") % 2:
+                return f"close the quotes of line {line}"
         if b"\0" < after[:1] < b" " and not after[:1].isspace():
             return "remove the control character"
         # Outside all elements and tags there is no text in which < or & could be escaped.
