@@ -288,6 +288,36 @@ def test_light_straight_over_an_enormous_floor(size: float) -> None:
     assert_same(scene(floor, beam, light=(0, 10 * size, 0), camera=camera))
 
 
+@pytest.mark.parametrize("center", [(0.5, 1, 0.1), (-0.5, 1, 0.1), (0, 1.5, 0.1), (0, 0.5, 0.1)])
+def test_a_ball_that_touches_the_plane_beside_the_eye(center: tuple[float, float, float]) -> None:
+    # But for rounding: 0.4 - 0.1 is a little more than 0.3.
+    eye = (0, 1, 0.4)
+    camera = Camera(view_point=eye, proj_distance=0.5)
+    assert_same(scene(Sphere(center=center, radius=0.3), light=eye, camera=camera))
+
+
+def test_a_far_box_through_an_oblique_window() -> None:
+    # The ends of an edge are seen in almost the same direction, along none of the camera's axes.
+    eye = (3e7, 5e7, 8e7)
+    camera = Camera(
+        view_point=eye,
+        view_dir=(-3, -5, -8),
+        proj_normal=(1, 5, 6),
+        proj_distance=1e8,
+        view_width=4,
+        view_height=4,
+    )
+    assert_same(scene(CUBE, light=eye, camera=camera))
+
+
+def test_a_light_at_the_horizon_of_an_enormous_ball() -> None:
+    # A carpet lies on it but for rounding; it is seen so large that balls around points are tiny.
+    ground = Sphere(center=(0, -1e8, 0), radius=1e8)
+    carpet = Box(min_pt=(-12, -1, -12), max_pt=(12, 1e-6, 12))
+    camera = Camera(view_point=(0, 1, 0), view_dir=(-5, -1, 0), view_width=1e-8, view_height=1e-8)
+    assert_same(scene(ground, carpet, light=(1000, 2e-5, 0), camera=camera))
+
+
 def test_in_one_direction() -> None:
     # A hundred objects behind each other, as seen by the eye and as seen by the light.
     row = [Sphere(center=(0.01 * i, 1, -0.05 * i), radius=0.02) for i in range(100)]

@@ -19,8 +19,9 @@ __all__ = [
     "sphere_around_capsule",
 ]
 
-# Relative error of a squared distance that is the difference of two.
-_CANCELLED = 1e-14
+# A squared distance from a line is the difference of two.  This part of the larger is more than
+# rounding, and more than a point on a sphere may be off by `SURFACE_TOLERANCE`.
+_CANCELLED = 1e-13
 
 # What replaces a zero component of a direction, relative to the lengths around it.
 _NEARLY = 1e-30

@@ -7,8 +7,8 @@ the light are straight lines.  An object is listed in the cells that its boundin
 box can touch, less those that a plane through the light separates from it.  Listed
 with it is the rectangle it lies in, which rules out most of a cell's points.
 
-All bounds are by interval arithmetic and valid with the light beside, on or inside
-an object: they leave out only pairs that cannot meet.
+Rectangles are found by interval arithmetic, planes with a slack; both are valid with
+the light beside, on or inside an object: they leave out only pairs that cannot meet.
 """
 
 from __future__ import annotations
@@ -54,28 +54,29 @@ class _Extents(NamedTuple):
     Attributes
     ----------
     low, high : (3, n)
-    seen : (n,)
-        Which objects may be seen: nothing else needs light.
     """
 
     low: Floats
     high: Floats
-    seen: Bools
 
     @classmethod
-    def of(cls, surfaces: Surfaces, seen: Bools) -> _Extents:
+    def of(cls, surfaces: Surfaces) -> _Extents:
         """Gather spheres and boxes."""
         center, radius = surfaces.center.T, surfaces.radius
         low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
         high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
         slack = SLACK * (np.abs(low) + np.abs(high))
-        return cls(low - slack, high + slack, seen)
+        return cls(low - slack, high + slack)
 
     def around(self, light: Floats) -> _Extents:
         """The same boxes seen from a light (3,)."""
         slack = SLACK * np.abs(light).sum()
-        low, high = self.low - (light + slack)[:, None], self.high - (light - slack)[:, None]
-        return _Extents(low, high, self.seen)
+        return _Extents(self.low - (light + slack)[:, None], self.high - (light - slack)[:, None])
+
+    def nearest(self) -> Floats:
+        """Least distances (n,) from the origin, in the 1-norm."""
+        x, y, z = np.maximum(np.maximum(self.low, -self.high), 0)
+        return np.asarray(x + y + z)
 
 
 class LightBuffer(NamedTuple):
@@ -180,7 +181,7 @@ def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> 
 
 
 class _Octant(NamedTuple):
-    """Objects of one octant, with bounds in octahedral coordinates (4, n) and distances (1-norm).
+    """Objects of one octant, bounds in octahedral coordinates (4, n), greatest distances (1-norm).
 
     Bit k of the octant's number is set where the way to the light is negative
     along axis k, that is, where points lie beyond the light.
@@ -189,7 +190,6 @@ class _Octant(NamedTuple):
     number: int
     objects: Ints
     bounds: Floats
-    nearest: Floats
     farthest: Floats
 
     @classmethod
@@ -204,7 +204,7 @@ class _Octant(NamedTuple):
         x0, y0, z0 = (np.maximum(low[objects], 0) for low, _ in ends)
         x1, y1, z1 = (high[objects] for _, high in ends)
         bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
-        return cls(number, objects, bounds, x0 + y0 + z0, x1 + y1 + z1)
+        return cls(number, objects, bounds, x1 + y1 + z1)
 
 
 class _Listing(NamedTuple):
@@ -212,49 +212,44 @@ class _Listing(NamedTuple):
 
     Attributes
     ----------
-    number : int
-        The octant's.
     scale, shift : (2,)
         From octahedral coordinates to cells.
-    objects, nearest, bounds : (n,), (n,), (n, 4)
-        What may shade something there, its least distance to the light, and `LightBuffer.bounds`.
+    objects, bounds : (n,), (n, 4)
+        What may shade something there, and `LightBuffer.bounds`.
     cell, place : (m,)
         Pairs of a cell of the octant and an index into `objects`.
     """
 
-    number: int
     scale: Floats
     shift: Floats
     objects: Ints
-    nearest: Floats
     bounds: Bounds
     cell: Ints
     place: Ints
 
 
-def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> LightBuffer:
-    """Fill the cells around a light (3,)."""
-    count = len(surfaces)
-    root = np.sqrt(count)
+def _buffer_around(
+    light: Floats, surfaces: Surfaces, extents: _Extents, seen: Bools
+) -> LightBuffer:
+    """Fill the cells around a light (3,); `seen` (n,): nothing else needs light."""
+    root = np.sqrt(len(surfaces))
     side = int(min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST))
     around = extents.around(light)
-    every = (_listing(_Octant.of(k, around), extents.seen, side, light, surfaces) for k in range(8))
+    near = around.nearest()
     scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
-    near = np.full(count, np.inf)
     none = np.zeros(0, dtype=np.intp)
     cells, places, objects, bounds = [none], [none], [none], [_query_bounds(*np.zeros((4, 0)))]
     total, before = 1, 0
-    for listing in every:
+    for number in range(8):
+        listing = _listing(_Octant.of(number, around), near, seen, side, light, surfaces)
         if listing is None:
             continue
-        number, mine = listing.number, listing.objects
         scale[:, number], shift[:, number], base[number] = listing.scale, listing.shift, total
-        near[mine] = np.minimum(near[mine], listing.nearest)
         cells.append(listing.cell + total)
         places.append(listing.place + before)
-        objects.append(mine)
+        objects.append(listing.objects)
         bounds.append(listing.bounds)
-        total, before = total + side * side, before + mine.size
+        total, before = total + side * side, before + listing.objects.size
     cell = np.concatenate(cells)
     counts = np.bincount(cell, minlength=total)
     first = np.concatenate([[0], np.cumsum(counts)])
@@ -280,9 +275,12 @@ def _buffer_around(light: Floats, surfaces: Surfaces, extents: _Extents) -> Ligh
 
 
 def _listing(
-    octant: _Octant, seen: Bools, side: int, light: Floats, surfaces: Surfaces
+    octant: _Octant, near: Floats, seen: Bools, side: int, light: Floats, surfaces: Surfaces
 ) -> _Listing | None:
-    """List objects in the cells of an octant, if anything in it may be `seen` (n,)."""
+    """List objects in the cells of an octant, if anything in it may be `seen` (n,).
+
+    `near` (n,): each object's least distance to the light, in the 1-norm.
+    """
     lit = np.flatnonzero(seen[octant.objects])
     if not lit.size:
         return None
@@ -294,7 +292,7 @@ def _listing(
     extent = _to_cells(octant.bounds, scale, shift)
     west, east, north, south = extent
     may = np.flatnonzero(
-        (octant.nearest <= _reach(octant, lit) * (1 + SLACK))
+        (near[octant.objects] <= _reach(octant, lit) * (1 + SLACK))
         & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
     )
     if not may.size:
@@ -314,8 +312,7 @@ def _listing(
         owner = objects[place[large]]
         apart = _apart(_Grid(sign, scale, origin), column, row, owner, light, surfaces)
         cell, place = np.delete(cell, large[apart]), np.delete(place, large[apart])
-    nearest, bounds = octant.nearest[may], _object_bounds(*extent)
-    return _Listing(octant.number, scale, shift, objects, nearest, bounds, cell, place)
+    return _Listing(scale, shift, objects, _object_bounds(*extent), cell, place)
 
 
 def _octahedral(low: Triple, high: Triple) -> Floats:
@@ -499,6 +496,6 @@ def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
 def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
-    extents = _Extents.of(surfaces, occluders.seen)
-    buffers = (_buffer_around(light, surfaces, extents) for light in occluders.lights)
+    extents, seen = _Extents.of(surfaces), occluders.seen
+    buffers = (_buffer_around(light, surfaces, extents, seen) for light in occluders.lights)
     return LightBufferFinder(occluders, tuple(buffers))

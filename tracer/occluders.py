@@ -77,14 +77,14 @@ class Occluders(NamedTuple):
 
 
 class Balls(NamedTuple):
-    """Stretches of neighbouring points of one object, each in a ball.
+    """Neighbouring points of one object, or smaller balls that hold some, each in a ball.
 
     Attributes
     ----------
     owner : (m,)
         The object.
     start, length : (m,)
-        Its points: `length` of them, from `start` on.
+        Its points, or smaller balls: `length` of them, from `start` on.
     middle, radius : three (m,) and (m,)
     """
 
@@ -172,7 +172,7 @@ class Finder(Protocol):
         dark : (lights, n)
             Set where a shadow is certain: no candidates need be found there.
         footprint : (n,), optional
-            Find what may shade anything within this distance of each point.
+            Find what may shade anything on a point's own object within this distance of it.
         """
         ...
 

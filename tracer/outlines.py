@@ -322,10 +322,15 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     tilt = along * ahead
     root = np.sqrt(chord2 * power)
     divisor = ahead * ahead - chord2
-    a, b = (tilt - root) / divisor, (tilt + root) / divisor
-    before = divisor > 0
-    low = np.where(before, a, np.where(along > 0, a, -np.inf))
-    high = np.where(before, b, np.where(along > 0, np.inf, b))
+    before = divisor >= 0
+    # The slopes s solve divisor s^2 - 2 tilt s + rest = 0.  Where the disc nearly touches the plane
+    # beside the eye the divisor is as good as zero: only one of the two may be divided by it.
+    rest = np.where(before, along * along - chord2, power - ahead * ahead)
+    stable = tilt + np.copysign(root, tilt)
+    a, b = stable / divisor, rest / stable
+    least, most = np.minimum(a, b), np.maximum(a, b)
+    low = np.where(before, least, np.where(along > 0, most, -np.inf))
+    high = np.where(before, most, np.where(along > 0, np.inf, least))
     # No rays at all: the plane misses the sphere, or the disc lies behind the eye.
     miss = (chord2 < 0) | (before & (ahead < 0))
     whole = (power <= 0) & (chord2 >= 0)
@@ -385,8 +390,11 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     start, end = _EDGE_START[region].T, _EDGE_END[region].T
     a = each(lambda m: m[start, every], corners)
     b = each(lambda m: m[end, every], corners)
-    normal = cross(a, b)
-    doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * dot(a, a) * dot(b, b)
+    # a x b, from the edge and its nearer end: the two ends of what is far away hardly differ.
+    a2, b2 = dot(a, a), dot(b, b)
+    near = each(lambda a, b: np.asarray(np.where(a2 < b2, a, b)), a, b)
+    normal = cross(near, each(np.subtract, b, a))
+    doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * a2 * b2
     normal = each(lambda n: np.where(doubtful, 0.0, n), normal)
     middle = [m.mean(axis=0) for m in corners]
     sign = np.where(dot(normal, (middle[0], middle[1], middle[2])) < 0, -1.0, 1.0)

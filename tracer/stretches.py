@@ -99,7 +99,7 @@ class StretchFinder(NamedTuple):
         for lists in self.lists:
             light, tile, occluder = search.of_tiles(lists, blocks, tiles)
             for batch in batches(tiles.length[tile]):
-                part, place = expand(tiles.length[tile[batch]], tiles.first[tile[batch]])
+                part, place = expand(tiles.length[tile[batch]], tiles.start[tile[batch]])
                 stretch = order[place]
                 candidates = search.of_stretches(
                     lists, light[batch][part], stretch, occluder[batch][part]
@@ -131,7 +131,7 @@ class _Search(NamedTuple):
     dark: Bools
 
     def of_tiles(
-        self, lists: _OccluderLists, blocks: _Tiles, tiles: _Tiles
+        self, lists: _OccluderLists, blocks: Balls, tiles: Balls
     ) -> tuple[Ints, Ints, Ints]:
         """Lights, tiles, and objects that may come between: by blocks, then by their tiles."""
         lights, objects = self.occluders.light_inside.shape
@@ -140,11 +140,11 @@ class _Search(NamedTuple):
         place, listed = expand(lists.first[key + 1] - lists.first[key], lists.first[key])
         light, block = np.divmod(place, blocks.owner.size)
         light, block, occluder = self._in_tiles(lists, blocks, light, block, lists.listed[listed])
-        part, tile = expand(blocks.length[block], blocks.first[block])
+        part, tile = expand(blocks.length[block], blocks.start[block])
         return self._in_tiles(lists, tiles, light[part], tile, occluder[part])
 
     def _in_tiles(
-        self, lists: _OccluderLists, tiles: _Tiles, light: Ints, tile: Ints, occluder: Ints
+        self, lists: _OccluderLists, tiles: Balls, light: Ints, tile: Ints, occluder: Ints
     ) -> tuple[Ints, Ints, Ints]:
         """Those of the given lights, tiles and objects whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
@@ -173,6 +173,7 @@ class _Search(NamedTuple):
         balls.radius[:] += self.margin[stretch]
         meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
         self._darken(light, balls, cuts)
+        # A short stretch is marked as a whole, so its first point tells.
         near = np.flatnonzero(meets & ~entries(self.dark, light, start))
         return Candidates(balls.take(near), light[near], occluder[near])
 
@@ -253,37 +254,21 @@ def _capsules(
     return middle, end, radius, low, high
 
 
-class _Tiles(NamedTuple):
-    """Parts of objects, each in a ball: what is seen of one in a tile, or in a block of tiles.
+def _around(balls: Balls, key: Ints) -> Balls:
+    """Put neighbouring balls of one object, with the same key, in one."""
+    first, length = equal_runs(key)
+    low = each(lambda m: np.minimum.reduceat(m - balls.radius, first), balls.middle)
+    high = each(lambda m: np.maximum.reduceat(m + balls.radius, first), balls.middle)
+    half = each(lambda a, b: 0.5 * (b - a), low, high)
+    middle = each(lambda a, b: 0.5 * (a + b), low, high)
+    return Balls(balls.owner[first], first, length, middle, np.sqrt(dot(half, half)))
 
-    Attributes
-    ----------
-    owner : (m,)
-        The object.
-    first, length : (m,)
-        Its stretches, as places in the order that `_tiles` gives, or its tiles.
-    middle, radius : three (m,) and (m,)
+
+def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
+    """Sort stretches by where they begin: into blocks, into tiles of these, and in what order.
+
+    A block's `start` and `length` are those of its tiles; a tile's, of its stretches in that order.
     """
-
-    owner: Ints
-    first: Ints
-    length: Ints
-    middle: Triple
-    radius: Floats
-
-    @classmethod
-    def around(cls, owner: Ints, key: Ints, middle: Triple, radius: Floats) -> _Tiles:
-        """Put neighbours with the same key in one ball."""
-        first, length = equal_runs(key)
-        low = each(lambda m: np.minimum.reduceat(m - radius, first), middle)
-        high = each(lambda m: np.maximum.reduceat(m + radius, first), middle)
-        half = each(lambda a, b: 0.5 * (b - a), low, high)
-        middle = each(lambda a, b: 0.5 * (a + b), low, high)
-        return cls(owner[first], first, length, middle, np.sqrt(dot(half, half)))
-
-
-def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[_Tiles, _Tiles, Ints]:
-    """Sort stretches by where they begin: into blocks, into tiles of these, and in what order."""
     column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE
     row = hits.row[run] // _TILE
     block = hits.owner[run]
@@ -291,10 +276,9 @@ def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[_Tiles, _Tiles, Ints]:
         block = block * (m.max() + 1) + m
     tile = (block * _BLOCK + row % _BLOCK) * _BLOCK + column % _BLOCK
     order = np.argsort(tile, kind="stable")
-    owner, tile = balls.owner[order], tile[order]
-    tiles = _Tiles.around(owner, tile, pick(balls.middle, order), balls.radius[order])
-    block = tile[tiles.first] // _BLOCK**2
-    return _Tiles.around(tiles.owner, block, tiles.middle, tiles.radius), tiles, order
+    tile = tile[order]
+    tiles = _around(balls.take(order), tile)
+    return _around(tiles, tile[tiles.start] // _BLOCK**2), tiles, order
 
 
 def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
