@@ -259,8 +259,6 @@ def _unit(image: Floats) -> float:
     return max(1.0, float(image.max(initial=0)))
 
 
-# Squares may overflow: such a place counts as not seen.
-@np.errstate(all="ignore")
 def doubts(scene: Scene) -> tuple[str, ...]:
     """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
     surfaces = scene.surfaces

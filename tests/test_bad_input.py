@@ -17,6 +17,7 @@ SPHERE = '<surface type="Sphere">{}</surface>'
 BOX = '<surface type="Box">{}</surface>'
 PHONG = '<surface type="Sphere"><shader type="Phong">{}</shader></surface>'
 
+LENGTHS = "lengths other than 0 are from 1e-75 to 1e+75"
 DECIMAL = "is no decimal number; write it as 2, -.5 or 1e-3"
 
 
@@ -424,6 +425,15 @@ VALUES = [
         SPHERE.format("<radius>1e999</radius>"),
         ["radius: must be positive and finite, is inf"],
     ),
+    *(
+        (SPHERE.format(f"<radius>{size}</radius>"), [f"radius: {size} is too {too}; {LENGTHS}"])
+        for size, too in (("1e-76", "small"), ("1e+76", "large"))
+    ),
+    (LIGHT.replace("2", "-1e-99").format(""), [f"position: -1e-99 is too small; {LENGTHS}"]),
+    (
+        BOX.format("<minPt>0 -1e+80 0</minPt><maxPt>1e+90 1e-80 0</maxPt>"),
+        [f"minPt: -1e+80 is too large; {LENGTHS}", f"maxPt: 1e+90 is too large; {LENGTHS}"],
+    ),
     (SPHERE.format("<radius>0</radius>"), ["radius: must be positive and finite, is 0"]),
     (SPHERE.format("<radius>-.5</radius>"), ["radius: must be positive and finite, is -0.5"]),
     (
@@ -494,6 +504,8 @@ CAMERAS = [
     ("<viewUp>0 -0 0</viewUp>", "viewUp: must not be the zero vector"),
     ("<projNormal>0 0 0</projNormal>", "projNormal: must not be the zero vector"),
     ("<viewPoint>0 0 1e999</viewPoint>", "viewPoint: must be finite"),
+    ("<viewPoint>1e+80 0 0</viewPoint>", f"viewPoint: 1e+80 is too large; {LENGTHS}"),
+    ("<viewWidth>1e-80</viewWidth>", f"viewWidth: 1e-80 is too small; {LENGTHS}"),
     ("<projDistance>0</projDistance>", "projDistance: must be positive and finite, is 0"),
     ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive and finite, is -1"),
     ("<viewHeight>0</viewHeight>", "viewHeight: must be positive and finite, is 0"),

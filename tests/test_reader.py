@@ -145,9 +145,8 @@ def test_surfaces_keep_the_order_of_the_file(scene_of):
     ],
 )
 def test_numbers(scene_of, text, value):
-    assert (
-        scene_of(f"{EMPTY}<light><position>{text}</position></light>").lights[0].position == value
-    )
+    scene = scene_of(f"<camera><viewDir>{text}</viewDir></camera><image>4 3</image>")
+    assert scene.camera.view_dir == value
 
 
 def test_a_scene_may_be_empty(scene_of):

@@ -24,7 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from tracer.arrays import Floats, Ints
 
 __all__ = [
+    "LARGEST",
     "MAX_PIXELS",
+    "SMALLEST",
     "Box",
     "Camera",
     "Fault",
@@ -45,6 +47,9 @@ Vector: TypeAlias = tuple[float, float, float]
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
+
+SMALLEST, LARGEST = 1e-75, 1e75
+"""Between these in size are lengths and coordinates other than 0: float64 holds fourth powers."""
 
 # Below this sine or cosine the camera basis has no digit left worth trusting.
 _DEGENERATE = 1e-10
@@ -112,6 +117,31 @@ def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     return (x, y, z)
 
 
+def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+    """Rows (n, k) of lengths or coordinates too large or too small to compute with.
+
+    `index` (n,): of the surface that each row is of.
+    """
+    size = np.abs(lengths)
+    # What is not finite is another fault.
+    wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        k = wrong[i].argmax()
+        too = "large" if size[i, k] > 1 else "small"
+        limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
+        yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))
+
+
+# The index of what is none of many.
+_ALONE = np.array([None])
+
+
+def _point(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    point = _vector(value, name, faults)
+    faults += _size_faults(name, np.array([point]), _ALONE)
+    return point
+
+
 def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     vector = _vector(value, name, faults)
     if vector == (0.0, 0.0, 0.0):
@@ -142,6 +172,7 @@ def _positive(value: float, name: str, faults: list[Fault]) -> float:
     if not (0 < value < np.inf):
         faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
         return 1.0
+    faults += _size_faults(name, np.array([[value]]), _ALONE)
     return value
 
 
@@ -250,7 +281,7 @@ class Camera:
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         put = object.__setattr__
-        put(self, "view_point", _vector(self.view_point, "viewPoint", faults))
+        put(self, "view_point", _point(self.view_point, "viewPoint", faults))
         for name, tag in (("view_dir", "viewDir"), ("view_up", "viewUp")):
             put(self, name, _direction(getattr(self, name), tag, faults))
         if self.proj_normal is not None:
@@ -296,7 +327,7 @@ class PointLight:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        position = _vector(self.position, "position", faults)
+        position = _point(self.position, "position", faults)
         intensity = _color(self.intensity, "intensity", faults)
         _settle(self, faults, position=position, intensity=intensity)
 
@@ -367,7 +398,7 @@ class Sphere:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        center = _vector(self.center, "center", faults)
+        center = _point(self.center, "center", faults)
         radius = _positive(self.radius, "radius", faults)
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
         _settle(self, faults, center=center, radius=radius)
@@ -390,25 +421,34 @@ class Box:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        low, high = _vector(self.min_pt, "minPt", faults), _vector(self.max_pt, "maxPt", faults)
+        low, high = _point(self.min_pt, "minPt", faults), _point(self.max_pt, "maxPt", faults)
         if not faults:
-            faults += _box_faults(np.array([low]), np.array([high]), np.array([None]))
+            faults += _order_faults(np.array([low]), np.array([high]), _ALONE)
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
         _settle(self, faults, min_pt=low, max_pt=high)
 
 
-def _sphere_faults(center: Floats, radius: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+def _sphere_faults(center: Floats, radius: Floats, index: Ints) -> Iterable[Fault]:
     for i in np.flatnonzero(~((radius > 0) & (radius < np.inf))).tolist():
         message = f"must be positive and finite, is {number(radius[i])}"
         yield Fault("radius", message, index.item(i))
-    for i in np.flatnonzero(~np.isfinite(center).all(axis=1)).tolist():
-        yield Fault("center", "must be finite", index.item(i))
+    yield from _size_faults("radius", radius[:, None], index)
+    yield from _point_faults("center", center, index)
 
 
-def _box_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    for name, corner in (("minPt", min_pt), ("maxPt", max_pt)):
-        for i in np.flatnonzero(~np.isfinite(corner).all(axis=1)).tolist():
-            yield Fault(name, "must be finite", index.item(i))
+def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints) -> Iterable[Fault]:
+    yield from _point_faults("minPt", min_pt, index)
+    yield from _point_faults("maxPt", max_pt, index)
+    yield from _order_faults(min_pt, max_pt, index)
+
+
+def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
+    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
+        yield Fault(name, "must be finite", index.item(i))
+    yield from _size_faults(name, points, index)
+
+
+def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
     for i, axis in np.argwhere(min_pt > max_pt).tolist():
         has = f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
         yield Fault("minPt", f"must not exceed maxPt, but {has}", index.item(i))
