@@ -5,7 +5,7 @@ middle, and finds the straight *lines* that edges draw across it (see `looks`;
 outlines are found by `crossings`, whether a middle sees the object or not).
 
 Most cells see one smooth surface: there that sample, with a correction for
-curvature, is worth more than any number of samples.  Where one line crosses a
+curvature, is worth a whole grid of samples.  Where one line crosses a
 cell, a sample on either side is enough (two on a sphere within its limb, where
 light falls off).  A cell that holds more is *unresolved*: it is split into
 quarters, which are looked at in turn, and so on (Whitted 1980).  The last parts
@@ -45,7 +45,7 @@ _CURVATURE = 1e-2
 
 # Cells in which the grid asked for has no more samples along each side than this are not split any
 # more, but sampled: looks would cost more than the samples they save.
-_AT_ONCE = 3
+_LAST = 3
 
 # With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than looks.
@@ -65,7 +65,7 @@ def dense(outlines: Outlines, per_side: int) -> bool:
 
 def splittings(per_side: int) -> int:
     """How many times over pixels are split into quarters and looked at, where they need it."""
-    return 0 if per_side <= _AT_ONCE else 1 + splittings((per_side + 1) // 2)
+    return 0 if per_side <= _LAST else 1 + splittings((per_side + 1) // 2)
 
 
 def antialiased(
@@ -73,7 +73,7 @@ def antialiased(
 ) -> None:
     """Write radiance, averaged over each pixel of a rectangle, into zeros `out` (rows, columns, 3).
 
-    It errs no more than per_side x per_side samples in a grid in every pixel would.
+    Its RMSE is to be no larger than that of per_side x per_side samples in every pixel.
     """
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
@@ -96,7 +96,7 @@ def antialiased(
     for first in range(0, height, step):
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
         places = np.arange(first * width, first * width + strip.size)
-        look(lighting, strip, 1.0, tolerance, seen, places)
+        look(lighting, strip, 1.0, seen, places)
     bend, error, partial = curvature(seen.radiance, seen.key, width)
     # What is known does not ask for a closer look; what is not, may.
     error[partial & (error <= tolerance)] = np.nan
@@ -159,7 +159,7 @@ def _refine(
     # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
-    if per_side <= _AT_ONCE:
+    if per_side <= _LAST:
         _sample(lights, cells, lines, rest, per_side, lighting.view.at_once(_CHUNK), mean)
     else:
         _split(lighting, lights, cells, seen, rest, per_side, mean)
@@ -198,7 +198,7 @@ def _look_beyond(
     cell, x, y = sides.cell, sides.x, sides.y
     # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
-    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
+    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, 0.5)
     found = joined(seen.lines)
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
@@ -251,7 +251,7 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = look_at(lights, x, y, inside, size, cells.tolerance)
+        closer = look_at(lights, x, y, inside, size)
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

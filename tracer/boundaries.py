@@ -29,7 +29,7 @@ from tracer.arrays import (
     select,
 )
 from tracer.camera import Raster
-from tracer.edges import BEND, Kind, Lines, Pencil, joined, sagitta_error
+from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined, sagitta_error
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
@@ -78,13 +78,7 @@ def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size
 
 def near_lights(light: Incoming, footprint: Floats) -> Ints:
     """Points with so large a `footprint` (n,), or so near to a light, that cells must be split."""
-    reach2 = (footprint / _WIDE) ** 2
-    most, near = reach2.max(initial=0), np.zeros(footprint.size, dtype=np.bool_)
-    for length2 in light.length2:
-        # Nearly always no point is near.
-        if length2.min(initial=np.inf) < most:
-            near |= length2 < reach2
-    return np.flatnonzero(near)
+    return np.flatnonzero(np.any(light.length2 < (footprint / _WIDE) ** 2, axis=0))
 
 
 def intersections(
@@ -112,7 +106,7 @@ def intersections(
     reach, off = lines.reach(), off_first + off_second
     # Where surfaces coincide, rounding alone decides which is seen.
     alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
-    straight = ~alike & (lines.turn(off) <= BEND)
+    straight = ~alike & (lines.turn(off) <= MOST_TURN)
     unresolved[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
     return lines.take(np.flatnonzero(straight & lines.crosses()))
 
@@ -218,7 +212,7 @@ class Patches(NamedTuple):
         discs, turn, near = pencil.take(on).discs(center, radius)
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         # A footprint larger than the sphere may hold the whole of its shadow.
-        odd = (turn > BEND) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
+        odd = (turn > MOST_TURN) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
         unresolved[discs.cell[odd & near]] = True
         discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
         on = np.flatnonzero(occluder >= spheres)
@@ -233,8 +227,8 @@ class Patches(NamedTuple):
         planes = each(lambda m: m.take(place, axis=1), planes)
         edges, turn, unknown = pencil.take(on).boxes(planes)
         unresolved[pencil.cell[on[unknown]]] = True
-        unresolved[edges.cell[turn > BEND]] = True
-        return joined([discs, edges.take(np.flatnonzero(turn <= BEND))])
+        unresolved[edges.cell[turn > MOST_TURN]] = True
+        return joined([discs, edges.take(np.flatnonzero(turn <= MOST_TURN))])
 
     def _near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
         """Pairs of a light and a point of a sphere whose footprint the terminator may cross."""
@@ -246,28 +240,16 @@ class Patches(NamedTuple):
         turns = np.flatnonzero(n_dot_l**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 
-    def terminators(self, incoming: Incoming, tolerance: float, unresolved: Bools) -> Lines:
+    def terminators(self, incoming: Incoming, unresolved: Bools) -> Lines:
         """Lines at which lights, and their highlights, begin on spheres.
 
-        Left out is light that begins so slowly that a single sample errs by less than `tolerance`.
-        Marks `unresolved` where the line is not straight.
+        Marks `unresolved` where they are not straight.
         """
         light, at = self._near_terminator(incoming)
-        lighting, group = self.lighting, self.group
-        materials, shader = lighting.materials, lighting.shader
-        radius = group.of(self.lighting.view.surfaces.radius)
-        diffuse = select(group.of(materials.diffuse.max(axis=0)[shader]), at)
-        diffuse = diffuse * lighting.intensities.max(axis=1)[light]
-        glossy = np.broadcast_to(select(group.of(materials.glossy[shader]), at), at.shape)
-        # A ramp that begins in the middle of a cell adds an eighth of its rise across the cell to
-        # the mean.  If it begins along an arc, a straight line errs by an eighth of `off`, below.
-        change = self.footprint[at] / select(radius, at) * diffuse
-        total = np.bincount(at, change, self.cell.size)[at]
-        shown = np.flatnonzero(glossy | (total > 8 * tolerance))
-        if not shown.size:
+        if not at.size:
             return joined([])
-        light, at, glossy, diffuse = light[shown], at[shown], glossy[shown], diffuse[shown]
-        ray, r = self.from_light(light, at), -select(radius, at)
+        lighting, group = self.lighting, self.group
+        ray, r = self.from_light(light, at), -select(group.of(lighting.view.surfaces.radius), at)
         across, down = self.steps(at)
         a, b, c = dot(across, ray) / r, dot(down, ray) / r, incoming.n_dot_l[light, at]
         # The look has sought what may shade the surface only for lights that its middle faces.
@@ -276,8 +258,7 @@ class Patches(NamedTuple):
         normal = self.hits.raster.vector_to_scene(pick(group.n, at))
         gradient = each(lambda d, n: d / r + n, ray, normal)
         off = sagitta_error(gradient, self.sagitta(at))
-        bent = glossy & (lines.turn(off) > BEND)
-        bent |= diffuse * off > 8 * tolerance * np.sqrt(incoming.length2[light, at])
+        bent = lines.turn(off) > MOST_TURN
         unresolved[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
         return lines.take(np.flatnonzero(~bent & lines.crosses()))
 

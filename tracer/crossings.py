@@ -10,15 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, each, expand, pick
-from tracer.edges import BEND, Kind, Lines, Pencil, joined
+from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
 from tracer.visibility import View
 
 __all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
 
-# A limb passes for straight if it turns by less than this, in radians, times the tolerance.
-_TURN = 57.0
+# A limb passes for straight if it turns by less than this, in radians, times the tolerance: found
+# by trial.
+_LIMB_TURN = 57.0
 
 # What is so near to the line between two rows of pixels lies in both.
 _ON_LINE = 1e-6
@@ -124,10 +125,10 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
         cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
-        straight = turn <= min(BEND, _TURN * cells.tolerance)
+        straight = turn <= min(MOST_TURN, _LIMB_TURN * cells.tolerance)
         seen.unresolved[cell[near & ~straight]] = True
         crosses = discs.crosses()
-        lines.append(discs.take(np.flatnonzero((turn <= BEND) & crosses)))
+        lines.append(discs.take(np.flatnonzero((turn <= MOST_TURN) & crosses)))
         within_limbs = cell[straight & crosses & (seen.spheres()[cell] == ball)]
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:

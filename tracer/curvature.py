@@ -21,7 +21,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
     Results for pixels on the rim are meaningless.
     """
     count = key.size
-    total, error = np.empty(radiance.shape), np.zeros(count)
+    total, error = np.zeros(radiance.shape), np.zeros(count)
     unknown = np.zeros(count, dtype=np.int8)
     for stride in (1, width):
         middle = slice(stride, count - stride)
@@ -38,10 +38,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
             bend = step[stride:] - step[:-stride]
             np.maximum(change, np.abs(bend[one_sided]), out=change)
             bend[not_smooth] = 0
-            if stride == 1:
-                out[0], out[middle], out[-1] = 0, bend, 0
-            else:
-                out[middle] += bend
+            out[middle] += bend
         at = one_sided + stride
         error[at] = np.maximum(error[at], change)
     total *= 1 / 24

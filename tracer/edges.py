@@ -19,9 +19,9 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["BEND", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
+__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
-BEND = 0.2
+MOST_TURN = 0.2
 """A line that turns by less (in radians) across a cell passes for straight."""
 
 # The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
@@ -245,7 +245,7 @@ class Pencil(NamedTuple):
         """The outline of one sphere for each ray: a line, and how far it turns (n,) in radians.
 
         The third array (n,) says which may cross their cells, as lines or, where they turn by more
-        than `BEND`, as arcs.  `center`: as seen from the apex.
+        than `MOST_TURN`, as arcs.  `center`: as seen from the apex.
         """
         length2 = dot(self.ray, self.ray)
         nearest = dot(center, self.ray) / length2
@@ -272,17 +272,17 @@ class Pencil(NamedTuple):
         # it: on the way there the arc has turned.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
         turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
-        bend = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
+        sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
         a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
         c -= turned * turned * curvature / 2
         # On average over the length of a cell, a flat arc lies this far inside its tangent.
-        c += np.where(np.abs(bend) < size, bend / 24, 0)
+        c += np.where(np.abs(sagging) < size, sagging / 24, 0)
         lines = self._lines(a, b, c)
         # Where the disc's other side reaches into the cell as well there is a second line.
         both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
-        turned = np.abs(bend) / size + lines.turn(sagitta_error(out, self.sagitta))
+        turned = np.abs(sagging) / size + lines.turn(sagitta_error(out, self.sagitta))
         turn = np.where(both, np.inf, turned)
-        return lines, turn, lines.crosses() | (within & (turn > BEND))
+        return lines, turn, lines.crosses() | (within & (turn > MOST_TURN))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
         """The outline of one box for each ray: lines that cross their cells, and their turns.
@@ -304,7 +304,7 @@ class Pencil(NamedTuple):
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
         at = [
-            np.flatnonzero(within & np.where(t > BEND, np.abs(edge.c) < m, edge.crosses()))
+            np.flatnonzero(within & np.where(t > MOST_TURN, np.abs(edge.c) < m, edge.crosses()))
             for edge, m, t in zip(edges, reach, turn, strict=True)
         ]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))

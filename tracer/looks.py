@@ -154,17 +154,16 @@ def look_at(
     y: Floats,
     cell: Ints,
     size: float,
-    tolerance: float,
     share: float = 1.0,
 ) -> Seen:
     """Look at cells of a size around positions in any order.
 
     `cell` (n,): the cell, of those that `lights` knows, in which each position lies.
-    `tolerance`, `share`: see `look`.
+    `share`: see `look`.
     """
     samples, order = _sorted(x, y)
     seen = Seen.of(order.size)
-    look(lights(cell[order]), samples, size, tolerance, seen, order, share)
+    look(lights(cell[order]), samples, size, seen, order, share)
     return seen
 
 
@@ -172,15 +171,14 @@ def look(
     lighting: Lighting,
     samples: Samples,
     size: float,
-    tolerance: float,
     seen: Seen,
     cell: Ints,
     share: float = 1.0,
 ) -> None:
     """Look at cells of a size around samples; what is found goes into `seen`.
 
-    `cell` (n,): the cell of `seen` around each sample.  `tolerance`: by how much a sample may err,
-    in radiance.  `share`: the part of its cell's width that a sample stands for.
+    `cell` (n,): the cell of `seen` around each sample.  `share`: the part of its cell's width that
+    a sample stands for.
     """
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
@@ -224,4 +222,4 @@ def look(
         if group.flat:
             seen.lines.append(patches.ridges())
         else:
-            seen.lines.append(patches.terminators(here, tolerance, seen.unresolved))
+            seen.lines.append(patches.terminators(here, seen.unresolved))

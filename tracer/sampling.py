@@ -86,9 +86,9 @@ class Lattice(NamedTuple):
     this one few points of a pixel share a row or a column, and yet it repeats from pixel to
     pixel: it is a rank-1 lattice of five points (Dammertz and Keller, Image synthesis by rank-1
     lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps it
-    onto itself, so what is smooth is averaged as well as by an upright grid.  Every other row of
-    pixels has its mirror image: an edge along one of its own directions meets those in only half
-    of the pixels.
+    onto itself, so what is smooth is averaged as well as by an upright grid.  Where all
+    pixels have it (`samples`), every other row of them has its mirror image: an edge along one of
+    its own directions meets those in only half of the pixels.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, per_side: int) -> Lattice:
-        """A lattice that errs less than an upright grid of per_side x per_side points.
+        """A lattice that mostly errs less than an upright grid of per_side x per_side points.
 
         A quarter more points than the grid's are enough for the mean error; the largest error is a
         matter of chance, hence one more repetition of the five points across and down.

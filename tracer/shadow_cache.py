@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
 from tracer.light_buffers import LightBufferFinder
@@ -19,10 +18,6 @@ from tracer.occluders import Candidates, candidates_by_kind
 from tracer.visibility import Hits
 
 __all__ = ["ShadowCache", "ShadowEdges"]
-
-# What is known of a light near a point: nothing, that it reaches everything there, that it reaches
-# nothing there, or that objects are listed that may keep it from some of it.
-_UNKNOWN, _LIT, _DARK, _LISTED = range(4)
 
 
 class ShadowEdges(NamedTuple):
@@ -63,8 +58,8 @@ class ShadowCache(NamedTuple):
         The point that each sample is near: an index into all that follows.
     own, p, footprint : (points,), (3, points), (points,)
         See `ShadowEdges`.
-    state : (lights, points)
-        What is known of each light near each point: `_UNKNOWN` and so on.
+    facing, dark : (lights, points)
+        See `ShadowEdges`: of a light that a point does not face, nothing is known near it.
     first, length : (lights, points)
         Where the objects that may keep the light away begin in `listed`, and how many they are.
     listed : (m,)
@@ -75,7 +70,8 @@ class ShadowCache(NamedTuple):
     own: Ints
     p: Floats
     footprint: Floats
-    state: NDArray[np.int8]
+    facing: Bools
+    dark: Bools
     first: Ints
     length: Ints
     listed: Ints
@@ -95,7 +91,8 @@ class ShadowCache(NamedTuple):
             own=np.full(place.size, -1),
             p=np.zeros((3, place.size)),
             footprint=np.zeros(place.size),
-            state=np.zeros(shape, dtype=np.int8),
+            facing=np.zeros(shape, dtype=np.bool_),
+            dark=np.zeros(shape, dtype=np.bool_),
             first=np.zeros(shape, dtype=np.intp),
             length=np.zeros(shape, dtype=np.intp),
             listed=np.zeros(sum(edges.occluder.size for edges in found), dtype=np.intp),
@@ -113,8 +110,7 @@ class ShadowCache(NamedTuple):
             asked = np.add.outer(np.arange(shape[0]) * size, point)
             first, end = (np.searchsorted(key, asked, side, order) for side in ("left", "right"))
             known.first[:, at], known.length[:, at] = first + before, end - first
-            state = np.where(first < end, _LISTED, np.where(edges.dark[:, point], _DARK, _LIT))
-            known.state[:, at] = np.where(edges.facing[:, point], state, _UNKNOWN)
+            known.facing[:, at], known.dark[:, at] = edges.facing[:, point], edges.dark[:, point]
             start, before = start + size, before + key.size
         return known
 
@@ -123,15 +119,13 @@ class ShadowCache(NamedTuple):
     ) -> Iterator[Candidates]:
         """See `Finder.candidates`."""
         near, own = self.near[hits.sample], hits.own
-        state = self.state.take(near, axis=1)
-        # Elsewhere it becomes _UNKNOWN, which is 0.
-        state *= self._inside(hits.p, own, near, footprint)
-        unknown = facing & (state == _UNKNOWN)
+        known = self.facing.take(near, axis=1) & self._inside(hits.p, own, near, footprint)
+        unknown = facing & ~known
         if unknown.any():
             yield from self.finder.candidates(hits, unknown, dark, footprint)
-        dark |= state == _DARK
+        dark |= known & self.dark.take(near, axis=1)
         points = hits.points(slice(None))
-        for number, asked in enumerate(facing & (state == _LISTED)):
+        for number, asked in enumerate(facing & known):
             which = np.flatnonzero(asked)
             first, length = (m[number][near[which]] for m in (self.first, self.length))
             for batch in batches(length):
