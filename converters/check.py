@@ -158,8 +158,11 @@ class CheckResult:
     def report(self) -> str:
         """The result in a few lines of text."""
         f = self.figures
+        verdict = "DIFFERS" if self.faults else "agrees"
+        if self.faults and self.asked and self.agreed == self.asked:
+            verdict += ", where Mitsuba errs"
         lines = [
-            f"{self.name}: {'DIFFERS' if self.faults else 'agrees'}",
+            f"{self.name}: {verdict}",
             f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9 % {f.p999:.1e},"
             f" RMSE {f.rmse:.1e}, {f.over} pixels over 1e-3",
             f"  {f.masked} pixels ({self.mask.mean():.3%}) masked as edges: they change by more"

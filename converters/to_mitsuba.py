@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -110,8 +111,9 @@ def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Pa
     for path in written:
         if os.path.realpath(path) in inputs:
             raise ValueError(f"{path}: this would replace a scene; choose another with -o")
-    if len(set(map(os.path.realpath, written))) < len(written):
-        raise ValueError("two scenes of one name would be written to one file; do them one by one")
+    for place, times in Counter(map(os.path.realpath, written)).items():
+        if times > 1:
+            raise ValueError(f"{place}: two scenes would be written there; do them one by one")
     return targets
 
 

@@ -19,7 +19,7 @@ from unittest import mock
 import numpy as np
 
 from reference import machine
-from reference.command import HERE, SCENES, need_scenes, parser, result
+from reference.command import HERE, SCENES, need_scenes, parser, result, run
 from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
@@ -245,4 +245,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -29,7 +29,7 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import use
 from reference import machine, minimal, rivals
-from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result
+from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
@@ -447,4 +447,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

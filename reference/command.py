@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NoReturn
 
 from tqdm import tqdm
 
-from tracer.command import no_folder
+from tracer.command import end, no_folder
 from tracer.reader import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
@@ -24,6 +25,7 @@ __all__ = [
     "own_scenes",
     "parser",
     "result",
+    "run",
     "spare_inputs",
 ]
 
@@ -82,3 +84,12 @@ def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[P
         used.exit(2, no_folder(error) + "\n")
     if replaces:
         used.error(printable(f"{output}: this would replace an input; choose another with -o"))
+
+
+def run(main: Callable[[], int | None]) -> NoReturn:
+    """`main` as a process of its own; its status, or 130 after an interrupt."""
+    try:
+        status = main()
+    except KeyboardInterrupt:
+        status = 130
+    end(status or 0)

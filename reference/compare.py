@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from reference.command import spare_inputs
+from reference.command import run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
-from tracer.command import end, say
+from tracer.command import say
 from tracer.image import PNG, quantise, whole_file
 from tracer.reader import printable
 
@@ -228,6 +228,14 @@ def _deep(codec: str, coding: Any) -> bool:
     return re.search(r";16[BLN]", str(coding)) is not None
 
 
+def _number(text: str) -> float:
+    """The type of a tolerance."""
+    value = float(text)
+    if not value >= 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
+    return value
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m reference.compare",
@@ -238,9 +246,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("a", metavar="A.png", type=Path, help="the picture in question")
     parser.add_argument("b", metavar="B.png", type=Path, help="the right one")
-    parser.add_argument("--ssim", type=float, metavar="S", help="least SSIM that is tolerated")
+    parser.add_argument("--ssim", type=_number, metavar="S", help="least SSIM that is tolerated")
     parser.add_argument(
-        "--max", type=float, metavar="M", help="largest linear difference that is tolerated"
+        "--max", type=_number, metavar="M", help="largest linear difference that is tolerated"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PATH", help="the comparison (A.compare.png)"
@@ -292,4 +300,4 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
 
 
 if __name__ == "__main__":
-    end(main())
+    run(main)

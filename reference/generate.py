@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
-from reference.command import SCENES, need_scenes, parser
+from reference.command import SCENES, need_scenes, parser, run
 
 __all__ = ["main", "many_objects", "sunflower"]
 
@@ -154,4 +154,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -13,7 +13,6 @@ import hashlib
 import importlib
 import json
 import platform
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -24,7 +23,7 @@ import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
-from reference.command import HERE, SCENES, need_scenes, own_scenes
+from reference.command import HERE, SCENES, need_scenes, own_scenes, run
 from tracer.arrays import Floats
 from tracer.reader import load_scene
 from tracer.scene import Scene
@@ -126,4 +125,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -24,10 +24,10 @@ from tqdm import tqdm
 from converters.check import MAX_DIFFERENCE, CheckResult, check
 from converters.trouble import TROUBLE, told
 from converters.variant import use
-from reference.command import BUILD, HERE, need_scenes, own_scenes, spare_inputs
+from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
-from tracer.command import end, say
+from tracer.command import say
 from tracer.image import quantise, whole_file
 from tracer.reader import printable
 
@@ -282,4 +282,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    end(main())
+    run(main)

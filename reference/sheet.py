@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import tracer
-from reference.command import HERE, SCENES, need_scenes, own_scenes, parser
+from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
 from tracer.image import quantise
 
 __all__ = ["main", "sheet"]
@@ -76,4 +76,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

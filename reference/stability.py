@@ -36,7 +36,7 @@ from reference.charts import (
     save,
     write_csv,
 )
-from reference.command import parser, result
+from reference.command import parser, result, run
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
@@ -488,4 +488,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         type=named,
         metavar="PATH",
-        help="the picture to write, or a folder for the pictures of several scenes;"
+        help="the picture to write, always a PNG, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
     parser.add_argument(

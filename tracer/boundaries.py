@@ -47,9 +47,6 @@ _EDGE_ON = 1e-12
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
 
-# Surfaces coincide if their inverse distances differ by less than this part across a cell.
-_ALIKE = 1e-9
-
 
 def _half_angle(raster: Raster, size: float) -> float:
     """Angle under which the eye sees half the diagonal of a cell of a size, in radians."""
@@ -103,11 +100,9 @@ def intersections(
     u, v, w = each(np.subtract, first, second)
     a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
     lines = Lines(cell[sample], np.full(sample.size, Kind.EDGE), a, b, c)
-    reach, off = lines.reach(), off_first + off_second
-    # Where surfaces coincide, rounding alone decides which is seen.
-    alike = reach + np.abs(c) <= _ALIKE * dot(first, d)
-    straight = ~alike & (lines.turn(off) <= MOST_TURN)
-    unresolved[lines.cell[~straight & (alike | (np.abs(c) <= reach + off))]] = True
+    off = off_first + off_second
+    straight = lines.turn(off) <= MOST_TURN
+    unresolved[lines.cell[~straight & (np.abs(c) <= lines.reach() + off)]] = True
     return lines.take(np.flatnonzero(straight & lines.crosses()))
 
 

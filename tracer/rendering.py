@@ -76,11 +76,13 @@ def render(
     Raises
     ------
     TypeError
-        For a number of samples or threads that is no integer.
+        For what is no scene, and a number of samples or threads that is no integer.
     ValueError
         For fewer than one sample, a negative number of threads, and an offset that is not two
         finite numbers.
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
     # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
     for rows, columns, band in _rendered(scene, samples, threads, offset, image=image):
