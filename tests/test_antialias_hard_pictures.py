@@ -393,6 +393,18 @@ def test_glitter_below_the_horizon_of_a_planet(
     no_worse_than_the_uniform_grid(scene)
 
 
+def test_the_shadow_of_a_ball_smaller_than_its_pixel() -> None:
+    # Both sides of the shadow lie in a pixel, far from where its middle is.
+    floor = Box(min_pt=(-1e4, -1, -1e4), max_pt=(1e4, 0, 1e4))
+    ball = Sphere(center=(3.9, 2.7, 11), radius=0.37)
+    camera = Camera(
+        view_point=(0, 37, 62), view_dir=(0, -0.51, -0.86), view_width=0.7, view_height=0.47
+    )
+    lights = [PointLight(position=(-34, 12.4, -7.9))]
+    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, ball])
+    no_worse_than_the_uniform_grid(scene)
+
+
 def test_more_lights_than_bits() -> None:
     lights = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)

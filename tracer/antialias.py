@@ -97,9 +97,9 @@ def antialiased(
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
         places = np.arange(first * width, first * width + strip.size)
         look(lighting, strip, 1.0, seen, places)
-    bend, error, partial = curvature(seen.radiance, seen.key, width)
+    bend, error, unknown = curvature(seen.radiance, seen.key, width)
     # What is known does not ask for a closer look; what is not, may.
-    error[partial & (error <= tolerance)] = np.nan
+    error[unknown & (error <= tolerance)] = np.nan
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(ends, across)
     inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))

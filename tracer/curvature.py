@@ -13,7 +13,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
     """What to add to the samples at pixels' centres for the pixels' means, and its error (n,).
 
     `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.  The third
-    array (n,) says where the error is that of one direction only, as nothing is known of the other.
+    array (n,) says where nothing is known in a direction, which the error leaves out.
 
     The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
     are differences between a pixel and its neighbours, where both of these see the same as it
@@ -22,12 +22,12 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
     """
     count = key.size
     total, error = np.zeros(radiance.shape), np.zeros(count)
-    unknown = np.zeros(count, dtype=np.int8)
+    unknown = np.zeros(count, dtype=np.bool_)
     for stride in (1, width):
         middle = slice(stride, count - stride)
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
-        unknown[middle] += ~(before | after)
+        unknown[middle] |= ~(before | after)
         # Edges are few: differences are taken everywhere, and those across edges put right.
         edge = np.flatnonzero(~same)
         one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
@@ -45,10 +45,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
-    # A pixel unlike all its neighbours is suspect: of surfaces that coincide, rounding may show now
-    # one and now the other.
-    error[unknown == 2] = np.inf
-    return total, error, unknown == 1
+    return total, error, unknown
 
 
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
