@@ -454,7 +454,7 @@ def _panel(axes: Any, points: Sequence[Point]) -> Lead | None:
         axes.annotate(
             _in_words(lead.speedup),
             (min(lead.ours, lead.theirs), lead.level),
-            xytext=(-7, 0),
+            xytext=(-18, -11),  # to the lower left, where few curves are
             textcoords="offset points",
             ha="right",
             va="center",
