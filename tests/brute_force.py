@@ -21,6 +21,7 @@ from tracer.intersection import (
     box_blocks,
     box_hit,
     disc_in_row,
+    power_of,
     sphere_blocks,
     sphere_hit,
     sphere_side,
@@ -140,8 +141,7 @@ def _power(raster: Raster, sphere: Sphere) -> Floats:
     """|centre - eye|^2 - radius^2 (1,)."""
     u, v, w = raster.to_camera(np.array([sphere.center]))
     distance = np.sqrt(u * u + v * v + w * w)
-    power: Floats = (distance - sphere.radius) * (distance + sphere.radius)
-    return power
+    return power_of(distance, np.array([sphere.radius]))
 
 
 def _eye_inside(raster: Raster, surface: Surface) -> bool:

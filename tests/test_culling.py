@@ -288,6 +288,36 @@ def test_light_straight_over_an_enormous_floor(size: float) -> None:
     assert_same(scene(floor, beam, light=(0, 10 * size, 0), camera=camera))
 
 
+@pytest.mark.parametrize(
+    ("eye", "ball", "direction"),
+    [
+        ((0, 0, 0), Sphere(center=(-0.2, 0, 0), radius=0.2), (1, 0, 0)),  # behind the eye
+        ((-1.5, -0.5, 0), Sphere(center=(-1.5, -0.5, 0.2), radius=0.2), (0, 0, -1)),
+        ((0.002, 3e-4, 2e-4), Sphere(center=(5e-4, 3e-4, 2e-4), radius=0.0015), (1, 0, 0)),
+        ((-0.3, 0.3, 0.3), Sphere(center=(0, 0.3, 0.3), radius=0.3), (0, 0, 1)),  # beside it
+        ((0.2, -0.5, -0.5), Sphere(center=(0.2, 0.1, -0.5), radius=0.6), (1, 1, 1)),
+        ((0, 0, 0.7), Sphere(center=(0, 0, 0.2), radius=0.5), (0, 0, -1)),  # before it
+    ],
+)
+def test_the_eye_on_a_ball(
+    eye: tuple[float, float, float], ball: Sphere, direction: tuple[float, float, float]
+) -> None:
+    beyond = Box(min_pt=(-4, -4, -4), max_pt=(4, 4, 4))
+    for normal in (None, (1, 2, 3)):
+        camera = Camera(view_point=eye, view_dir=direction, proj_normal=normal, view_width=2)
+        assert_same(scene(ball, beyond, light=(-2, -1, 2), camera=camera))
+
+
+def test_a_ball_that_touches_the_eye_from_behind_is_not_seen() -> None:
+    camera = Camera(view_point=(0.1, 0.2, 0.3), view_width=3, view_height=3)
+    wall = Box(min_pt=(-9, -9, -9), max_pt=(9, 9, -8))
+    alone = scene(wall, light=(0.1, 5, 0), camera=camera)
+    for radius in (0.1, 0.2, 0.3, 0.7, 1.1):
+        ball = Sphere(center=(0.1, 0.2, 0.3 + radius), radius=radius)
+        both = scene(wall, ball, light=(0.1, 5, 0), camera=camera)
+        np.testing.assert_array_equal(render(both), render(alone))
+
+
 @pytest.mark.parametrize("center", [(0.5, 1, 0.1), (-0.5, 1, 0.1), (0, 1.5, 0.1), (0, 0.5, 0.1)])
 def test_a_ball_that_touches_the_plane_beside_the_eye(center: tuple[float, float, float]) -> None:
     # But for rounding: 0.4 - 0.1 is a little more than 0.3.

@@ -26,6 +26,7 @@ __all__ = [
     "box_blocks",
     "box_hit",
     "disc_in_row",
+    "power_of",
     "sphere_blocks",
     "sphere_crosses",
     "sphere_hit",
@@ -33,6 +34,9 @@ __all__ = [
 ]
 
 OUTSIDE, ON, INSIDE = 1, 0, -1
+
+# Two roundings of a length of 1.
+_TOUCHING = 2 * float(np.finfo(np.float64).eps)
 
 SURFACE_TOLERANCE = 64 * float(np.finfo(np.float64).eps)
 """A point this near to a surface, relative to the lengths it was computed from,
@@ -53,7 +57,7 @@ class Disc(NamedTuple):
     chord2
         The disc's squared radius; negative where the plane misses the sphere.
     power
-        |centre - eye|^2 - radius^2 of the sphere: positive with the eye outside.
+        |centre - eye|^2 - radius^2 of the sphere: see `power_of`.
     """
 
     hypot2: Floats
@@ -63,6 +67,18 @@ class Disc(NamedTuple):
     w_hypot: Floats
     chord2: Floats
     power: Floats
+
+
+def power_of(distance: Floats, radius: Floats) -> Floats:
+    """The eye's power with respect to spheres: positive outside, 0 on them.
+
+    `distance`, `radius` (n,): from the eye to their centres, and theirs.
+    """
+    height = distance - radius
+    # Rounding alone does not lift the eye off a sphere that it is on.
+    on = np.abs(height) <= _TOUCHING * radius
+    power: Floats = np.where(on, 0, height * (distance + radius))
+    return power
 
 
 def disc_in_row(g: Floats, depth: float, center: Triple, radius: Floats, power: Floats) -> Disc:
@@ -105,9 +121,14 @@ def sphere_hit(s: Floats, disc: Disc) -> tuple[Floats, Floats]:
     # Of the centre (u, w) and the ray (s, hypot) the cross product and the dot product.
     cross = disc.u_hypot - disc.w * s
     rise = np.sqrt(length2 * disc.chord2 - cross * cross)
-    root = disc.u * s + disc.w_hypot + rise
+    middle = disc.u * s + disc.w_hypot
+    root = middle + rise
     power = disc.power
-    t = power / root if np.all(power > 0) else np.where(power > 0, power / root, root / length2)
+    if np.all(power > 0):
+        t = power / root
+    else:  # the far root, in the form that cancels less
+        far = np.where(middle > 0, root / length2, power / (middle - rise))
+        t = np.where(power > 0, power / root, far)
     # Not a number where there is no root; negative behind the eye.
     t[~(t > 0)] = np.inf
     return t, rise

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints, Triple, cross, dot, each, expand, pick
 from tracer.camera import Raster
-from tracer.intersection import disc_in_row
+from tracer.intersection import disc_in_row, power_of
 from tracer.scene import Surfaces
 
 __all__ = [
@@ -35,6 +35,10 @@ _ROUNDING = 1e-12
 
 # For boxes of at most so many pixels across, or down, the frame is as good as the silhouette.
 _SMALL = 8.0
+
+# Within this part of its squared distance, an eye's power is too uncertain for slopes: its root's
+# error is the root of the power's.
+_NEARLY_ON = 1e-14
 
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
 _LEAST_ANGLE = 1e-10
@@ -241,7 +245,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
     distance = np.sqrt(u * u + v * v + w * w)
-    power = (distance - radius) * (distance + radius)
+    power = power_of(distance, radius)
     top, bottom = _tangents(v, w, radius * radius, v * v + w * w - radius * radius)
     left, right = _tangents(u, w, radius * radius, u * u + w * w - radius * radius)
     frames = Frames(
@@ -331,9 +335,10 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     least, most = np.minimum(a, b), np.maximum(a, b)
     low = np.where(before, least, np.where(along > 0, most, -np.inf))
     high = np.where(before, most, np.where(along > 0, np.inf, least))
+    # With the eye on the disc, or nearly, any ray may meet it.
+    whole = (power <= _NEARLY_ON * (along * along + ahead * ahead)) & (chord2 >= 0)
     # No rays at all: the plane misses the sphere, or the disc lies behind the eye.
-    miss = (chord2 < 0) | (before & (ahead < 0))
-    whole = (power <= 0) & (chord2 >= 0)
+    miss = (chord2 < 0) | (before & (ahead < 0) & ~whole)
     # What rounding left undecided covers the row: wider is always safe.
     low = np.where(whole | np.isnan(low), -np.inf, low)
     high = np.where(whole | np.isnan(high), np.inf, high)
