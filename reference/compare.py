@@ -228,8 +228,8 @@ def _deep(codec: str, coding: Any) -> bool:
     return re.search(r";16[BLN]", str(coding)) is not None
 
 
-def _number(text: str) -> float:
-    """The type of a tolerance."""
+def tolerance(text: str) -> float:
+    """The type of a tolerance; argparse names it so where the text is no number."""
     value = float(text)
     if not value >= 0:
         raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
@@ -246,9 +246,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("a", metavar="A.png", type=Path, help="the picture in question")
     parser.add_argument("b", metavar="B.png", type=Path, help="the right one")
-    parser.add_argument("--ssim", type=_number, metavar="S", help="least SSIM that is tolerated")
+    parser.add_argument("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
     parser.add_argument(
-        "--max", type=_number, metavar="M", help="largest linear difference that is tolerated"
+        "--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PATH", help="the comparison (A.compare.png)"
