@@ -310,9 +310,9 @@ def stretch_finder(occluders: Occluders) -> StretchFinder:
         middle = each(lambda c: c[:, None], pick(occluders.middle, own[row]))
         thickness = occluders.radius[own[row]] + 2 * occluders.slack[own[row]]
         thickness = (thickness + SLACK * np.abs(lights).sum(axis=1)[light[row]])[:, None]
-        balls, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
-        boxes, _ = box_and_capsule(middle, end, thickness, low, high)
-        may = np.concatenate([balls, boxes], axis=1)
+        spheres_meet, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
+        boxes_meet, _ = box_and_capsule(middle, end, thickness, low, high)
+        may = np.concatenate([spheres_meet, boxes_meet], axis=1)
         may[np.arange(len(may)), own[row]] = False
         may &= occluders.seen[own[row], None]
         for kind, place in enumerate(kinds):
