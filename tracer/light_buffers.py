@@ -252,7 +252,7 @@ def _buffer_around(
         total, before = total + side * side, before + listing.objects.size
     cell = np.concatenate(cells)
     counts = np.bincount(cell, minlength=total)
-    first = np.concatenate([[0], np.cumsum(counts)])
+    first = np.append(0, np.cumsum(counts))
     # Sorting the pairs themselves, as one number each, is faster than finding their order.
     bits = before.bit_length()
     at = np.sort(cell << bits | np.concatenate(places)) & ((1 << bits) - 1)

@@ -322,7 +322,7 @@ def stretch_finder(occluders: Occluders) -> StretchFinder:
         _OccluderLists(
             kind == 0,
             bool(occluders.light_inside[:, place].any()),
-            np.cumsum([0, *np.concatenate(many[kind])]),
+            np.append(0, np.cumsum(np.concatenate(many[kind]))),
             np.concatenate(listed[kind]),
         )
         for kind, place in enumerate(kinds)
