@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -72,9 +72,8 @@ class Lines(NamedTuple):
 
     def take(self, index: Ints) -> Lines:
         """Some of them."""
-        return Lines(
-            self.cell[index], self.kind[index], self.a[index], self.b[index], self.c[index]
-        )
+        fields: Any = (m[index] for m in self)
+        return Lines(*fields)
 
     def crosses(self) -> Bools:
         """Whether each passes through its cell."""
@@ -198,9 +197,8 @@ def joined(lines: Iterable[Lines]) -> Lines:
     """All of them as one `Lines`."""
     none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
     parts = [Lines(none, none, nothing, nothing, nothing), *lines]
-    cell, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("cell", "kind"))
-    a, b, c = (np.concatenate([getattr(p, name) for p in parts]) for name in "abc")
-    return Lines(cell, kind, a, b, c)
+    fields: Any = map(np.concatenate, zip(*parts, strict=True))
+    return Lines(*fields)
 
 
 def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:
