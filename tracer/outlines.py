@@ -71,6 +71,10 @@ class Frames(NamedTuple):
     left: Floats
     right: Floats
 
+    def take(self, index: slice | NDArray[np.bool_]) -> Frames:
+        """Some of them."""
+        return Frames(*(m[index] for m in self))
+
 
 class Turns(NamedTuple):
     """Where outlines turn: the extreme points of spheres, and all corners of boxes.
@@ -110,13 +114,13 @@ class Outlines(NamedTuple):
     center, radius, power : three (s,), (s,), (s,)
         Of spheres: seen from the eye, in the camera's axes; power is
         |centre|^2 - radius^2, as in `Disc`.
-    sphere_frames : Frames
     planes : three (6, b)
         Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
         frame says enough.
     shaped : (b,)
         Whether a box has such planes; if not, its frame serves as its outline.
-    box_frames : Frames
+    frames : Frames
+        Of all objects, spheres first.
     turns : Turns
         Of all objects; none unless pixels are split.
     """
@@ -125,15 +129,15 @@ class Outlines(NamedTuple):
     center: Triple
     radius: Floats
     power: Floats
-    sphere_frames: Frames
     planes: Triple
     shaped: NDArray[np.bool_]
-    box_frames: Frames
+    frames: Frames
     turns: Turns
 
     def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _rows_in_frames(self.sphere_frames, rows, self.raster.width, pad)
+        frames = self.frames.take(slice(0, self.radius.size))
+        owner, row = _rows_in_frames(frames, rows, self.raster.width, pad)
         disc = disc_in_row(
             self.raster.down(rows)[row],
             self.raster.depth,
@@ -148,8 +152,9 @@ class Outlines(NamedTuple):
 
     def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
-        owner, row = _rows_in_frames(self.box_frames, rows, self.raster.width, pad)
-        left, right = self.box_frames.left[owner], self.box_frames.right[owner]
+        frames = self.frames.take(slice(self.radius.size, None))
+        owner, row = _rows_in_frames(frames, rows, self.raster.width, pad)
+        left, right = frames.left[owner], frames.right[owner]
         at = np.flatnonzero(self.shaped[owner])
         box, g = owner[at], self.raster.down(rows)[row[at]]
         low = np.full(at.size, -np.inf)
@@ -170,7 +175,7 @@ class Outlines(NamedTuple):
 
     def in_picture(self) -> NDArray[np.bool_]:
         """Which objects, spheres first, may be seen if nothing hides them."""
-        top, bottom, left, right = self._frames()
+        top, bottom, left, right = self.frames
         width, height = self.raster.width, self.raster.height
         seen: NDArray[np.bool_] = (
             (top <= height + 1) & (bottom >= -1) & (left <= width + 1) & (right >= -1)
@@ -179,8 +184,7 @@ class Outlines(NamedTuple):
 
     def window(self) -> tuple[slice, slice]:
         """Rows and columns of the picture outside of which nothing is seen."""
-        seen = self.in_picture()
-        top, bottom, left, right = (m[seen] for m in self._frames())
+        top, bottom, left, right = self.frames.take(self.in_picture())
 
         def between(low: Floats, high: Floats, size: int) -> slice:
             if not low.size:
@@ -199,32 +203,25 @@ class Outlines(NamedTuple):
 
     def layers(self) -> float:
         """How many objects at most lie behind a pixel, on average over the fullest row."""
-        frames, width = self._frames(), self.raster.width
+        frames, width = self.frames, self.raster.width
         wide = np.clip(frames.right + 1, 0, width) - np.clip(frames.left - 1, 0, width)
         return float(self._over_rows(wide).max() / width)
 
     def _over_rows(self, weight: Floats) -> Floats:
         """Total weight (height,) of the objects that may be seen in each row of pixels."""
         height, seen = self.raster.height, self.in_picture()
-        frames = self._frames()
         first, last = (
             np.bincount(np.clip(m[seen], 0, height).astype(np.intp), weight[seen], height + 1)
-            for m in (frames.top, frames.bottom + 1)
+            for m in (self.frames.top, self.frames.bottom + 1)
         )
         return np.asarray(np.cumsum(first - last)[:height])
 
     def crossed_twice(self) -> float:
         """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
-        frames = self._frames()
-        top, bottom = (np.clip(m, 0, self.raster.height) for m in (frames.top, frames.bottom))
+        top, bottom = (np.clip(m, 0, self.raster.height) for m in self.frames[:2])
         # An outline about as wide as it is high runs through some 4 * height pixels.
         share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
         return float(share.sum() ** 2 - (share**2).sum())
-
-    def _frames(self) -> Frames:
-        """The frames of all objects, spheres first."""
-        pairs = zip(self.sphere_frames, self.box_frames, strict=True)
-        return Frames(*(np.concatenate(pair) for pair in pairs))
 
     def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
         # One column more than the picture has on either side: antialiasing looks there.  An object
@@ -248,18 +245,20 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     power = power_of(distance, radius)
     top, bottom = _tangents(v, w, radius * radius, v * v + w * w - radius * radius)
     left, right = _tangents(u, w, radius * radius, u * u + w * w - radius * radius)
-    frames = Frames(
+    of_spheres = Frames(
         raster.row(top * raster.depth),
         raster.row(bottom * raster.depth),
         raster.column(left * raster.depth),
         raster.column(right * raster.depth),
     )
-    boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, 0.0 if split else _SMALL)
+    small = 0.0 if split else _SMALL
+    planes, shaped, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, small)
     turns: list[Turns] = []
     if split:
-        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, frames))
+        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, of_spheres))
         turns.extend(_turns_of_boxes(raster, surfaces))
-    return Outlines(raster, (u, v, w), radius, power, frames, *boxes, Turns.joined(turns))
+    frames = Frames(*map(np.append, of_spheres, of_boxes))
+    return Outlines(raster, (u, v, w), radius, power, planes, shaped, frames, Turns.joined(turns))
 
 
 def _turns_of_spheres(
