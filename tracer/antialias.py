@@ -60,7 +60,7 @@ def dense(outlines: Outlines, per_side: int) -> bool:
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return outlines.crossed_twice() > _DENSE * per_side**2
+    return outlines.pairs_in_pixel() > _DENSE * per_side**2
 
 
 def splittings(per_side: int) -> int:

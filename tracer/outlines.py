@@ -216,7 +216,7 @@ class Outlines(NamedTuple):
         )
         return np.asarray(np.cumsum(first - last)[:height])
 
-    def crossed_twice(self) -> float:
+    def pairs_in_pixel(self) -> float:
         """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
         top, bottom = (np.clip(m, 0, self.raster.height) for m in self.frames[:2])
         # An outline about as wide as it is high runs through some 4 * height pixels.
