@@ -140,8 +140,9 @@ class LightBuffer(NamedTuple):
             if not ball.size:
                 continue
             middle, r = pick((a, b, c), ball), radius[ball]
-            low = each(np.maximum, each(np.subtract, middle, (r, r, r)), (0 * r, 0 * r, 0 * r))
-            bounds = _octahedral(low, each(np.add, middle, (r, r, r)))
+            x0, y0, z0 = (np.maximum(m - r, 0) for m in middle)
+            x1, y1, z1 = (m + r for m in middle)
+            bounds = _octahedral((x0, y0, z0), (x1, y1, z1))
             bounds = _to_cells(bounds, self.scale[:, number], self.shift[:, number])
             west, east, north, south = np.clip(bounds, 0, self.resolution - 1).astype(np.intp)
             tall = south - north + 1
