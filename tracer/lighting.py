@@ -188,7 +188,7 @@ def narrow_highlights(
     group = highlights.group
     bending = 1 / highlights.distance
     if not group.flat:
-        bending += 1 / group.of(highlights.lighting.shadows.occluders.radius)
+        bending += 1 / group.of(highlights.lighting.view.surfaces.radius)
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     most = footprint.max(), bending.max(), scale.max()
     for number, faces in enumerate(facing):
