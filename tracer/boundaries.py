@@ -185,7 +185,7 @@ class Patches(NamedTuple):
         along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
         return self.hits.raster.vector_to_scene(scaled(p, along))
 
-    def from_light(self, light: Ints | int, at: Ints) -> Triple:
+    def from_light(self, light: Ints, at: Ints) -> Triple:
         """Rays from lights to some points."""
         x, y, z = self.lighting.positions[light].T
         p = self.hits.points(self.group.part.start + at)
