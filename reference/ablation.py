@@ -39,7 +39,7 @@ from tracer import (
 from tracer.arrays import Bools, Floats, Ints
 from tracer.edges import Lines
 from tracer.lighting import Lighting
-from tracer.looks import Lights, Seen
+from tracer.looks import LightingIn, Seen
 from tracer.regions import Points
 from tracer.sampling import Lattice
 
@@ -82,7 +82,7 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bool
     return np.zeros_like(radiance), np.zeros(key.size), np.zeros(key.size, dtype=np.bool_)
 
 
-def _forgotten(_: Seen, lighting: Lighting, __: Ints) -> Lights:
+def _forgotten(_: Seen, lighting: Lighting, __: Ints) -> LightingIn:
     """What may shade samples is sought anew, whatever looks have found."""
     return lambda _: lighting
 
@@ -137,7 +137,7 @@ ANTIALIASING = [
         "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]
     ),
     Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
-    Part("no memory of looks: shadows sought anew", [(Seen, "lights", _forgotten)]),
+    Part("no memory of looks: shadows sought anew", [(Seen, "lighting_in", _forgotten)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
     Part("no turn: upright grids, 16 samples for 20", [(Lattice, "of", _upright)]),
 ]

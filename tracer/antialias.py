@@ -26,7 +26,7 @@ from tracer.crossings import crossed, ends_of, outlines_across
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
-from tracer.looks import Cells, Lights, Seen, look, look_at, radiance_in
+from tracer.looks import Cells, LightingIn, Seen, look, look_at, radiance_in
 from tracer.outlines import Outlines
 from tracer.regions import Points, post_stratified, sides_of
 from tracer.sampling import CENTRES, Lattice
@@ -155,16 +155,16 @@ def _refine(
     kept = np.flatnonzero(~unresolved[sides.cell])
     sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
-    lights = seen.lights(lighting, np.append(rest, sides.cell))
+    lighting_in = seen.lighting_in(lighting, np.append(rest, sides.cell))
     # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _LAST:
-        _sample(lights, cells, lines, rest, per_side, lighting.view.at_once(_CHUNK), mean)
+        _sample(lighting_in, cells, lines, rest, per_side, lighting.view.at_once(_CHUNK), mean)
     else:
-        _split(lighting, lights, cells, seen, rest, per_side, mean)
+        _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
     at = cells.at(near.cell, near.x, near.y)
-    colors[:, beside] = radiance_in(lights, *at, near.cell)
+    colors[:, beside] = radiance_in(lighting_in, *at, near.cell)
     cell, total = _total(sides, colors)
     # A hidden outline divides nothing: there the sample in the middle, corrected, is better, unless
     # the two differ.
@@ -207,7 +207,7 @@ def _look_beyond(
 
 
 def _sample(
-    lights: Lights,
+    lighting_in: LightingIn,
     cells: Cells,
     lines: Lines,
     some: Ints,
@@ -229,7 +229,7 @@ def _sample(
         inside = np.append(np.repeat(part, lattice.size), empty.cell)
         every, lone = cells.places(part, x, y), cells.at(empty.cell, empty.x, empty.y)
         at_x, at_y = map(np.append, every, lone)
-        radiance = radiance_in(lights, at_x, at_y, inside)
+        radiance = radiance_in(lighting_in, at_x, at_y, inside)
         spread, single = np.split(radiance, [weights.size], axis=1)
         mean[:, part] = (spread.reshape(3, *weights.shape) * weights).sum(axis=2)
         for channel, values in zip(mean, single, strict=True):
@@ -238,7 +238,7 @@ def _sample(
 
 def _split(
     lighting: Lighting,
-    lights: Lights,
+    lighting_in: LightingIn,
     cells: Cells,
     seen: Seen,
     some: Ints,
@@ -251,7 +251,7 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = look_at(lights, x, y, inside, size)
+        closer = look_at(lighting_in, x, y, inside, size)
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

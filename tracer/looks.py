@@ -21,9 +21,9 @@ from tracer.sampling import Samples
 from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import visible_and_behind
 
-__all__ = ["Cells", "Lights", "Seen", "look", "look_at", "radiance_in"]
+__all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]
 
-Lights: TypeAlias = Callable[[Ints], Lighting]
+LightingIn: TypeAlias = Callable[[Ints], Lighting]
 """Given the cell of each sample: the lighting, with what is known of shadows in those cells."""
 
 
@@ -117,8 +117,8 @@ class Seen(NamedTuple):
                     seen[cell[group.sample]] = found.own[group.part]
         return seen
 
-    def lights(self, lighting: Lighting, some: Ints) -> Lights:
-        """The lights for samples in some cells, with what looks have found of shadows there."""
+    def lighting_in(self, lighting: Lighting, some: Ints) -> LightingIn:
+        """The lighting for samples in some cells, with what looks have found of shadows there."""
         if not lighting.shadows.caches:
             return lambda _: lighting
         seen = np.concatenate([cell[found.hits.sample] for found, cell in self.shadow_edges])
@@ -138,18 +138,18 @@ def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
     return Samples(y[new], x[order], np.cumsum(new) - 1), order
 
 
-def radiance_in(lights: Lights, x: Floats, y: Floats, cell: Ints) -> Floats:
+def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> Floats:
     """Radiance (3, n) at positions in any order; `cell` (n,): the one that each lies in."""
     radiance = np.empty((3, x.size))
     if not x.size:
         return radiance
     samples, order = _sorted(x, y)
-    radiance[:, order] = radiance_at(lights(cell[order]), samples)
+    radiance[:, order] = radiance_at(lighting_in(cell[order]), samples)
     return radiance
 
 
 def look_at(
-    lights: Lights,
+    lighting_in: LightingIn,
     x: Floats,
     y: Floats,
     cell: Ints,
@@ -158,12 +158,12 @@ def look_at(
 ) -> Seen:
     """Look at cells of a size around positions in any order.
 
-    `cell` (n,): the cell, of those that `lights` knows, in which each position lies.
+    `cell` (n,): the cell, of those that `lighting_in` knows, in which each position lies.
     `share`: see `look`.
     """
     samples, order = _sorted(x, y)
     seen = Seen.of(order.size)
-    look(lights(cell[order]), samples, size, seen, order, share)
+    look(lighting_in(cell[order]), samples, size, seen, order, share)
     return seen
 
 
