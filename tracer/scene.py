@@ -105,16 +105,17 @@ def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
 def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     array = _floats(value, name, faults)
     if array is None:
-        return (0.0, 0.0, 1.0)
-    if array.shape != (3,):
+        pass  # told already
+    elif array.shape != (3,):
         has = array.size if array.ndim < 2 else f"shape {array.shape}"
         faults.append(Fault(name, f"needs 3 numbers, has {has}"))
-        return (0.0, 0.0, 1.0)
-    x, y, z = array.tolist()
-    if not np.isfinite(array).all():
+    elif not np.isfinite(array).all():
         faults.append(Fault(name, "must be finite"))
-        return (0.0, 0.0, 1.0)
-    return (x, y, z)
+    else:
+        x, y, z = array.tolist()
+        return (x, y, z)
+    # In place of what is at fault: a point, a direction and a colour with no fault to add.
+    return (0.0, 0.0, 1.0)
 
 
 def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fault]:
