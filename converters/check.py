@@ -132,11 +132,6 @@ class CheckResult:
     agreed: int = 0
 
     @property
-    def judged_by(self) -> str:
-        """What the tracer is held against on this scene."""
-        return "Mitsuba and the oracle" if self.judged else "Mitsuba"
-
-    @property
     def remark(self) -> str:
         """What the oracle says of pixels that differ; empty if it was not asked."""
         hard = ", ".join(self.reasons)
