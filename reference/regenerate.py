@@ -23,12 +23,12 @@ import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
 from converters.variant import use
-from reference.command import HERE, SCENES, need_scenes, own_scenes, run
+from reference.command import HERE, need_scenes, own_scenes, run
 from tracer.arrays import Floats
 from tracer.reader import load_scene
 from tracer.scene import Scene
 
-__all__ = ["FOLDER", "SCENES", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
+__all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 
 FOLDER = HERE / "mitsuba"
 WIDTH = 160

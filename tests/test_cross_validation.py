@@ -26,11 +26,10 @@ from converters.check import (
     render_mitsuba,
 )
 from converters.variant import SCALAR, use
-from reference.command import own_scenes
+from reference.command import SCENES, own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import (
     FOLDER,
-    SCENES,
     WIDTH,
     load_small,
     main,

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from converters.check import MAX_DIFFERENCE, MIN_SSIM, edge_mask, faults
+from reference.command import SCENES
 from reference.compare import figures
-from reference.regenerate import SCENES, load_small, stored
+from reference.regenerate import load_small, stored
 from tracer import Box, Lambertian, Scene, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
