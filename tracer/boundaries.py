@@ -276,6 +276,7 @@ class Patches(NamedTuple):
                 near = (np.abs(offset) < self.footprint) & across_face
                 at = np.flatnonzero(near & group.spread(shown))
                 offset, kind = offset[at], np.full(at.size, Kind.EDGE)
+                # Of a ray from the plane to the point only component k is known, and used.
                 across, down = self.steps(at, (offset, offset, offset))
                 ridge = Lines(self.cell[at], kind, across[k], down[k], offset)
                 lines.append(ridge.crossing())

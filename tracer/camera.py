@@ -104,6 +104,7 @@ def raster_of(
     v = np.cross(w, u)
     center = camera.proj_distance * ahead
     step_u, step_v = camera.view_width / width, camera.view_height / height
+    # Shirley's v points up and his w backwards: a Raster's are their opposites.
     return Raster(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),

@@ -173,6 +173,7 @@ def box_hit(d: Triple, low: Triple, high: Triple) -> tuple[Floats, NDArray[np.in
     axis = np.full(enter.shape, entries[-1], dtype=np.int8)
     for k in entries[1:]:
         enter = np.maximum(enter, near[k])
+    # Of planes entered at once, through an edge or a corner, the first axis counts.
     for k in entries[-2::-1]:
         axis[near[k] == enter] = k
     leave = np.minimum(np.minimum(far[0], far[1]), far[2])
