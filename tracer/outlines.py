@@ -325,19 +325,21 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     tilt = along * ahead
     root = np.sqrt(chord2 * power)
     divisor = ahead * ahead - chord2
-    before = divisor >= 0
+    # Clear of the plane beside the eye: all of the disc is ahead, or all behind.
+    clear = divisor >= 0
     # The slopes s solve divisor s^2 - 2 tilt s + rest = 0.  Where the disc nearly touches the plane
     # beside the eye the divisor is as good as zero: only one of the two may be divided by it.
-    rest = np.where(before, along * along - chord2, power - ahead * ahead)
+    # Both forms of `rest` are the same number; each is used where it cancels less.
+    rest = np.where(clear, along * along - chord2, power - ahead * ahead)
     stable = tilt + np.copysign(root, tilt)
     a, b = stable / divisor, rest / stable
     least, most = np.minimum(a, b), np.maximum(a, b)
-    low = np.where(before, least, np.where(along > 0, most, -np.inf))
-    high = np.where(before, most, np.where(along > 0, np.inf, least))
+    low = np.where(clear, least, np.where(along > 0, most, -np.inf))
+    high = np.where(clear, most, np.where(along > 0, np.inf, least))
     # With the eye on the disc, or nearly, any ray may meet it.
     whole = (power <= _NEARLY_ON * (along * along + ahead * ahead)) & (chord2 >= 0)
     # No rays at all: the plane misses the sphere, or the disc lies behind the eye.
-    miss = (chord2 < 0) | (before & (ahead < 0) & ~whole)
+    miss = (chord2 < 0) | (clear & (ahead < 0) & ~whole)
     # What rounding left undecided covers the row: wider is always safe.
     low = np.where(whole | np.isnan(low), -np.inf, low)
     high = np.where(whole | np.isnan(high), np.inf, high)
