@@ -39,7 +39,10 @@ _COMPARED = 6
 
 
 class Kind(IntEnum):
-    """What a line divides, and whether a look at the cell (see `looks`) covers both sides."""
+    """What a line divides, and whether a look at the cell (see `looks`) covers both sides.
+
+    Of lines in one place the first in this order is kept: see `Lines.distinct`.
+    """
 
     LIMB = 0
     """A sphere from what is behind it; light on the sphere varies as the root of the distance."""

@@ -352,7 +352,7 @@ def _silhouette_table() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     The eye is below, between or above the two planes of each axis: 27 regions
     (Schmalstieg and Tobler, Real-time bounding box area computation, 1999).
     Corner i has bit k set where it is high along axis k.  Regions with four
-    edges repeat the first; the middle region has none (corners 0 and 0).
+    edges repeat the first two; the middle region has none (corners 0 and 0).
     """
     start = np.zeros((27, 6), dtype=np.intp)
     end = np.zeros((27, 6), dtype=np.intp)

@@ -157,7 +157,7 @@ class _Search(NamedTuple):
     ) -> Candidates:
         """Cut the stretches that may be shaded into short ones; return those that still may be.
 
-        Sets `dark` where shadow is certain.
+        Sets `dark` where shadow is certain; a stretch that is all dark is no longer `asked` about.
         """
         some = np.flatnonzero(entries(self.asked, light, stretch))
         light, stretch, occluder = light[some], stretch[some], occluder[some]

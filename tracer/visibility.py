@@ -165,8 +165,8 @@ class Hits(NamedTuple):
     groups : list of Group
     first : (runs + 1,)
         Where each run of points begins, through all groups, and the end of the last.  A run is on
-        one object and one face, in one row; samples at any positions (with `Samples.row`) are
-        nowhere more than `_GAP` apart in it.
+        one object and one face, in one row; among samples at any positions (with `Samples.row`) it
+        has no gap of more than `_GAP` without a sample, whatever that sees.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
