@@ -91,10 +91,12 @@ _Made = TypeVar("_Made")
 
 
 def short(text: str) -> str:
+    """At most 40 characters of a name or text, for a message."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
 def quoted(text: str) -> str:
+    """The same in quotes, on one line that any terminal can show."""
     return repr(short(text))
 
 

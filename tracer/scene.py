@@ -266,8 +266,9 @@ class Camera:
     Raises
     ------
     SceneError
-        For anything but finite numbers, a zero vector, a distance or size that is not positive,
-        `view_up` parallel to `proj_normal` or `proj_normal` perpendicular to `view_dir`.
+        For anything but finite numbers, a zero vector, a distance or size that is not positive, a
+        length or coordinate out of range (`LARGEST`), `view_up` parallel to `proj_normal` or
+        `proj_normal` perpendicular to `view_dir`.
     """
 
     view_point: Vector = (0.0, 0.0, 0.0)
@@ -320,7 +321,8 @@ class PointLight:
     Raises
     ------
     SceneError
-        For what is not three finite numbers, and a negative intensity.
+        For what is not three finite numbers, a coordinate out of range (`LARGEST`), and a negative
+        intensity.
     """
 
     position: Vector
@@ -389,8 +391,8 @@ class Sphere:
     Raises
     ------
     SceneError
-        For a centre that is not three finite numbers, a radius that is not positive and finite,
-        or a shader of another type.
+        For a centre that is not three finite numbers, a radius that is not positive and finite, a
+        length or coordinate out of range (`LARGEST`), or a shader of another type.
     """
 
     center: Vector = (0.0, 0.0, 0.0)
@@ -412,8 +414,8 @@ class Box:
     Raises
     ------
     SceneError
-        For corners that are not three finite numbers, `min_pt` beyond `max_pt` along any axis, or a
-        shader of another type.
+        For corners that are not three finite numbers, a coordinate out of range (`LARGEST`),
+        `min_pt` beyond `max_pt` along any axis, or a shader of another type.
     """
 
     min_pt: Vector
@@ -476,8 +478,8 @@ class Surfaces(Sequence[Sphere | Box]):
     Raises
     ------
     SceneError
-        For arrays that do not fit together; for a radius that is not positive, minPt > maxPt,
-        or a number that is not finite.
+        For arrays that do not fit together; for a radius that is not positive, minPt > maxPt, or a
+        number that is not finite or out of range (`LARGEST`).
     """
 
     __slots__ = (
