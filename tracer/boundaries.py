@@ -73,9 +73,9 @@ def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size
     return footprint
 
 
-def near_lights(light: Incoming, footprint: Floats) -> Ints:
+def near_lights(incoming: Incoming, footprint: Floats) -> Ints:
     """Points with so large a `footprint` (n,), or so near to a light, that cells must be split."""
-    return np.flatnonzero(np.any(light.length2 < (footprint / _WIDE) ** 2, axis=0))
+    return np.flatnonzero(np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0))
 
 
 def intersections(
@@ -225,13 +225,13 @@ class Patches(NamedTuple):
         unresolved[edges.cell[turn > MOST_TURN]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= MOST_TURN))])
 
-    def _near_terminator(self, light: Incoming) -> tuple[Ints, Ints]:
+    def _near_terminator(self, incoming: Incoming) -> tuple[Ints, Ints]:
         """Pairs of a light and a point of a sphere whose footprint the terminator may cross."""
         reach = self.footprint / self.group.of(self.lighting.view.surfaces.radius)
         # One bound for all points leaves few of them to look at one by one.
-        most = reach.max() * np.sqrt(light.length2.max(initial=0))
-        number, at = np.divmod(np.flatnonzero(np.abs(light.n_dot_l) <= most), reach.size)
-        n_dot_l, length2 = light.n_dot_l[number, at], light.length2[number, at]
+        most = reach.max() * np.sqrt(incoming.length2.max(initial=0))
+        number, at = np.divmod(np.flatnonzero(np.abs(incoming.n_dot_l) <= most), reach.size)
+        n_dot_l, length2 = incoming.n_dot_l[number, at], incoming.length2[number, at]
         turns = np.flatnonzero(n_dot_l**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 

@@ -31,7 +31,7 @@ __all__ = [
     "Highlights",
     "Incoming",
     "Lighting",
-    "incoming",
+    "incoming_at",
     "lighting_of",
     "narrow_highlights",
     "radiance_at",
@@ -108,7 +108,7 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     )
 
 
-def incoming(lighting: Lighting, hits: Hits) -> Incoming:
+def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
     """What comes in at all hits."""
     occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
     result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
@@ -133,10 +133,10 @@ def incoming(lighting: Lighting, hits: Hits) -> Incoming:
     return result
 
 
-def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
+def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
     """Radiance, three (n,), of a group towards the eye.
 
-    `highlights`: of the group.  `light`, `lit` (lights, n): what comes in there, and whether it
+    `highlights`: of the group.  `incoming`, `lit` (lights, n): what comes in there, and whether it
     reaches the points.
     """
     lighting, group = highlights.lighting, highlights.group
@@ -148,15 +148,15 @@ def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
     ):
         if not reached.any():
             continue
-        length = np.sqrt(light.length2[number])
-        cosine = light.n_dot_l[number] / length
+        length = np.sqrt(incoming.length2[number])
+        cosine = incoming.n_dot_l[number] / length
         if not reached.all():
             cosine = np.where(reached, cosine, 0.0)
         _add(fallen, intensity, cosine)
         if highlights.present:
             at = index_where(reached & highlights.glossy)
             power = highlights.of_light(
-                number, at, cosine[at], length[at], light.l_dot_p[number][at]
+                number, at, cosine[at], length[at], incoming.l_dot_p[number][at]
             )
             if not isinstance(at, slice):
                 everywhere = np.zeros(cosine.size)
@@ -172,7 +172,7 @@ def shade(highlights: Highlights, light: Incoming, lit: Bools) -> Triple:
 
 
 def narrow_highlights(
-    highlights: Highlights, light: Incoming, facing: Bools, footprint: Floats
+    highlights: Highlights, incoming: Incoming, facing: Bools, footprint: Floats
 ) -> Iterator[Ints]:
     """Points whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
@@ -192,14 +192,16 @@ def narrow_highlights(
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     most = footprint.max(), bending.max(), scale.max()
     for number, faces in enumerate(facing):
-        length = np.sqrt(light.length2[number])
+        length = np.sqrt(incoming.length2[number])
         if most[0] * (most[1] + 1 / length.min()) * most[2] <= _SMOOTH:
             continue
         change = footprint * (bending + 1 / length) * scale
         at = np.flatnonzero((change > _SMOOTH) & faces)
         if at.size:
-            cosine = light.n_dot_l[number][at] / length[at]
-            power = highlights.of_light(number, at, cosine, length[at], light.l_dot_p[number][at])
+            cosine = incoming.n_dot_l[number][at] / length[at]
+            power = highlights.of_light(
+                number, at, cosine, length[at], incoming.l_dot_p[number][at]
+            )
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
 
 
@@ -271,12 +273,12 @@ def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None)
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
-    light = incoming(lighting, hits)
-    lit = light.n_dot_l > 0
+    incoming = incoming_at(lighting, hits)
+    lit = incoming.n_dot_l > 0
     lit &= ~lighting.shadows.blocked(hits, lit)
     for group in hits.groups:
         part = group.part
-        shaded = shade(Highlights.of(lighting, hits, group), light.part(part), lit[:, part])
+        shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
         for channel, values in zip(radiance, shaded, strict=True):
             channel[group.sample] = values
     return radiance

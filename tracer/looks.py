@@ -16,7 +16,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints
 from tracer.boundaries import Patches, footprint_of, intersections, near_lights
 from tracer.edges import Lines
-from tracer.lighting import Highlights, Lighting, incoming, narrow_highlights, radiance_at, shade
+from tracer.lighting import Highlights, Lighting, incoming_at, narrow_highlights, radiance_at, shade
 from tracer.sampling import Samples
 from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import visible_and_behind
@@ -183,14 +183,14 @@ def look(
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
     seen.lines.append(intersections(hits, behind, surfaces, cell, size, seen.unresolved))
-    light = incoming(lighting, hits)
-    facing = light.n_dot_l > 0
+    incoming = incoming_at(lighting, hits)
+    facing = incoming.n_dot_l > 0
     sights = [hits.distance_and_cosine(group) for group in hits.groups]
     footprint = np.empty(facing.shape[1])
     for group, (_, n_dot_v) in zip(hits.groups, sights, strict=True):
         footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
-    wide = near_lights(light, share * footprint)
+    wide = near_lights(incoming, share * footprint)
     reach = footprint
     if wide.size:
         seen.unresolved[cell[hits.sample[wide]]] = True
@@ -202,7 +202,7 @@ def look(
     for group, sight in zip(hits.groups, sights, strict=True):
         inside, part = cell[group.sample], group.part
         patches = Patches(lighting, hits, group, inside, footprint[part], size)
-        here, reached = light.part(part), lit[:, part]
+        here, reached = incoming.part(part), lit[:, part]
         highlights = Highlights.of(lighting, hits, group, sight)
         shaded = shade(highlights, here, reached)
         for channel, values in zip(seen.radiance, shaded, strict=True):
