@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges, spread
 from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
 from tracer.visibility import Hits, View
@@ -150,10 +150,7 @@ class Candidates(NamedTuple):
 
     def spread(self, values: Array) -> Array:
         """Values of balls, for each of their points."""
-        if self.single:
-            return values
-        repeated: Any = np.repeat(values, self.balls.length)
-        return repeated  # type: ignore[no-any-return]
+        return values if self.single else spread(values, self.balls.length)
 
 
 class Finder(Protocol):
