@@ -66,7 +66,7 @@ def box_and_capsule(
 ) -> tuple[Bools, Bools]:
     """`sphere_and_capsule`, for boxes."""
     # Parts of the segment in a box grown by the thickness on all sides, and in one shrunk by it.
-    enter, leave = np.full(2, [-np.inf, np.inf])
+    enter, leave = np.array(-np.inf), np.array(np.inf)
     enter_inner, leave_inner = enter, leave
     for k in range(3):
         d = end[k] - start[k]
