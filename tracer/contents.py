@@ -442,15 +442,6 @@ class Contents:
                 self.fault(element, f"{element.tag}: has no {tag}; add <{tag}>x y z</{tag}>")
         return parts
 
-    def values(self, parts: dict[str, _Element], fields: _Fields) -> dict[str, list[float]]:
-        """What `parts` say: for each parameter a list of numbers.
-
-        NaN, which no file can hold, stands for numbers that could not be read: what validation
-        says about it is dropped, as that fault is noted already.
-        """
-        counts = dict(fields.values())
-        return {name: self.numbers(child, counts[name]) for name, child in parts.items()}
-
     def numbers(self, element: _Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
         numbers = _numbers([element], count)
@@ -487,14 +478,15 @@ class Contents:
         required: tuple[str, ...] = (),
     ) -> _Made | None:
         """The dataclass of an element, or None after a fault."""
-        parts = self.parts(element, fields, required)
-        values = self.values(parts, fields)
+        parts, counts = self.parts(element, fields, required), dict(fields.values())
+        # NaN, which no file can hold, stands for numbers that could not be read: what validation
+        # says about it is dropped, as that fault is noted already.
+        values = {name: self.numbers(child, counts[name]) for name, child in parts.items()}
         for tag in required:
             parameter, count = fields[tag]
             values.setdefault(parameter, [_NAN] * count)
-        single = {parameter for parameter, count in fields.values() if count == 1}
         try:
-            return make(**{name: v[0] if name in single else v for name, v in values.items()})
+            return make(**{name: v[0] if counts[name] == 1 else v for name, v in values.items()})
         except SceneError as error:
             for fault in error.faults:
                 parameter, _ = fields[fault.field]
