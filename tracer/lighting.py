@@ -218,7 +218,7 @@ class Highlights(NamedTuple):
     glossy, exponent
         Numbers, or (n,).
     distance, n_dot_v : (n,)
-        See `Hits.distance_and_cosine`; empty without highlights.
+        See `Hits.distance_and_cosine`; perhaps empty without highlights.
     """
 
     lighting: Lighting
@@ -241,15 +241,19 @@ class Highlights(NamedTuple):
         """Gather what is needed; `sights`: `Hits.distance_and_cosine`, if computed already."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
-        shines = bool(glossy.any())
+        present, nothing = bool(glossy.any()), np.zeros(0)
+        if sights is None:
+            sights = hits.distance_and_cosine(group) if present else (nothing, nothing)
+        distance, n_dot_v = sights
         return cls(
             lighting,
             hits.p[:, group.part],
             group,
-            shines,
+            present,
             group.spread(glossy),
             group.spread(materials.exponent[shader]),
-            *(sights or (hits.distance_and_cosine(group) if shines else np.zeros((2, 0)))),
+            distance,
+            n_dot_v,
         )
 
     def of_light(
