@@ -31,9 +31,10 @@ examples:
                                         smooth edges, as good as 16 samples a pixel
 
 exit status:
-  0  all scenes were rendered
-  1  some scene could not be read, rendered or written; the others were
-  2  wrong usage
+  0    all scenes were rendered
+  1    some scene could not be read, rendered or written; the others were
+  2    wrong usage
+  130  interrupted
 """
 
 # A bar is shown once a picture turns out to take longer than this, in seconds.
