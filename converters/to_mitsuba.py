@@ -18,19 +18,15 @@ Converting needs no Mitsuba. --render and --check need it ("pip install .[refere
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from tracer.command import at_least, begin, end, heed_signals, is_folder, named, no_folder, say
+from tracer.command import at_least, begin, end, heed_signals, is_folder, named, say, targets
 
 __all__ = ["main", "run"]
-
-_RENDERED = ".mitsuba.png"
 
 _Work = Callable[[Path, Path, argparse.Namespace], bool]
 
@@ -47,20 +43,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises
     ------
     SystemExit
-        With status 2 for wrong usage, and 0 for ``--help``.
+        With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help``.
     """
     parser = _parser()
     options = parser.parse_args(arguments)
     work, suffix = _work(options)
-    try:
-        targets = _targets(options.scenes, options.output, suffix)
-    except ValueError as error:
-        from tracer.reader import printable
-
-        parser.error(printable(str(error)))
-    except OSError as error:
-        say(sys.stderr, no_folder(error))
-        return 1
+    scenes = [Path(scene) for scene in options.scenes]
+    # A path such as / has no name to replace; reading it will fail later, with a clear message.
+    beside = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
+    files = _png_and_exr if options.render else lambda target: (target,)
+    found = targets(parser, options.scenes, options.output, beside, files)
     if options.check and options.samples is not None:
         parser.error("--check compares at the centres of the pixels; it takes no --samples")
     if options.variant is not None and not (options.render or options.check):
@@ -68,8 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if (options.render or options.check) and not _ready(options.variant):
             return 1
-        pairs = zip(options.scenes, targets, strict=True)
-        done = [_guarded(work, scene, target, options) for scene, target in pairs]
+        pairs = zip(scenes, found, strict=True)
+        done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
     except KeyboardInterrupt:
         return 130
     return 0 if all(done) else 1
@@ -92,38 +84,12 @@ def _ready(variant: str | None) -> bool:
     return True
 
 
-def _targets(scenes: Sequence[Path], output: str | None, suffix: str) -> list[Path]:
-    """Where each result goes; a ValueError says why that is wrong usage."""
-    # A path such as / has no name to replace; reading it will fail later, with a clear message.
-    beside = [scene.parent / f"{scene.stem}{suffix}" for scene in scenes]
-    if output is None:
-        targets = beside
-    elif is_folder(output):
-        targets = [Path(output, path.name) for path in beside]
-    elif len(scenes) == 1:
-        targets = [Path(output)]
-    else:
-        raise ValueError(
-            f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
-        )
-    written = [path for target in targets for path in _files(target, suffix)]
-    inputs = {os.path.realpath(scene) for scene in scenes}
-    for path in written:
-        if os.path.realpath(path) in inputs:
-            raise ValueError(f"{path}: this would replace a scene; choose another with -o")
-    for place, times in Counter(map(os.path.realpath, written)).items():
-        if times > 1:
-            raise ValueError(f"{place}: two scenes would be written there; do them one by one")
-    return targets
-
-
-def _files(target: Path, suffix: str) -> tuple[Path, ...]:
-    """The files to write: one, or a rendering's PNG and EXR, either of which -o may name."""
-    if suffix != _RENDERED:
-        return (target,)
-    if target.suffix == ".exr":
-        return target.with_suffix(".png"), target
-    return target, target.with_suffix(".exr")
+def _png_and_exr(target: str) -> tuple[Path, Path]:
+    """The two files of a rendering, either of which -o may name."""
+    path = Path(target)
+    if path.suffix == ".exr":
+        return path.with_suffix(".png"), path
+    return path, path.with_suffix(".exr")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -132,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scenes", nargs="+", type=_path, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=named, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
@@ -161,14 +127,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _path(text: str) -> Path:
-    return Path(named(text))
-
-
 def _work(options: argparse.Namespace) -> tuple[_Work, str]:
     """What to do with each scene, and how the names of its results end."""
     if options.render:
-        return _render, _RENDERED
+        return _render, ".mitsuba.png"
     if options.check:
         return _check, ".check.png"
     return _convert, ".mitsuba.xml"
@@ -179,7 +141,7 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     from converters.trouble import TROUBLE, told
 
     try:
-        if options.output is not None and options.output.endswith(("/", os.sep)):
+        if options.output is not None and is_folder(options.output):
             target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
     except TROUBLE as error:
@@ -217,7 +179,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
-    png, exr = _files(target, _RENDERED)
+    png, exr = _png_and_exr(str(target))
     for written, write in ((png, write_png), (exr, write_exr)):
         try:
             write(written, image)

@@ -275,7 +275,10 @@ def test_links_are_followed(small: Path, what: list[str], written: str, magic: b
     ("arguments", "message"),
     [
         (["a.xml", "b.xml", "-o", "c.xml"], "several scenes need a folder"),
-        (["a/x.xml", "b/x.xml", "-o", "/tmp"], "two scenes would be written there"),
+        (
+            ["a/x.xml", "b/x.xml", "-o", "/tmp"],
+            "/tmp/x.mitsuba.xml: a/x.xml and b/x.xml would both be written there",
+        ),
         (["a.xml", "-o", "a.xml"], "would replace a scene"),
         (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
         (["a.xml", "--samples", "0"], "must be a whole number from 1 to 999999999, is '0'"),

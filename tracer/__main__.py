@@ -16,7 +16,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
 
 from tracer import __version__
-from tracer.command import at_least, begin, heed_signals, is_folder, named, no_folder, say
+from tracer.command import at_least, begin, heed_signals, is_folder, named, say, targets
 
 if TYPE_CHECKING:
     from tracer.image import Packed
@@ -58,19 +58,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises
     ------
     SystemExit
-        With status 2 for wrong usage, and 0 for ``--help`` and ``--version``.
+        With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help`` and
+        ``--version``.
     """
     parser = _parser()
     arguments = parser.parse_args(argv)
-    try:
-        outputs = _outputs(arguments.scenes, arguments.output)
-    except ValueError as error:
-        from tracer.reader import printable
-
-        parser.error(printable(str(error)))
-    except OSError as error:
-        say(sys.stderr, no_folder(error))
-        return 1
+    beside = [f"{scene}.png" for scene in arguments.scenes]
+    outputs = targets(parser, arguments.scenes, arguments.output, beside)
     try:
         failures = 0
         for scene, output in zip(arguments.scenes, outputs, strict=True):
@@ -117,33 +111,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quiet", action="store_true", help="report only what goes wrong")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
-
-
-def _outputs(scenes: Sequence[str], output: str | None) -> list[str]:
-    """Where each picture goes; a ValueError says why that is wrong usage."""
-    if output is None:
-        outputs = [f"{scene}.png" for scene in scenes]
-    elif is_folder(output):
-        outputs = [os.path.join(output, f"{os.path.basename(scene)}.png") for scene in scenes]
-    elif len(scenes) == 1:
-        outputs = [output]
-    else:
-        raise ValueError(
-            f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
-        )
-    inputs = {os.path.realpath(scene) for scene in scenes}
-    taken: dict[str, str] = {}
-    for scene, path in zip(scenes, outputs, strict=True):
-        real = os.path.realpath(path)
-        if real in inputs:
-            raise ValueError(f"{path}: the picture would replace a scene; choose another with -o")
-        if real in taken:
-            raise ValueError(
-                f"{path}: {taken[real]} and {scene} would both be written there;"
-                " render them one by one"
-            )
-        taken[real] = scene
-    return outputs
 
 
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:

@@ -9,11 +9,21 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import NoReturn, TextIO
 
-__all__ = ["at_least", "begin", "end", "heed_signals", "is_folder", "named", "no_folder", "say"]
+__all__ = [
+    "at_least",
+    "begin",
+    "end",
+    "heed_signals",
+    "is_folder",
+    "named",
+    "no_folder",
+    "say",
+    "targets",
+]
 
 
 def named(text: str) -> str:
@@ -43,6 +53,50 @@ def is_folder(path: str) -> bool:
 def no_folder(error: OSError) -> str:
     """What is wrong if a path has no place: only the folder that it starts from can be missing."""
     return f"the working folder cannot be found: {error.strerror or error}; change to another"
+
+
+def targets(
+    parser: argparse.ArgumentParser,
+    scenes: Sequence[str],
+    output: str | None,
+    beside: Sequence[str],
+    files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda target: (target,),
+) -> list[str]:
+    """Where each scene's result goes: to `output` if that is given, or else `beside` the scene.
+
+    `files`: all that is written for a target.  Ends with wrong usage, and status 2, where one of
+    these would replace a scene, or two of them each other; with status 1 in a folder that is gone.
+    """
+    if output is None:
+        found = list(beside)
+    elif is_folder(output):
+        found = [os.path.join(output, os.path.basename(path)) for path in beside]
+    elif len(scenes) == 1:
+        found = [output]
+    else:
+        wrong = "several scenes need a folder; to have it made, end it in"
+        _misused(parser, f"-o {output}: {wrong} {os.sep}")
+    try:
+        inputs = {os.path.realpath(scene) for scene in scenes}
+        taken: dict[str, str] = {}
+        for scene, target in zip(scenes, found, strict=True):
+            for path in files(target):
+                place = os.path.realpath(path)
+                if place in inputs:
+                    _misused(parser, f"{path}: this would replace a scene; choose another with -o")
+                if place in taken:
+                    both = f"{taken[place]} and {scene} would both be written there"
+                    _misused(parser, f"{path}: {both}; do them one by one")
+                taken[place] = scene
+    except OSError as error:
+        parser.exit(1, no_folder(error) + "\n")
+    return found
+
+
+def _misused(parser: argparse.ArgumentParser, wrong: str) -> NoReturn:
+    from tracer.reader import printable
+
+    parser.error(printable(wrong))
 
 
 def say(stream: TextIO | None, text: str) -> None:
