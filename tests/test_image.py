@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from tracer import write_png
-from tracer.image import PNG, packed, quantise, write_bands
+from tracer.image import PNG, _shifts, packed, quantise, write_bands
 
 
 def codes_of(values) -> np.ndarray:
@@ -41,6 +41,21 @@ def test_the_codes_round_the_power_function():
     x = np.linspace(-0.1, 1.1, 600_000)
     assert (codes_of(x) == power(x)).all()
     assert set(codes_of(x)) == set(range(256))
+
+
+def test_the_codes_where_numpys_integers_have_32_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def narrow(function):
+        def narrowed(*arguments, **options):
+            result = function(*arguments, **options)
+            return result if "dtype" in options else result.astype(np.int32)
+
+        return narrowed
+
+    for name in ("arange", "searchsorted"):
+        monkeypatch.setattr(np, name, narrow(getattr(np, name)))
+    table = _shifts.__wrapped__()
+    monkeypatch.undo()
+    np.testing.assert_array_equal(table, _shifts())
 
 
 def test_small_radiances_round_the_power_function():

@@ -38,7 +38,7 @@ def codes(lines: Lines, cell: int, x: Floats, y: Floats) -> Ints:
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> None:
     rng = np.random.default_rng(seed)
-    counts = rng.integers(0, 5, 60)
+    counts = rng.integers(0, 5, 60, dtype=np.intp)
     lines = lines_in(rng, counts)
     x, y = Lattice.of(per_side).points()
     shares, lone = post_stratified(lines, np.arange(counts.size), x, y)

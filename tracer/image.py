@@ -71,11 +71,13 @@ def _bits(x: Floats) -> NDArray[np.int64]:
 def _shifts() -> NDArray[np.int64]:
     """For each cell, what to add to the bits of x so that the leading bits are its code."""
     thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
-    start = np.arange((_bits(np.ones(1))[0] >> _CELL_BITS) + 1) << _CELL_BITS
-    code = np.searchsorted(thresholds, start, side="right")
+    # NumPy's own integers have 32 bits on some systems.
+    cells = int(_bits(np.ones(1))[0] >> _CELL_BITS) + 1
+    start = np.arange(cells, dtype=np.int64) << _CELL_BITS
+    code = np.searchsorted(thresholds, start, side="right").astype(np.int64)
     shifts = (code << _CELL_BITS) - start
     inside = thresholds >> _CELL_BITS
-    shifts[inside] = (np.arange(1, 256) << _CELL_BITS) - thresholds
+    shifts[inside] = (np.arange(1, 256, dtype=np.int64) << _CELL_BITS) - thresholds
     return shifts
 
 

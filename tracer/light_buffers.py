@@ -256,7 +256,8 @@ def _buffer_around(
     first = np.append(0, np.cumsum(counts))
     # Sorting the pairs themselves, as one number each, is faster than finding their order.
     bits = before.bit_length()
-    at = np.sort(cell << bits | np.concatenate(places)) & ((1 << bits) - 1)
+    pairs = cell.astype(np.int64, copy=False) << bits | np.concatenate(places)
+    at = (np.sort(pairs) & ((1 << bits) - 1)).astype(np.intp, copy=False)
     listed = np.concatenate(objects)[at]
     reach = np.concatenate(bounds).take(at, axis=0)
     single = np.flatnonzero(counts == 1)
