@@ -72,13 +72,16 @@ def _ready(variant: str | None) -> bool:
     from tracer.reader import printable
 
     try:
-        import_module("converters.check")  # and all that it needs
+        for module in ("skimage", "converters.check"):  # and all that it needs
+            import_module(module)
         from converters.variant import use
 
         begin()
         choice = use(variant)
-    except ImportError as error:
-        say(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+    except (ImportError, OSError) as error:
+        missing = isinstance(error, ModuleNotFoundError)
+        remedy = "; install it with pip install -e '.[reference]'" if missing else ""
+        say(sys.stderr, printable(f"Mitsuba cannot run: {error}{remedy}"))
         return False
     say(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
     return True

@@ -15,7 +15,10 @@ import tempfile
 from dataclasses import dataclass
 from functools import cache
 
-import mitsuba as mi
+try:
+    import mitsuba as mi
+except NameError as error:  # so drjit ends where a library of the system is missing
+    raise ImportError(str(error.__context__ or error)) from error
 
 __all__ = ["LLVM", "SCALAR", "Choice", "choose", "use"]
 

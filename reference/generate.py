@@ -149,7 +149,7 @@ def main() -> None:
     need_scenes(used)
     for name, text in (("many-objects", many_objects()), ("sunflower", sunflower())):
         path = SCENES / f"{name}.xml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", newline="\n")
         print(path)
 
 

@@ -122,6 +122,14 @@ def test_no_files_for_workers(scene):
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
+def test_without_numpy(scene):
+    stub = "raise ModuleNotFoundError(\"No module named 'numpy'\", name='numpy')"
+    (scene.parent / "numpy.py").write_text(stub)
+    done = run("ball.xml", cwd=scene.parent)
+    assert done.returncode == 1
+    assert done.stderr == "No module named 'numpy'; install it with python -m pip install numpy\n"
+
+
 def test_version():
     done = run("--version")
     assert (done.returncode, done.stdout) == (0, f"tracer {tracer.__version__}\n")

@@ -306,6 +306,34 @@ def test_converting_needs_no_mitsuba(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "Mitsuba cannot run: not installed\n")
 
 
+@pytest.mark.parametrize(
+    ("module", "stub", "told"),
+    [
+        (
+            "mitsuba",
+            "raise ModuleNotFoundError('No module named mitsuba')",
+            "No module named mitsuba; install it with pip install -e '.[reference]'",
+        ),
+        (
+            "skimage",
+            "raise ModuleNotFoundError('No module named skimage')",
+            "No module named skimage; install it with pip install -e '.[reference]'",
+        ),
+        # As drjit ends where a library of the system is missing.
+        (
+            "mitsuba",
+            "try:\n    raise ImportError('libatomic.so.1: cannot open shared object file')\n"
+            "except ImportError:\n    extension",
+            "libatomic.so.1: cannot open shared object file",
+        ),
+    ],
+)
+def test_what_mitsuba_lacks_is_told(module: str, stub: str, told: str, tmp_path: Path) -> None:
+    (tmp_path / f"{module}.py").write_text(stub)
+    done = run("--check", str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stderr) == (1, f"Mitsuba cannot run: {told}\n")
+
+
 def test_render_writes_a_png_and_an_exr(small: Path, tmp_path: Path) -> None:
     assert main(["--render", "--samples", "4", "--variant", SCALAR, str(small)]) == 0
     mi = importlib.import_module("mitsuba")

@@ -65,12 +65,14 @@ def heading(line: str) -> str:
 @pytest.mark.parametrize("page", ["README.md", "reference/README.md", "reference/benchmark.md"])
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
-    links = re.findall(r"\]\(([^)]+)\)", path.read_text())
+    links = re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
     local = [link.partition("#") for link in links if not link.startswith("https://")]
     for name, _, part in local:
         target = path.parent / name if name else path
         assert target.exists(), name
-        headings = re.findall(r"^#+ (.+)$", target.read_text(), re.M) if part else []
+        headings = (
+            re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M) if part else []
+        )
         assert not part or part in map(heading, headings), part
 
 
@@ -83,7 +85,9 @@ def test_commands_exist() -> None:
 
 def test_likeness_of_the_stock_flavour() -> None:
     """The README's table is that of the manifest of Mitsuba's stored pictures."""
-    scenes = json.loads((ROOT / "reference/mitsuba/manifest.json").read_text())["scenes"]
+    scenes = json.loads((ROOT / "reference/mitsuba/manifest.json").read_text(encoding="utf-8"))[
+        "scenes"
+    ]
     table = README.partition("<!-- flavours:begin -->")[2].partition("<!-- flavours:end -->")[0]
     rows = re.findall(r"^\| ([-\w]+) \| (\d\.\d{3}) \|$", table, re.M)
     assert rows == [(name, f"{scenes[name]['stock_ssim']:.3f}") for name in sorted(scenes)]

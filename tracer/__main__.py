@@ -52,8 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 if all is done, 1 if some scene could not be read,
-        rendered or written, 130 if interrupted.
+        Exit status: 0 if all is done, 1 if some scene could not be read, rendered or written, or
+        NumPy is not installed, 130 if interrupted.
 
     Raises
     ------
@@ -73,6 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 say(sys.stderr, fault)
                 failures += 1
         return min(failures, 1)
+    except ModuleNotFoundError as error:
+        say(sys.stderr, f"{error}; install it with python -m pip install {error.name}")
+        return 1
     except KeyboardInterrupt:
         return 130
 
