@@ -16,17 +16,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from reference.command import run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
-from tracer.command import say
+from tracer.command import is_folder, named, say
 from tracer.image import PNG, quantise, whole_file
 from tracer.reader import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
+# What is no part of the tracer's own installation is imported where it is used: the command can
+# then tell what is missing, and does not end with the status of pictures that differ.
 
 # SSIM's window (Z. Wang et al., Image quality assessment, IEEE TIP 13(4), 2004).
 _WINDOW = 7
@@ -138,6 +139,8 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     OSError
         If the file cannot be written.
     """
+    from PIL import Image, ImageDraw, ImageFont
+
     if a.shape != b.shape:
         raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
     shown, gain = amplified(a, b)
@@ -152,6 +155,14 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
         _PAPER,
     )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
+
+    def write(x: int, y: int, text: str) -> None:
+        """Write as much of a text as fits into a column."""
+        shown = text
+        while draw.textlength(shown, font) > column:
+            shown = shown.removesuffix("...")[:-1] + "..."
+        draw.text((x, y), shown, fill=_INK, font=font)
+
     panels = (quantise(a), quantise(b), np.round(255 * shown).astype(np.uint8))
     for k, (codes, title) in enumerate(zip(panels, titles, strict=True)):
         left = _MARGIN + k * (column + _MARGIN)
@@ -159,10 +170,10 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
             (panel_width, panel_height), Image.Resampling.NEAREST
         )
         sheet.paste(panel, (left, _MARGIN + _LABEL))
-        draw.text((left, _MARGIN), title, fill=_INK, font=font)
+        write(left, _MARGIN, title)
     if gain:
-        legend = f"orange: {labels[0]} is brighter, blue: darker"
-        draw.text((left, _MARGIN + _LABEL + panel_height + 4), legend, fill=_INK, font=font)
+        legend = "orange: the left is brighter, blue: it is darker"
+        write(left, _MARGIN + _LABEL + panel_height + 4, legend)
     with whole_file(path, PNG) as file:
         sheet.save(file, format="PNG")
 
@@ -207,9 +218,15 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
     OSError, ValueError
         If it cannot be read, or has more than 8 bits a channel.
     """
+    from PIL import Image
+
     if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
-    with Image.open(path, formats=_FORMATS) as image:
+    try:
+        opened = Image.open(path, formats=_FORMATS)
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+    with opened as image:
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
         if any(_deep(codec, coding) for codec, _, _, coding in image.tile):
@@ -217,6 +234,18 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
         rgba = image.convert("RGBA")
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
     return np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
+
+
+def _note(path: Path) -> str:
+    """What a file's format may have done to the levels of its picture; empty if nothing."""
+    from PIL import Image
+
+    with Image.open(path, formats=_FORMATS) as image:
+        if image.format in ("JPEG", "WEBP"):
+            return f"A is a {image.format}, which changes levels: save it as PNG."
+        if image.mode in ("P", "PA"):
+            return "A has a palette, of 256 colours at most: save it as RGB."
+        return ""
 
 
 def _deep(codec: str, coding: Any) -> bool:
@@ -251,7 +280,11 @@ def _parser() -> argparse.ArgumentParser:
         "--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="PATH", help="the comparison (A.compare.png)"
+        "-o",
+        "--output",
+        type=named,
+        metavar="PATH",
+        help="the comparison, or a folder for it that is there (A.compare.png)",
     )
     return parser
 
@@ -260,10 +293,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    output = options.output or options.a.parent / f"{options.a.stem}.compare.png"
+    output = options.a.parent / f"{options.a.stem}.compare.png"
+    if options.output is not None:
+        output = Path(options.output, output.name if is_folder(options.output) else "")
     spare_inputs(parser, output, (options.a, options.b))
     try:
         return _compare(options, output)
+    except ModuleNotFoundError as error:
+        say(sys.stderr, f"{error}; install it with pip install -e '.[reference]'")
+        return 2
     except MemoryError:
         say(sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part"))
         return 2
@@ -274,7 +312,7 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
     for path in (options.a, options.b):
         try:
             codes.append(read_picture(path))
-        except (OSError, ValueError, Image.DecompressionBombError) as error:
+        except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             say(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
             return 2
@@ -289,7 +327,8 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
     except OSError as error:
         say(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
         return 2
-    for line in (str(result), diagnosis.text, printable(str(output))):
+    notes = [_note(options.a)] if diagnosis.kind != "identical" else []
+    for line in (str(result), diagnosis.text, *filter(None, notes), printable(str(output))):
         say(sys.stdout, line)
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats
 
-__all__ = ["Diagnosis", "diagnose", "linear"]
+__all__ = ["GAMMA", "Diagnosis", "diagnose", "linear"]
 
 Codes: TypeAlias = NDArray[np.int16]
 
@@ -91,6 +91,8 @@ def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
         return Diagnosis("black", "A is black.")
     if not b.any():
         return Diagnosis("black", "B is black, and A is not.")
+    if not np.ptp(x, axis=2).any() and np.ptp(y, axis=2).any():
+        return Diagnosis("grey", "A is grey, as where one channel stands for all; B has colours.")
     differing = int(np.count_nonzero((difference > 1).any(axis=2)))
     best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
     if _unexplained(x, best) <= _EXACT * differing:
@@ -150,6 +152,10 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
         ("inverted", "A is the negative of B.", 255 - b),
     ):
         yield _Hypothesis(kind, text, image - 1.0, image + 1.0)
+    if b.shape[0] == b.shape[1]:
+        text = "A is transposed: its rows are B's columns, as where x and y are swapped."
+        image = b.transpose(1, 0, 2)
+        yield _Hypothesis("transposed", text, image - 1.0, image + 1.0)
     for order in list(permutations(range(3)))[1:]:  # the first is the right one
         names = ", ".join(("red", "green", "blue")[channel] for channel in order)
         text = f"A's channels are in another order: {names}."
@@ -302,12 +308,14 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
     if at_edges and (few or not (brighter or darker)):
         return Diagnosis(
             "edges",
-            "Only edges differ: A or B is anti-aliased, or samples lie elsewhere in the pixel.",
+            "Only edges differ: A or B is anti-aliased, samples lie elsewhere in the pixel, or"
+            " shadows are moved by an offset.",
         )
     if few:
         return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
     same_outline = np.mean(a.any(axis=2) == b.any(axis=2)) > 0.99
-    if same_outline and differs[~empty].mean() > 0.97:
+    # An ambient term lights what is black in B as well.
+    if (same_outline or brighter) and differs[~empty].mean() > 0.97:
         if brighter:
             return Diagnosis(
                 "brightness",
@@ -335,12 +343,12 @@ def _one_sided(a: Codes, b: Codes, differs: Bools, *, brighter: bool) -> Diagnos
             return Diagnosis(
                 "missing shadows",
                 f"Shadows are missing in A ({differs.mean():.1%} of its pixels), or it has a light"
-                " or an object too many.",
+                " or an object too many, or much wider highlights.",
             )
         return Diagnosis(
             "extra shadows",
-            "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a light"
-            " or an object.",
+            "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a"
+            " light, an object or a part of its highlights.",
         )
     if brighter:
         return Diagnosis(

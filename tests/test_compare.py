@@ -266,6 +266,26 @@ def test_ambient(light: NDArray[np.float64], right: Image8) -> None:
     assert "ambient" in diagnose(codes(ambient), right).text
 
 
+@pytest.mark.parametrize("name", ["four-spheres", "room", "touching"])
+def test_ambient_in_black_shadows(name: str) -> None:
+    full = scene(name)
+    from_the_eye = (tracer.PointLight(position=full.camera.view_point),)
+    seen = tracer.render(dataclasses.replace(full, lights=from_the_eye)).any(axis=2, keepdims=True)
+    assert "ambient" in diagnose(codes(tracer.render(full) + 0.05 * seen), right_codes(name)).text
+
+
+def test_transposed() -> None:
+    right = right_codes("four-spheres")
+    side = min(right.shape[:2])
+    square = right[:side, :side]
+    assert diagnose(square.transpose(1, 0, 2), square).kind == "transposed"
+
+
+def test_grey(right: Image8) -> None:
+    grey = np.repeat(right.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
+    assert diagnose(grey, right).kind == "grey"
+
+
 def test_background(right: Image8) -> None:
     wrong = np.where(right.any(axis=2, keepdims=True), right, np.uint8(70))
     assert diagnose(wrong, right).kind == "background"
@@ -434,6 +454,59 @@ def test_command(tmp_path: Path, right: Image8) -> None:
     assert Path(path) == tmp_path / "a.compare.png"
     with Image.open(path) as comparison:
         assert comparison.size[0] == 3 * 300 + 4 * 8
+
+
+@pytest.mark.parametrize("module", ["PIL", "skimage"])
+def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, module: str) -> None:
+    stub = f"raise ModuleNotFoundError('No module named {module}')"
+    (tmp_path / f"{module}.py").write_text(stub)
+    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
+    done = subprocess.run(
+        [sys.executable, "-m", "reference.compare", picture, picture],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        check=False,
+    )
+    told = f"No module named {module}; install it with pip install -e '.[reference]'\n"
+    assert (done.returncode, done.stderr) == (2, told)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "mode", "note"),
+    [
+        ("jpg", "RGB", "A is a JPEG, which changes levels: save it as PNG."),
+        ("gif", "P", "A has a palette, of 256 colours at most: save it as RGB."),
+        ("png", "P", "A has a palette, of 256 colours at most: save it as RGB."),
+        ("png", "RGB", None),
+    ],
+)
+def test_formats_that_change_levels(
+    tmp_path: Path,
+    right: Image8,
+    suffix: str,
+    mode: str,
+    note: str | None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(right // 2).convert(mode).save(path)
+    assert main([str(path), save(tmp_path / "b.png", right), "-o", f"{tmp_path}"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2:] == [*filter(None, [note]), str(tmp_path / "a.compare.png")]
+
+
+def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
+    black = np.zeros((40, 40, 3))
+    pictures = []
+    for name in ("x" * 200, "x" * 300):
+        write_comparison(tmp_path / "c.png", black, black + 0.5, (name, "right"))
+        with Image.open(tmp_path / "c.png") as picture:
+            pictures.append(np.asarray(picture))
+    np.testing.assert_array_equal(*pictures)
+    gap = pictures[0][: 8 + 24, 8 + 320 : 2 * 8 + 320]  # panels of 40 pixels, 8 times as large
+    assert (gap == 250).all()
 
 
 def test_names_that_are_not_text_are_escaped(tmp_path: Path) -> None:
