@@ -2,9 +2,9 @@
 
 Both sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs through
 a pixel's centre the two may fall on different sides of it: pixels whose value changes by more
-than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted.
-Every other pixel has to agree.  Limits are of linear radiance, in units of the brightest pixel's
-where that is more than 1.
+than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted, if
+they differ.  Every other pixel has to agree.  Limits are of linear radiance, in units of the
+brightest pixel's where that is more than 1.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class CheckResult:
         What the tracer is held against: Mitsuba's picture, but for the
         pixels that the oracle has judged.
     mask : (h, w) bool
-        Edge pixels, which are not compared.
+        Edge pixels that differ, which do not count.
     figures : Figures
         Of `tracer` against `reference`, outside the mask, in units of the
         brightest pixel where that is more than 1; the SSIM is of the whole
@@ -160,7 +160,7 @@ class CheckResult:
             f"{self.name}: {verdict}",
             f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9 % {f.p999:.1e},"
             f" RMSE {f.rmse:.1e}, {f.over} pixels over 1e-3",
-            f"  {f.masked} pixels ({self.mask.mean():.3%}) masked as edges: they change by more"
+            f"  {f.masked} pixels ({self.mask.mean():.3%}) differ as edges may: they change by more"
             f" than {EDGE_CHANGE:g} when the sample moves by {EDGE_SHIFT:g} pixels",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
@@ -331,6 +331,7 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     seconds = perf_counter() - start
     mask, reference, unit = edge_mask(scene, image), rendering.image.copy(), _unit(image)
     differs = np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit
+    mask &= differs
     reasons = doubts(scene) if differs.any() else ()
     if not reasons:
         differs &= ~mask

@@ -25,6 +25,10 @@ _EXTENT = 10.0
 # Largest error of a hit point, in roundings (2^-24) of the largest length in the scene.
 _TOLERANCE_ROUNDINGS = 100
 
+# With what is seen of this size, and no farther from the origin than so many times that, float32
+# is accurate enough for a stock scene in the file's own coordinates.
+_OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
+
 # The largest float32.
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -53,6 +57,16 @@ def normalisation(scene: Scene) -> Normalisation:
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else bounds(scene.surfaces)
     extent = float((high - low).max())
     return Normalisation((low + high) / 2, _EXTENT / extent if extent > 0 else 1.0)
+
+
+def _own_or_normalised(scene: Scene) -> Normalisation:
+    """The file's own coordinates, unless float32 would spoil the picture in them."""
+    place = normalisation(scene)
+    least, most = _OWN_EXTENT
+    near = np.abs(place.center).max() * place.scale <= _OWN_OFFSET * _EXTENT
+    if near and least <= _EXTENT / place.scale <= most:
+        return Normalisation(np.zeros(3), 1.0)
+    return place
 
 
 def _element(head: str, *children: str) -> str:
@@ -179,10 +193,22 @@ _EXACT = """
 in the exact flavour.
 
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
-plugins. Load it after "import converters.plugins"; the mitsuba command does not know them.
+plugins. The mitsuba command does not know them; load it in Python, where the project is installed:
+    import mitsuba
+    mitsuba.set_variant("scalar_rgb")  # or another that ends in _rgb
+    import converters.plugins
+    scene = mitsuba.load_file("NAME.mitsuba.xml")
+{moved}"""
+
+_MOVED = """\
 The scene is moved and scaled so that float32 hurts least, which changes no picture: where the
 scene file has p, this one has {scale:.6g} (p - c), c = ({center}).
 """
+
+
+def _moved(place: Normalisation) -> str:
+    center = ", ".join(f"{x:.6g}" for x in place.center)
+    return _MOVED.format(center=center, scale=place.scale)
 
 
 # `_number` raises for what overflows.
@@ -210,8 +236,7 @@ def exact(scene: Scene, samples: int = 1) -> str:
         *(_exact_bsdf(shader, name) for name, shader in bsdfs.items()),
         *_shapes(scene, place, names),
     ]
-    center = ", ".join(f"{x:.6g}" for x in place.center)
-    return _document(_EXACT.format(center=center, scale=place.scale), parts)
+    return _document(_EXACT.format(moved=_moved(place)), parts)
 
 
 def _exact_integrator(scene: Scene, place: Normalisation) -> str:
@@ -290,15 +315,15 @@ with stock plugins only: it opens in the plain mitsuba command.
 
 The geometry and the camera are exact. Approximate are
 - the lights: Mitsuba's fall off with the square of the distance, those of the scene format do
-  not fall off at all. Their strength is right at the distances that matter most;
+  not fall off at all. The strength of each is right at one distance, which is told beside it;
 - highlights: Blinn-Phong's (n.h)^p is stood in for by a Beckmann lobe of the same height and
   width, which brightens towards the silhouettes;
 - several lights: of each sample Mitsuba picks one at random, which leaves some noise.
 {film}Mitsuba allows no reflectance above 1: all are divided by {gain:g}, lights multiplied.
-"""
+{moved}"""
 
-_SQUARE = """- the film: pixels must be square, so {width} x {height} of them show the same window,
-  not {width} x {given}.
+_SQUARE = """- the film: pixels must be square, so {width} x {height} of them show the window, to
+  within half a pixel, not {width} x {given}.
 """
 
 
@@ -324,15 +349,20 @@ def stock(scene: Scene, samples: int = 64) -> str:
     seen = visible_points(scene)
     if not len(seen):
         seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
+    place = _own_or_normalised(scene)
     parts = [
         _stock_integrator(),
-        _stock_sensor(scene, height, samples),
-        *(_stock_emitter(light, gain, seen) for light in scene.lights),
+        _stock_sensor(scene, place, height, samples),
+        *(_stock_emitter(light, place, gain, place(seen)) for light in scene.lights),
         *(_stock_bsdf(shader, name, gain) for name, shader in bsdfs.items()),
-        *_shapes(scene, Normalisation(np.zeros(3), 1.0), names),
+        *_shapes(scene, place, names),
     ]
     film = _SQUARE.format(width=scene.width, height=height, given=scene.height)
-    comment = _STOCK.format(film=film if height != scene.height else "", gain=gain)
+    comment = _STOCK.format(
+        film=film if height != scene.height else "",
+        gain=gain,
+        moved="" if place.scale == 1 and not place.center.any() else _moved(place),
+    )
     return _document(comment, parts)
 
 
@@ -346,24 +376,24 @@ def _stock_integrator() -> str:
     )
 
 
-def _stock_sensor(scene: Scene, height: int, samples: int) -> str:
+def _stock_sensor(scene: Scene, place: Normalisation, height: int, samples: int) -> str:
     """The camera by its field of view and principal point; the film has `height` rows."""
     camera = scene.camera
     raster = raster_of(camera, scene.width, scene.height)
     right, down, ahead = raster.axes
     # Mitsuba's camera looks along +z with +x to the left.
     matrix = np.eye(4)
-    matrix[:3] = np.column_stack([-right, -down, ahead, raster.eye])
+    matrix[:3] = np.column_stack([-right, -down, ahead, place(raster.eye)])
     corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
-    far = float(np.linalg.norm(corners - raster.eye, axis=1).max()) or 1.0
+    far = place.scale * float(np.linalg.norm(corners - raster.eye, axis=1).max()) or 1.0
     return _plugin(
         "sensor",
         "perspective",
         _to_world(f'<matrix value="{_numbers("to_world", matrix.ravel())}"/>'),
         _value("string", "fov_axis", "x"),
         _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
-        _value("float", "principal_point_offset_x", raster.shift_u / camera.view_width),
-        _value("float", "principal_point_offset_y", raster.shift_v / camera.view_height),
+        _value("float", "principal_point_offset_x", _offset(raster.shift_u / camera.view_width)),
+        _value("float", "principal_point_offset_y", _offset(raster.shift_v / camera.view_height)),
         # The window may be anywhere: it only says what is in the picture.
         _value("float", "near_clip", _NEAREST * far),
         _value("float", "far_clip", 2 * far),
@@ -372,20 +402,28 @@ def _stock_sensor(scene: Scene, height: int, samples: int) -> str:
     )
 
 
-def _stock_emitter(light: PointLight, gain: float, seen: Floats) -> str:
+def _offset(share: float) -> float:
+    """Where the window's centre lies: what is left of zero after rounding is zero."""
+    return share if abs(share) > 1e-12 else 0.0
+
+
+def _stock_emitter(light: PointLight, place: Normalisation, gain: float, seen: Floats) -> str:
+    position = place(np.array(light.position))
+    distance2 = _distance2(position, seen)
     # A diffuse surface reflects 1 / pi of its reflectance.
-    strength = np.pi * gain * _distance2(light, seen)
+    intensity = np.array(light.intensity) * (np.pi * gain * distance2)
     return _plugin(
         "emitter",
         "point",
-        _xyz("point", "position", light.position),
-        _rgb("intensity", np.array(light.intensity) * strength),
+        f"<!-- right at a distance of {distance2**0.5:.4g} -->",
+        _xyz("point", "position", position),
+        _rgb("intensity", intensity),
     )
 
 
-def _distance2(light: PointLight, seen: Floats) -> float:
+def _distance2(position: Floats, seen: Floats) -> float:
     """Squared distance at which a light's strength is right: least squares over points (n, 3)."""
-    square = ((seen - light.position) ** 2).sum(axis=1)
+    square = ((seen - position) ** 2).sum(axis=1)
     # In units of the largest, whatever the scene's; in the light itself nothing is divided by zero.
     largest = float(square.max()) or 1.0
     inverse = 1 / np.maximum(square / largest, 1e-12)

@@ -1,7 +1,7 @@
 """The small Mitsuba plugins that the exact flavour of a converted scene names.
 
 Importing this module registers them, for the current variant and again for every other that is
-set later; ``mitsuba.load_file`` then reads such a scene:
+set later; in an RGB variant ``mitsuba.load_file`` then reads such a scene:
 
 >>> import mitsuba
 >>> mitsuba.set_variant("scalar_rgb")
@@ -190,6 +190,8 @@ class EveryLight(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
+        if not mi.variant().endswith(("_rgb", "_rgb_double")):
+            raise RuntimeError(f"needs an RGB variant of Mitsuba; {mi.variant()} is none")
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):

@@ -1,7 +1,7 @@
 """Turn scene files into Mitsuba 3 scenes, and compare the two renderers.
 
 python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml, stock plugins
-python -m converters.to_mitsuba --exact SCENE.xml ...    the same, by this project's plugins
+python -m converters.to_mitsuba --exact SCENE.xml ...    writes NAME.exact.mitsuba.xml, own plugins
 python -m converters.to_mitsuba --render SCENE.xml ...   writes NAME.mitsuba.png and .exr
 python -m converters.to_mitsuba --check SCENE.xml ...    compares, and writes NAME.check.png
 
@@ -117,7 +117,8 @@ def _parser() -> argparse.ArgumentParser:
         "--samples",
         type=at_least(1),
         metavar="N",
-        help="samples a pixel (default: 64 in the stock flavour, the pixel's centre in the exact)",
+        help="samples a pixel, which Mitsuba may round up (default: 64 in the stock flavour, the"
+        " pixel's centre in the exact)",
     )
     parser.add_argument(
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
@@ -136,7 +137,7 @@ def _work(options: argparse.Namespace) -> tuple[_Work, str]:
         return _render, ".mitsuba.png"
     if options.check:
         return _check, ".check.png"
-    return _convert, ".mitsuba.xml"
+    return _convert, ".exact.mitsuba.xml" if options.exact else ".mitsuba.xml"
 
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:

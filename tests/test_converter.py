@@ -17,12 +17,13 @@ import pytest
 from PIL import Image
 from scene_files import ONE_SPHERE, overflowing, small_one
 
-from converters.check import Rendering, check_scene, compare, doubts, render_mitsuba
+from converters.check import Rendering, check_scene, compare, doubts, edge_mask, render_mitsuba
 from converters.flavours import WRITTEN, exact, normalisation, square_height, stock
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
 from reference.command import own_scenes
+from reference.compare import figures
 from reference.regenerate import load_small
 from tracer import (
     Box,
@@ -78,14 +79,16 @@ def small(tmp_path: Path) -> Path:
 # The command line.
 
 
-@pytest.mark.parametrize("flavour", [[], ["--exact"]])
-def test_writes_beside_the_scene(tmp_path: Path, flavour: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("flavour", "name"), [([], "ball.mitsuba.xml"), (["--exact"], "ball.exact.mitsuba.xml")]
+)
+def test_writes_beside_the_scene(tmp_path: Path, flavour: list[str], name: str) -> None:
     scene = tmp_path / "ball.xml"
     scene.write_bytes(ONE_SPHERE.read_bytes())
     assert main([*flavour, str(scene)]) == 0
-    written = tmp_path / "ball.mitsuba.xml"
+    written = tmp_path / name
     assert ET.parse(written).getroot().tag == "scene"
-    assert sorted(tmp_path.iterdir()) == [written, scene]
+    assert {path.name for path in tmp_path.iterdir()} == {name, "ball.xml"}
 
 
 def test_writes_several_to_a_folder_that_is_made(tmp_path: Path) -> None:
@@ -474,6 +477,75 @@ def test_load_file_reads_the_exact_flavour_after_one_import(
     )
 
 
+def test_the_exact_flavour_asks_for_an_rgb_variant() -> None:
+    text = exact(replace(load_scene(ONE_SPHERE), width=8, height=8))
+    code = (
+        "import mitsuba as mi\nmi.set_variant('scalar_spectral')\nimport converters.plugins\n"
+        f"mi.load_string({text!r})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "needs an RGB variant of Mitsuba; scalar_spectral is none" in done.stderr
+
+
+def moved(scene: Scene, scale: float, offset: float) -> Scene:
+    """The same picture, of a scene of another size at another place."""
+
+    def place(point: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (scale * c + offset for c in point)
+        return x, y, z
+
+    camera, every = scene.camera, scene.surfaces
+    return replace(
+        scene,
+        camera=replace(
+            camera,
+            view_point=place(camera.view_point),
+            proj_distance=scale * camera.proj_distance,
+            view_width=scale * camera.view_width,
+            view_height=scale * camera.view_height,
+        ),
+        lights=tuple(replace(light, position=place(light.position)) for light in scene.lights),
+        surfaces=tuple(
+            replace(s, center=place(s.center), radius=scale * s.radius)
+            if isinstance(s, Sphere)
+            else replace(s, min_pt=place(s.min_pt), max_pt=place(s.max_pt))
+            for s in every
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(1e-15, 0), (1e-4, 0), (1e15, 0), (1, 1e4), (1, 1e8), (1e-3, 1)]
+)
+def test_stock_pictures_at_any_scale_and_place(scale: float, offset: float) -> None:
+    scene = load_small(ROOT / "scenes" / "four-spheres.xml")
+    use()
+    mi = importlib.import_module("mitsuba")
+    here, there = (
+        np.array(mi.render(mi.load_string(stock(s, 16))), dtype=np.float64)
+        for s in (scene, moved(scene, scale, offset))
+    )
+    assert figures(there, here).ssim > 0.99
+
+
+def test_stock_scenes_stay_where_they_are() -> None:
+    for path in SCENES:
+        assert "moved and scaled" not in stock(load_scene(path))
+    assert "moved and scaled" in stock(moved(load_scene(ONE_SPHERE), 1, 1e6))
+
+
+def test_the_distance_at_which_a_stock_light_is_right_is_told() -> None:
+    scene = replace(scene_of(Sphere(radius=0.5)), lights=(PointLight(position=(300, 400, 500)),))
+    told = re.findall(r"<!-- right at a distance of ([\d.]+) -->", stock(scene))
+    assert [float(number) for number in told] == [pytest.approx(707, rel=2e-3)]
+
+
 def test_stock_matte_picture_is_exact_at_the_distance_that_counts() -> None:
     """A small matte ball far from its light: fall-off hardly varies over it."""
     scene = scene_of(Sphere(radius=0.5, shader=Lambertian(diffuse=(0.9, 0.5, 0.1))))
@@ -584,8 +656,9 @@ def test_lights_are_as_strong_as_needed_for_what_is_small_or_out_of_view(
     light = PointLight(position=(0, 20 * size, z * size))
     root = ET.fromstring(stock(replace(scene_of(ball), camera=camera, lights=(light,))))
     strength = float(root.find(".//emitter/rgb").get("value").split()[0])
-    # Reflectances are halved, for blends.
-    assert strength / (2 * np.pi * (19.3 * size) ** 2) == pytest.approx(1, rel=0.02)
+    # The scene may have been scaled.  Reflectances are halved, for blends.
+    scale = float(root.find(".//shape/float").get("value")) / ball.radius
+    assert strength / (2 * np.pi * (19.3 * size * scale) ** 2) == pytest.approx(1, rel=0.02)
 
 
 # Numbers that Mitsuba cannot hold.
@@ -638,6 +711,16 @@ def scaled(size: float) -> Scene:
                     view_height=0.3 * size)  # fmt: skip
     light = PointLight(position=(3 * size, 4 * size, 5 * size))
     return replace(scene_of(Sphere(radius=0.5 * size)), camera=camera, lights=(light,))
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 96), (96, 1)])
+def test_edges_on_which_both_agree_are_not_masked(width: int, height: int) -> None:
+    """In pixels so tall or wide a sample that moves a little meets an edge in many."""
+    scene = replace(load_scene(ROOT / "scenes" / "room.xml"), width=width, height=height)
+    result = check_scene(scene, "thin")
+    assert edge_mask(scene, result.tracer).mean() > 0.05
+    assert result.faults == ()
+    assert not result.mask.any()
 
 
 @pytest.mark.parametrize("size", [1e-45, 1e45])

@@ -22,6 +22,7 @@ from converters.check import (
     Rendering,
     check_scene,
     compare,
+    edge_mask,
     faults,
     render_mitsuba,
 )
@@ -80,7 +81,8 @@ def test_mitsuba_agrees_with_itself_in_another_variant() -> None:
     scene, now = load_small(SCENES / "four-spheres.xml"), live("four-spheres")
     scalar = render_mitsuba(scene, variant=SCALAR)
     use()
-    assert faults(figures(scalar, now.mitsuba, now.mask), now.mask) == ()
+    edges = edge_mask(scene, now.tracer)
+    assert faults(figures(scalar, now.mitsuba, edges), edges) == ()
 
 
 def test_there_are_scenes_to_compare() -> None:
@@ -100,8 +102,8 @@ def test_tracer_agrees_with_stored_mitsuba(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_live_mitsuba_agrees_with_stored_mitsuba(name: str) -> None:
     now, then = live(name), kept(name)
-    measured = figures(now.reference, then.reference, now.mask)
-    assert faults(measured, now.mask) == ()
+    edges = edge_mask(load_small(SCENES / f"{name}.xml"), now.tracer)
+    assert faults(figures(now.reference, then.reference, edges), edges) == ()
 
 
 @pytest.mark.parametrize("name", NAMES)
