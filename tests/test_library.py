@@ -173,10 +173,9 @@ def test_what_is_no_vector(center: Any, told: str) -> None:
     ],
 )
 def test_what_is_no_number(value: Any, told: str) -> None:
-    for name, make in (("radius", Sphere), ("exponent", Phong), ("projDistance", Camera)):
-        field = {"projDistance": "proj_distance"}.get(name, name)
+    for name, make in (("radius", Sphere), ("exponent", Phong), ("proj_distance", Camera)):
         with pytest.raises(SceneError) as caught:
-            make(**{field: value})
+            make(**{name: value})
         assert str(caught.value) == f"{name}: {told}"
 
 
@@ -221,7 +220,7 @@ NO_PERMUTATION = "sphere_index, box_index: must together be a permutation of 0 .
         (
             {"radius": [1, -1], "max_pt": [(-2, 0, 0)]},
             [
-                "surface 1: minPt: must not exceed maxPt, but x has -1 > -2",
+                "surface 1: min_pt: must not exceed max_pt, but x has -1 > -2",
                 "surface 2: radius: must be positive and finite, is -1",
             ],
         ),

@@ -19,6 +19,7 @@ import numpy as np
 from tracer.scene import (
     MAX_PIXELS,
     Camera,
+    Fault,
     Lambertian,
     Phong,
     PointLight,
@@ -81,6 +82,14 @@ _SHADERS: Mapping[str, tuple[Callable[..., Shader], _Fields]] = {
 _SPHERE: _Fields = {"shader": ("shader", 0), "center": ("center", 3), "radius": ("radius", 1)}
 _BOX: _Fields = {"shader": ("shader", 0), "minPt": ("min_pt", 3), "maxPt": ("max_pt", 3)}
 
+# Where the two differ, the tag of each parameter.
+_TAGS = {
+    parameter: tag
+    for fields in (_CAMERA, _PHONG, _BOX)
+    for tag, (parameter, _) in fields.items()
+    if tag != parameter
+}
+
 _SCENE = ("camera", "image", "light", "shader", "surface")
 # Elements that hold elements, and no text.
 CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
@@ -98,6 +107,12 @@ def short(text: str) -> str:
 def quoted(text: str) -> str:
     """The same in quotes, on one line that any terminal can show."""
     return repr(short(text))
+
+
+def _in_tags(fault: Fault) -> str:
+    """A fault in the words of a scene file: tags stand for parameters."""
+    told = re.sub(r"\w+_\w+", lambda word: _TAGS.get(word[0], word[0]), fault.message)
+    return f"{_TAGS.get(fault.field, fault.field)}: {told}"
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
@@ -489,13 +504,12 @@ class Contents:
             return make(**{name: v[0] if counts[name] == 1 else v for name, v in values.items()})
         except SceneError as error:
             for fault in error.faults:
-                parameter, _ = fields[fault.field]
-                child = parts.get(parameter)
-                if not _unread(values.get(parameter, ())):
+                child = parts.get(fault.field)
+                if not _unread(values.get(fault.field, ())):
                     if child is None:
-                        self.fault(element, str(fault))
+                        self.fault(element, _in_tags(fault))
                     else:
-                        self.fault(child, f"{child.tag}: {fault.message}")
+                        self.fault(child, _in_tags(fault._replace(field=child.tag)))
         return None
 
     def type_of(self, element: _Element, known: Collection[str], allowed: tuple[str, ...]) -> str:
@@ -592,11 +606,10 @@ class Contents:
             )
         except SceneError as error:
             for fault in error.faults:
-                rows = spheres if fault.field in _SPHERE else boxes
-                parameter, count = rows.fields[fault.field]
-                column = rows.columns[parameter]
+                rows = spheres if fault.field in spheres.columns else boxes
+                column, count = rows.columns[fault.field], dict(rows.fields.values())[fault.field]
                 row = bisect_left(rows.index, fault.surface or 0)
                 if not _unread(column.numbers[row * count : (row + 1) * count]):
                     line = column.lines[row] if self.faults.lined else 0
-                    self.fault(line, f"{fault.field}: {fault.message}")
+                    self.fault(line, _in_tags(fault))
         return Surfaces()

@@ -56,7 +56,7 @@ _DEGENERATE = 1e-10
 
 
 class Fault(NamedTuple):
-    """One fault: the field, and a message that says what is wrong and what would be right."""
+    """One fault: the parameter, and what is wrong with it, and what would be right."""
 
     field: str
     message: str
@@ -283,28 +283,23 @@ class Camera:
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         put = object.__setattr__
-        put(self, "view_point", _point(self.view_point, "viewPoint", faults))
-        for name, tag in (("view_dir", "viewDir"), ("view_up", "viewUp")):
-            put(self, name, _direction(getattr(self, name), tag, faults))
+        put(self, "view_point", _point(self.view_point, "view_point", faults))
+        for name in ("view_dir", "view_up"):
+            put(self, name, _direction(getattr(self, name), name, faults))
         if self.proj_normal is not None:
-            put(self, "proj_normal", _direction(self.proj_normal, "projNormal", faults))
-        for name, tag in (
-            ("proj_distance", "projDistance"),
-            ("view_width", "viewWidth"),
-            ("view_height", "viewHeight"),
-        ):
-            put(self, name, _positive(getattr(self, name), tag, faults))
+            put(self, "proj_normal", _direction(self.proj_normal, "proj_normal", faults))
+        for name in ("proj_distance", "view_width", "view_height"):
+            put(self, name, _positive(getattr(self, name), name, faults))
         if not faults:
             normal = unit(self.normal)
             sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
             if sine < _DEGENERATE:
-                of = "viewDir" if self.proj_normal is None else "projNormal"
-                faults.append(
-                    Fault("viewUp", f"must not be parallel to {of}; choose another viewUp")
-                )
+                of = "view_dir" if self.proj_normal is None else "proj_normal"
+                wrong = f"must not be parallel to {of}; choose another view_up"
+                faults.append(Fault("view_up", wrong))
             if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-                wrong = "must not be perpendicular to viewDir: no ray would meet it"
-                faults.append(Fault("projNormal", wrong))
+                wrong = "must not be perpendicular to view_dir: no ray would meet it"
+                faults.append(Fault("proj_normal", wrong))
         if faults:
             raise SceneError(faults)
 
@@ -349,7 +344,7 @@ class Lambertian:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        _settle(self, faults, diffuse=_color(self.diffuse, "diffuseColor", faults))
+        _settle(self, faults, diffuse=_color(self.diffuse, "diffuse", faults))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -371,8 +366,8 @@ class Phong:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        diffuse = _color(self.diffuse, "diffuseColor", faults)
-        specular = _color(self.specular, "specularColor", faults)
+        diffuse = _color(self.diffuse, "diffuse", faults)
+        specular = _color(self.specular, "specular", faults)
         exponent = _number(self.exponent, "exponent", faults)
         if not (0 <= exponent < np.inf):
             faults.append(
@@ -424,7 +419,7 @@ class Box:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        low, high = _point(self.min_pt, "minPt", faults), _point(self.max_pt, "maxPt", faults)
+        low, high = _point(self.min_pt, "min_pt", faults), _point(self.max_pt, "max_pt", faults)
         if not faults:
             faults += _order_faults(np.array([low]), np.array([high]), _ALONE)
         _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
@@ -440,8 +435,8 @@ def _sphere_faults(center: Floats, radius: Floats, index: Ints) -> Iterable[Faul
 
 
 def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints) -> Iterable[Fault]:
-    yield from _point_faults("minPt", min_pt, index)
-    yield from _point_faults("maxPt", max_pt, index)
+    yield from _point_faults("min_pt", min_pt, index)
+    yield from _point_faults("max_pt", max_pt, index)
     yield from _order_faults(min_pt, max_pt, index)
 
 
@@ -454,7 +449,7 @@ def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
 def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
     for i, axis in np.argwhere(min_pt > max_pt).tolist():
         has = f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-        yield Fault("minPt", f"must not exceed maxPt, but {has}", index.item(i))
+        yield Fault("min_pt", f"must not exceed max_pt, but {has}", index.item(i))
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -478,8 +473,8 @@ class Surfaces(Sequence[Sphere | Box]):
     Raises
     ------
     SceneError
-        For arrays that do not fit together; for a radius that is not positive, minPt > maxPt, or a
-        number that is not finite or out of range (`LARGEST`).
+        For arrays that do not fit together; for a radius that is not positive, `min_pt` beyond
+        `max_pt`, or a number that is not finite or out of range (`LARGEST`).
     """
 
     __slots__ = (
