@@ -49,6 +49,19 @@ def test_random_scenes(kind: str, width: int, height: int) -> None:
         assert_same(random_scene(kind, seed, width, height))
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_light_buffers_of_large_cells(kind: str) -> None:
+    for pairs in (1, 40, 1000):
+        scene = random_scene(kind, pairs, 60, 44)
+        with (
+            patch("tracer.light_buffers._PAIRS", pairs),
+            patch("tracer.shadow._PIXELS_EACH", 1e9),
+            patch("tracer.shadow._FEW", 0),
+        ):
+            image = render(scene)
+        np.testing.assert_array_equal(image, brute_force(scene))
+
+
 @pytest.mark.parametrize(
     ("kind", "seed", "width", "height"),
     [

@@ -7,12 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
 
-from tracer import Camera, Surfaces
+from tracer import Camera, Lambertian, Surfaces
 from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.light_buffers import LightBuffer, light_buffer_finder
+from tracer.light_buffers import _PAIRS, LightBuffer, light_buffer_finder
 from tracer.occluders import occluders_of
 from tracer.visibility import view_of
+
+WHITE = Lambertian()
 
 
 def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
@@ -23,6 +25,19 @@ def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
     light = a_point(rng)
     occluders = occluders_of(view_of(raster, surfaces, split=False), light[None, :])
     return light, light_buffer_finder(occluders).buffers[0]
+
+
+@np.errstate(all="ignore")
+def test_buffers_of_large_objects_stay_small() -> None:
+    """Where thousands of objects overlap no cell is empty, however small it is."""
+    rng = np.random.default_rng(1)
+    center, light = rng.normal(size=(3000, 3)), np.array([[4.0, 5.0, 6.0]])
+    surfaces = Surfaces(
+        center=center, radius=np.ones(3000), sphere_shader=np.zeros(3000, int), shaders=[WHITE]
+    )
+    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces, split=False)
+    (buffer,) = light_buffer_finder(occluders_of(view, light)).buffers
+    assert 3000 < buffer.listed.size < 1.5 * _PAIRS
 
 
 @np.errstate(all="ignore")

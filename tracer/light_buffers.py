@@ -14,6 +14,7 @@ the light beside, on or inside an object: they leave out only pairs that cannot 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import sqrt
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -32,8 +33,14 @@ __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 _LEAST_ANGLE = 1e-5
 
 # With n objects an octant has 4 sqrt(n) cells along each side, up to the first of these; more
-# objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill.
+# objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill: where
+# objects are so large that there would be more pairs of a cell and an object, for one light, than
+# `_PAIRS`, cells are larger.
 _SIDE_FEW, _SIDE_MOST = 128, 320
+_PAIRS = 1 << 21
+
+# So many pairs are tried at a time.
+_AT_ONCE = 1 << 16
 
 # If an object's bounding box touches no more cells than this, or at least this part of all, planes
 # would separate hardly any of them from the object: none is tried.
@@ -208,8 +215,56 @@ class _Octant(NamedTuple):
         return cls(number, objects, bounds, x1 + y1 + z1)
 
 
+class _Field(NamedTuple):
+    """The part of an octant in which there is something to light, and what may shade it.
+
+    Attributes
+    ----------
+    number : int
+        The octant's.
+    origin, size : (2,)
+        In octahedral coordinates.
+    objects, bounds : (n,), (4, n)
+        As those of `_Octant`.
+    """
+
+    number: int
+    origin: Floats
+    size: Floats
+    objects: Ints
+    bounds: Floats
+
+    @classmethod
+    def of(cls, octant: _Octant, near: Floats, seen: Bools) -> _Field | None:
+        """The field of an octant, if anything in it may be `seen` (n,) and shaded.
+
+        `near` (n,): each object's least distance to the light, in the 1-norm.
+        """
+        lit = np.flatnonzero(seen[octant.objects])
+        if not lit.size:
+            return None
+        u0, u1, v0, v1 = octant.bounds
+        low = np.array([u0[lit].min(), v0[lit].min()])
+        high = np.array([u1[lit].max(), v1[lit].max()])
+        may = np.flatnonzero(
+            (near[octant.objects] <= _reach(octant, lit) * (1 + SLACK))
+            & ((u0 <= high[0]) & (u1 >= low[0]) & (v0 <= high[1]) & (v1 >= low[1]))
+        )
+        if not may.size:
+            return None
+        return cls(octant.number, low, high - low, octant.objects[may], octant.bounds[:, may])
+
+    def covered(self) -> float:
+        """How much of the field its objects cover, all together: more than 1 where they overlap."""
+        u0, u1, v0, v1 = self.bounds
+        (left, top), (right, bottom) = self.origin, self.origin + self.size
+        wide = np.minimum(u1, right) - np.maximum(u0, left)
+        tall = np.minimum(v1, bottom) - np.maximum(v0, top)
+        return float((wide * tall).sum() / self.size.prod())
+
+
 class _Listing(NamedTuple):
-    """What is listed in the cells of an octant.
+    """What is listed in the cells of a field.
 
     Attributes
     ----------
@@ -233,18 +288,18 @@ def _buffer_around(
     light: Floats, surfaces: Surfaces, extents: _Extents, seen: Bools
 ) -> LightBuffer:
     """Fill the cells around a light (3,); `seen` (n,): nothing else needs light."""
-    root = np.sqrt(len(surfaces))
-    side = int(min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST))
     around = extents.around(light)
     near = around.nearest()
+    octants = (_Octant.of(number, around) for number in range(8))
+    fields = [field for octant in octants if (field := _Field.of(octant, near, seen))]
+    side = _side(len(surfaces), sum(field.covered() for field in fields))
     scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
     none = np.zeros(0, dtype=np.intp)
     cells, places, objects, bounds = [none], [none], [none], [_query_bounds(*np.zeros((4, 0)))]
     total, before = 1, 0
-    for number in range(8):
-        listing = _listing(_Octant.of(number, around), near, seen, side, light, surfaces)
-        if listing is None:
-            continue
+    for field in fields:
+        listing = _listing(field, side, light, surfaces)
+        number = field.number
         scale[:, number], shift[:, number], base[number] = listing.scale, listing.shift, total
         cells.append(listing.cell + total)
         places.append(listing.place + before)
@@ -276,30 +331,18 @@ def _buffer_around(
     )
 
 
-def _listing(
-    octant: _Octant, near: Floats, seen: Bools, side: int, light: Floats, surfaces: Surfaces
-) -> _Listing | None:
-    """List objects in the cells of an octant, if anything in it may be `seen` (n,).
+def _side(count: int, covered: float) -> int:
+    """How many cells octants have along each side, if objects cover so much of their fields."""
+    root = sqrt(count)
+    wanted = min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST)
+    return max(1, int(min(wanted, sqrt(_PAIRS / covered)) if covered else wanted))
 
-    `near` (n,): each object's least distance to the light, in the 1-norm.
-    """
-    lit = np.flatnonzero(seen[octant.objects])
-    if not lit.size:
-        return None
-    # The cells cover just the directions in which there is something to light.
-    u0, u1, v0, v1 = octant.bounds
-    origin = np.array([u0[lit].min(), v0[lit].min()])
-    scale = side / (np.array([u1[lit].max(), v1[lit].max()]) - origin)
-    shift = -origin * scale
-    extent = _to_cells(octant.bounds, scale, shift)
-    west, east, north, south = extent
-    may = np.flatnonzero(
-        (near[octant.objects] <= _reach(octant, lit) * (1 + SLACK))
-        & ((west < side) & (east >= 0) & (north < side) & (south >= 0))
-    )
-    if not may.size:
-        return None
-    objects, extent = octant.objects[may], extent[:, may]
+
+def _listing(field: _Field, side: int, light: Floats, surfaces: Surfaces) -> _Listing:
+    """List objects in the cells of a field, `side` along each side."""
+    scale = side / field.size
+    shift = -field.origin * scale
+    extent = _to_cells(field.bounds, scale, shift)
     left, right, top, bottom = np.clip(extent, 0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each object's rectangle.
@@ -308,13 +351,15 @@ def _listing(
     place = strip[part]
     size = wide * tall
     large = np.flatnonzero(((size > _FEW_CELLS) & (size < _MOST_CELLS * side**2))[place])
-    if large.size:
-        sign = tuple(1.0 if octant.number >> k & 1 else -1.0 for k in range(3))
-        column, row = np.divmod(cell[large], side)
-        owner = objects[place[large]]
-        apart = _apart(_Grid(sign, scale, origin), column, row, owner, light, surfaces)
-        cell, place = np.delete(cell, large[apart]), np.delete(place, large[apart])
-    return _Listing(scale, shift, objects, _object_bounds(*extent), cell, place)
+    sign = tuple(1.0 if field.number >> k & 1 else -1.0 for k in range(3))
+    grid = _Grid(sign, scale, field.origin)
+    kept = np.ones(cell.size, dtype=np.bool_)
+    for start in range(0, large.size, _AT_ONCE):
+        some = large[start : start + _AT_ONCE]
+        column, row = np.divmod(cell[some], side)
+        kept[some] = ~_apart(grid, column, row, field.objects[place[some]], light, surfaces)
+    bounds = _object_bounds(*extent)
+    return _Listing(scale, shift, field.objects, bounds, cell[kept], place[kept])
 
 
 def _octahedral(low: Triple, high: Triple) -> Floats:
