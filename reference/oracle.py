@@ -28,6 +28,7 @@ import decimal
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import permutations
 from typing import TypeAlias
 
 from tracer.scene import Box, Phong, Scene, Shader, Sphere
@@ -281,7 +282,12 @@ def _meet_box(box: Box, eye: Vector, d: Vector, inside: bool) -> _Hit | _Miss:
     t = leave if inside else enter
     if t <= 0:
         return _Miss(_ZERO, clear)
-    axis = (far if inside else near).index(t)
+    roots = far if inside else near
+    axis = roots.index(t)
+    # Through a ridge between two faces a ray meets both.
+    for k in _AXES:
+        if k != axis and d[k] != 0:
+            clear = min(clear, abs(t - roots[k]) * _slope(d, axis, k))
     forward = d[axis] > 0
     normal = _replace((_ZERO, _ZERO, _ZERO), axis, -_ONE if forward else _ONE)
     corner = box.max_pt if forward == inside else box.min_pt
@@ -309,14 +315,19 @@ def _slabs(
             a, b = low[k] / d[k], high[k] / d[k]
             near.append(min(a, b))
             far.append(max(a, b))
-    for i in _AXES:
-        for j in _AXES:
-            if i != j and d[i] != 0 and d[j] != 0:
-                # In the plane of axes i and j: distance of the line from the edge.
-                slope = abs(d[i] * d[j]) / (d[i] * d[i] + d[j] * d[j]).sqrt()
-                gaps.append((far[j] - near[i]) * slope)
+    # In the plane of each two axes: distance of the line from the edge.
+    gaps += (
+        (far[j] - near[i]) * _slope(d, i, j)
+        for i, j in permutations(_AXES, 2)
+        if d[i] != 0 and d[j] != 0
+    )
     # All gaps must be open; a miss is as sure as the surest of the closed ones.
     return near, far, min(gaps, default=_FAR)
+
+
+def _slope(d: Vector, i: int, j: int) -> Decimal:
+    """Of a length along a line, the distance from a box's edge in the plane of axes i and j."""
+    return abs(d[i] * d[j]) / (d[i] * d[i] + d[j] * d[j]).sqrt()
 
 
 def _sphere_blocks(

@@ -117,6 +117,12 @@ class TestByHand:
         assert verdict_along((0, 1, -1.5), (0, 0, -1), (0, 1, 7), wall, CUBE).lit == (True,)
         assert verdict_along((0, 0.99, -1.5), (0, 0, -1), (0, 0.99, 7), wall, CUBE).lit == (False,)
 
+    def test_margin_at_a_ridge(self) -> None:
+        # From (7, y, 7) to (-1, y, -1), within 1e-9 of the ridge at x = z = 1.
+        for off in (1e-9, -1e-9):
+            verdict = verdict_along((7, 0, 7 + off), (-1, 0, -1), (9, 0, 8), CUBE)
+            assert verdict.margin == pytest.approx(1e-9 / 2**0.5 / 20, rel=0.3)
+
     def test_margin(self) -> None:
         # A ray that passes the ball at 1e-9: 1e-9 of lengths 7 + 1 + 7.
         verdict = verdict_along((1 + 1e-9, 0, 7), (0, 0, -1), (3, 0, 5), BALL)

@@ -165,7 +165,7 @@ def test_11_shadow_of_a_plate(side: int, edge: int) -> None:
 
 
 def test_12_inverted_corners() -> None:
-    with pytest.raises(SceneError, match=r"^surface 1: minPt: must not exceed maxPt"):
+    with pytest.raises(SceneError, match=r"^surface 1: min_pt: must not exceed max_pt"):
         Surfaces(
             min_pt=[(0, 0, 0), (0, 2, 0)], max_pt=[(1, 1, 1), (1, 1, 1)], box_shader=[0, 0],
             shaders=(Lambertian(),),
@@ -354,11 +354,11 @@ def test_26_light_straight_behind_the_limb(exponent: float) -> None:
 
 
 def test_27_degenerate_cameras() -> None:
-    with pytest.raises(SceneError, match=r"^viewUp: must not be parallel to viewDir"):
+    with pytest.raises(SceneError, match=r"^view_up: must not be parallel to view_dir"):
         Camera(view_dir=(1, 2, 3), view_up=(-2, -4, -6))
-    with pytest.raises(SceneError, match=r"^viewUp: must not be parallel to projNormal"):
+    with pytest.raises(SceneError, match=r"^view_up: must not be parallel to proj_normal"):
         Camera(proj_normal=(0, 1, 1), view_up=(0, 3, 3))
-    with pytest.raises(SceneError, match=r"^projNormal: must not be perpendicular to viewDir"):
+    with pytest.raises(SceneError, match=r"^proj_normal: must not be perpendicular to view_dir"):
         Camera(view_dir=(0, 3, -4), proj_normal=(0, 4, 3), view_up=(1, 0, 0))
 
 
