@@ -512,7 +512,13 @@ class LightBufferFinder(NamedTuple):
                 at, occluder = _listed(buffer, own[asked[ball]], cell, distance[ball], within)
                 point, occluder = _once(asked[ball[at]], occluder, len(buffer.near))
             yield from candidates_by_kind(
-                self.occluders, own, points, point, number, occluder, footprint
+                self.occluders,
+                own=own,
+                points=points,
+                point=point,
+                light=number,
+                occluder=occluder,
+                footprint=footprint,
             )
 
 

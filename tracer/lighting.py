@@ -50,7 +50,7 @@ class Lighting(NamedTuple):
     Attributes
     ----------
     view : View
-    positions, intensities : (lights, 3)
+    intensities : (lights, 3)
     local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
     shadows : Shadows
@@ -60,12 +60,16 @@ class Lighting(NamedTuple):
     """
 
     view: View
-    positions: Floats
     intensities: Floats
     local: Floats
     shadows: Shadows
     shader: Ints
     materials: Materials
+
+    @property
+    def positions(self) -> Floats:
+        """Where the lights are (lights, 3), in the scene's axes."""
+        return self.shadows.occluders.lights
 
 
 class Incoming(NamedTuple):
@@ -99,12 +103,11 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
         view=view,
-        positions=positions,
         intensities=np.array([light.intensity for light in lights]).reshape(-1, 3),
         local=np.column_stack(view.raster.to_camera(positions)),
         shadows=shadows_of(occluders_of(view, positions), view.raster, split),
         shader=surfaces.shader_index,
-        materials=Materials(surfaces.shaders),
+        materials=Materials.of(surfaces.shaders),
     )
 
 

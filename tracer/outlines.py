@@ -36,8 +36,8 @@ _ROUNDING = 1e-12
 # For boxes of at most so many pixels across, or down, the frame is as good as the silhouette.
 _SMALL = 8.0
 
-# Within this part of its squared distance, an eye's power is too uncertain for slopes: its root's
-# error is the root of the power's.
+# A power smaller than this part of the squared distance is little but rounding, and slopes contain
+# its square root, with a relative error that is larger still.
 _NEARLY_ON = 1e-14
 
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias, overload
 
@@ -621,24 +621,25 @@ class Surfaces(Sequence[Sphere | Box]):
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
         if isinstance(index, slice):
-            return tuple(self[i] for i in range(*index.indices(len(self))))
-        index = range(len(self))[index]
-        at = np.flatnonzero(self.sphere_index == index)
-        if at.size:
-            x, y, z = self.center[at[0]].tolist()
-            return Sphere(
-                center=(x, y, z),
-                radius=float(self.radius[at[0]]),
-                shader=self.shaders[self.sphere_shader[at[0]]],
-            )
-        at = np.flatnonzero(self.box_index == index)
-        x0, y0, z0 = self.min_pt[at[0]].tolist()
-        x1, y1, z1 = self.max_pt[at[0]].tolist()
-        return Box(
-            min_pt=(x0, y0, z0),
-            max_pt=(x1, y1, z1),
-            shader=self.shaders[self.box_shader[at[0]]],
-        )
+            return tuple(map(self._surface, np.argsort(self.file_index)[index].tolist()))
+        (at,) = np.flatnonzero(self.file_index == range(len(self))[index]).tolist()
+        return self._surface(at)
+
+    def __iter__(self) -> Iterator[Sphere | Box]:
+        # All at once: to look for each takes as long as there are surfaces.
+        return iter(self[:])
+
+    def _surface(self, at: int) -> Sphere | Box:
+        """One by its place in the arrays, spheres first."""
+        if at < self.sphere_count:
+            x, y, z = self.center[at].tolist()
+            shader = self.shaders[self.sphere_shader[at]]
+            return Sphere(center=(x, y, z), radius=float(self.radius[at]), shader=shader)
+        at -= self.sphere_count
+        x0, y0, z0 = self.min_pt[at].tolist()
+        x1, y1, z1 = self.max_pt[at].tolist()
+        shader = self.shaders[self.box_shader[at]]
+        return Box(min_pt=(x0, y0, z0), max_pt=(x1, y1, z1), shader=shader)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):

@@ -10,6 +10,7 @@ highlight carries no further cosine.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,7 @@ _OPPOSITE = 1e-24
 _SHOWS = 256.0
 
 
-class Materials:
+class Materials(NamedTuple):
     """Shaders as arrays.
 
     Attributes
@@ -39,15 +40,21 @@ class Materials:
         Whether there is a highlight at all.
     """
 
-    __slots__ = ("diffuse", "exponent", "glossy", "specular")
+    diffuse: Floats
+    specular: Floats
+    exponent: Floats
+    glossy: Bools
 
-    def __init__(self, shaders: tuple[Shader, ...]) -> None:
-        count = len(shaders)
-        self.diffuse = np.array([s.diffuse for s in shaders]).reshape(count, 3).T
-        phong = [s if isinstance(s, Phong) else Phong() for s in shaders]
-        self.specular = np.array([s.specular for s in phong]).reshape(count, 3).T
-        self.exponent = np.array([s.exponent for s in phong])
-        self.glossy: Bools = np.asarray((self.specular > 0).any(axis=0))
+    @classmethod
+    def of(cls, shaders: tuple[Shader, ...]) -> Materials:
+        """The shaders of a scene."""
+        phong = [s if isinstance(s, Phong) else Phong(diffuse=s.diffuse) for s in shaders]
+        diffuse, specular = (
+            np.array([getattr(s, name) for s in phong]).reshape(-1, 3).T
+            for name in ("diffuse", "specular")
+        )
+        exponent = np.array([s.exponent for s in phong])
+        return cls(diffuse, specular, exponent, np.any(specular > 0, axis=0))
 
 
 def highlight(

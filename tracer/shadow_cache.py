@@ -132,12 +132,12 @@ class ShadowCache(NamedTuple):
                 at, place = expand(length[batch], first[batch])
                 yield from candidates_by_kind(
                     self.finder.occluders,
-                    own,
-                    points,
-                    which[batch][at],
-                    number,
-                    self.listed[place],
-                    footprint,
+                    own=own,
+                    points=points,
+                    point=which[batch][at],
+                    light=number,
+                    occluder=self.listed[place],
+                    footprint=footprint,
                 )
 
     def _inside(self, p: Floats, own: Ints, near: Ints, footprint: Floats | None) -> Bools:

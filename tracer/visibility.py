@@ -44,6 +44,9 @@ _LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
 # Samples farther apart, in pixels, are no neighbours.
 _GAP = 4.0
 
+# In place of the axis of a box's face, for spheres.
+_NO_FACE = 3
+
 # With this many samples or more, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 16384
 
@@ -120,7 +123,7 @@ class Group(NamedTuple):
     counts : (spans,)
         How many samples each span has: those in one row that see one object.
     face
-        Of boxes, the axis of the face: a number, or (n,); 3 for spheres.
+        Of boxes, the axis of the face: a number, or (n,); `_NO_FACE` for spheres.
     sign, level
         Of faces: whether they look up (1) or down (-1) that axis, and their coordinate on it.
     n : three
@@ -143,7 +146,7 @@ class Group(NamedTuple):
     @property
     def flat(self) -> bool:
         """Whether these are faces of boxes."""
-        return not (isinstance(self.face, int) and self.face == 3)
+        return not (isinstance(self.face, int) and self.face == _NO_FACE)
 
     def spread(self, values: Any) -> Any:
         """Values of spans, repeated for each of their samples; of one object, as they are."""
@@ -439,10 +442,10 @@ def _faces(
 ) -> Iterator[tuple[_Fragments, Index, Floats]]:
     """Fragments, the axis of the face, and whether that looks up (1) or down (-1).
 
-    If there are many of boxes, they are split by face; spheres have 3 for the axis.
+    If there are many of boxes, they are split by face; spheres have `_NO_FACE`.
     """
     if group.sphere:
-        yield group, 3, np.ones(())
+        yield group, _NO_FACE, np.ones(())
         return
     down = [_looks_down(view, samples, group, axis) for axis in range(3)]
     if group.t.size < _LARGE:
@@ -521,7 +524,7 @@ def _hit(
 
 
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
-    """Hits of fragments that are seen: their groups, face by face, and the runs of these."""
+    """Hits of fragments that are seen, in groups, face by face."""
     faces = [face for group in fragments if group.t.size for face in _faces(view, samples, group)]
     ends = np.cumsum([0] + [part.t.size for part, *_ in faces]).tolist()
     p = np.empty((3, ends[-1]))
@@ -529,17 +532,33 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
     for (part, face, sign), start, end in zip(faces, ends, ends[1:], strict=False):
         place = slice(start, end)
         groups.append(_hit(view, samples, part, face, sign, place, p[:, place]))
+    first, owner, begin = _runs(samples, groups)
+    x, y = samples.at(begin)
+    return Hits(
+        raster=view.raster,
+        p=p,
+        groups=groups,
+        first=np.append(first, p.shape[1]),
+        owner=owner,
+        row=y.astype(np.intp),
+        column=x.astype(np.intp),
+    )
+
+
+def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
+    """Runs of hits, as in `Hits.first`: the first hit, the object, and the first sample of each."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
     piece = None
     if samples.row is not None:
         piece = np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
     for group in groups:
-        run = np.flatnonzero(group.counts)
-        first, owner = (np.cumsum(group.counts) - group.counts)[run], select(group.owner, run)
+        span = np.flatnonzero(group.counts)
+        first, owner = (np.cumsum(group.counts) - group.counts)[span], select(group.owner, span)
         # Samples of a row that see one object may be far apart, or on different faces.
         parts: list[NDArray[Any]] = [] if piece is None else [piece[group.sample]]
         if np.ndim(group.face):
+            # One number for the axis of a face and its side.
             parts.append(4 * group.face + group.sign)
         if parts:
             starts = np.any([np.diff(part, prepend=0) != 0 for part in parts], axis=0)
@@ -550,13 +569,4 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(owner, first.shape))
         begins.append(group.sample[first])
-    x, y = samples.at(np.concatenate(begins))
-    return Hits(
-        raster=view.raster,
-        p=p,
-        groups=groups,
-        first=np.append(np.concatenate(firsts), p.shape[1]),
-        owner=np.concatenate(owners),
-        row=y.astype(np.intp),
-        column=x.astype(np.intp),
-    )
+    return np.concatenate(firsts), np.concatenate(owners), np.concatenate(begins)
