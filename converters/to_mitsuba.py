@@ -124,7 +124,11 @@ def _parser() -> argparse.ArgumentParser:
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--render", action="store_true", help="render with Mitsuba, exact flavour")
+    what.add_argument(
+        "--render",
+        action="store_true",
+        help="render with Mitsuba, exact flavour: always a PNG and an EXR",
+    )
     what.add_argument(
         "--check", action="store_true", help="compare the tracer with Mitsuba, exact flavour"
     )

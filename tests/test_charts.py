@@ -5,6 +5,8 @@ No time is asserted.
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +29,8 @@ from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, t
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 
-SCENES = Path(__file__).parent.parent / "scenes"
+ROOT = Path(__file__).resolve().parent.parent
+SCENES = ROOT / "scenes"
 
 
 def _small(name: str, width: int = 48, height: int = 27) -> Scene:
@@ -425,3 +428,20 @@ def test_pov_scene_names_every_object_and_light() -> None:
 def test_mitsuba_stays_usable_after_a_chart_has_switched_variants() -> None:
     stability.mitsuba_render(stability.ball_on_ground(), "scalar_rgb")
     assert use().variant == mi.variant()
+
+
+@pytest.mark.parametrize(
+    "module", ["ablation", "benchmark", "regenerate", "report", "speed_accuracy", "stability"]
+)
+def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, module: str) -> None:
+    (tmp_path / "mitsuba.py").write_text("raise ModuleNotFoundError('No module named mitsuba')")
+    done = subprocess.run(
+        [sys.executable, "-m", f"reference.{module}"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        check=False,
+    )
+    told = "No module named mitsuba; install it with pip install -e '.[reference]'\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", told)
