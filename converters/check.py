@@ -27,7 +27,8 @@ from reference.compare import Figures, figures
 from reference.oracle import Oracle
 from tracer.arrays import Bools, Floats
 from tracer.image import whole_file
-from tracer.reader import load_scene, printable
+from tracer.messages import printable
+from tracer.reader import load_scene
 from tracer.rendering import render
 from tracer.scene import Scene
 
@@ -329,9 +330,9 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
-    mask, reference, unit = edge_mask(scene, image), rendering.image.copy(), _unit(image)
+    reference, unit = rendering.image.copy(), _unit(image)
     differs = np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit
-    mask &= differs
+    mask = differs & edge_mask(scene, image) if differs.any() else differs.copy()
     reasons = doubts(scene) if differs.any() else ()
     if not reasons:
         differs &= ~mask

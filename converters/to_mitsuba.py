@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from tracer.command import at_least, begin, end, heed_signals, is_folder, named, say, targets
+from tracer.messages import printable
 
 __all__ = ["main", "run"]
 
@@ -62,6 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
+    except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
+        say(sys.stderr, f"{error}; install it with pip install -e .")
+        return 1
     except KeyboardInterrupt:
         return 130
     return 0 if all(done) else 1
@@ -69,11 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _ready(variant: str | None) -> bool:
     """Choose Mitsuba's variant; say which it is, or why there is none."""
-    from tracer.reader import printable
-
     try:
-        for module in ("skimage", "converters.check"):  # and all that it needs
-            import_module(module)
+        import_module("converters.check")  # and all that it needs
         from converters.variant import use
 
         begin()
@@ -160,15 +161,13 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
 
 
 def _say_unwritten(path: Path, error: OSError) -> None:
-    from tracer.reader import printable
-
     say(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import WRITTEN, exact, stock
     from tracer.image import whole_file
-    from tracer.reader import load_scene, printable
+    from tracer.reader import load_scene
 
     begin()
     name, flavour = ("exact", exact) if options.exact else ("stock", stock)
@@ -183,7 +182,7 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.check import render_mitsuba, write_exr
     from tracer.image import write_png
-    from tracer.reader import load_scene, printable
+    from tracer.reader import load_scene
 
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)
@@ -201,7 +200,6 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.check import check
     from reference.compare import write_comparison
-    from tracer.reader import printable
 
     result = check(path, options.variant)
     write_comparison(

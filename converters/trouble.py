@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 
-from tracer.reader import SceneFileError, printable
+from tracer.messages import printable
+from tracer.reader import SceneFileError
 
 __all__ = ["TROUBLE", "told"]
 

@@ -20,7 +20,7 @@ try:
 except NameError as error:  # so drjit ends where a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
-__all__ = ["LLVM", "SCALAR", "Choice", "choose", "use"]
+__all__ = ["LLVM", "SCALAR", "Choice", "choose", "mi", "use"]
 
 LLVM = "llvm_ad_rgb"
 SCALAR = "scalar_rgb"

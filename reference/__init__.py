@@ -9,11 +9,15 @@ __all__: list[str] = []
 
 
 def _told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Show an uncaught exception: in a line, if a package is not installed."""
-    if issubclass(kind, ModuleNotFoundError):
-        print(f"{error}; install it with pip install -e '.[reference]'", file=sys.stderr)
-    else:
+    """Show an uncaught exception, and end with status 1; in a line, and 2, if a package lacks."""
+    if not issubclass(kind, ImportError):
         sys.__excepthook__(kind, error, trace)
+        return
+    missing = issubclass(kind, ModuleNotFoundError)
+    remedy = "; install it with pip install -e '.[reference]'" if missing else ""
+    print(f"{error}{remedy}", file=sys.stderr)
+    # Not 1, which says that pictures differ.
+    raise SystemExit(2)
 
 
 # As a command: python -m has not yet found which module to run.  Who imports this package as a

@@ -23,11 +23,10 @@ from statistics import geometric_mean
 from time import perf_counter, sleep
 from typing import Any, TypeAlias
 
-import mitsuba as mi
 import numpy as np
 
 from converters.flavours import exact, stock
-from converters.variant import use
+from converters.variant import mi, use
 from reference import machine, minimal, rivals
 from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Table, quote, times, write_records

@@ -11,7 +11,7 @@ from typing import NoReturn
 from tqdm import tqdm
 
 from tracer.command import end, no_folder
-from tracer.reader import printable
+from tracer.messages import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0

@@ -16,18 +16,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from skimage.metrics import structural_similarity
 
 from reference.command import run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
 from tracer.command import is_folder, named, say
 from tracer.image import PNG, quantise, whole_file
-from tracer.reader import printable
+from tracer.messages import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
-
-# What is no part of the tracer's own installation is imported where it is used: the command can
-# then tell what is missing, and does not end with the status of pictures that differ.
 
 # SSIM's window (Z. Wang et al., Image quality assessment, IEEE TIP 13(4), 2004).
 _WINDOW = 7
@@ -93,8 +92,6 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     ValueError
         If the shapes differ, a value is not finite, or every pixel is masked.
     """
-    from skimage.metrics import structural_similarity
-
     if a.shape != b.shape:
         raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
@@ -139,8 +136,6 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     OSError
         If the file cannot be written.
     """
-    from PIL import Image, ImageDraw, ImageFont
-
     if a.shape != b.shape:
         raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
     shown, gain = amplified(a, b)
@@ -218,8 +213,6 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
     OSError, ValueError
         If it cannot be read, or has more than 8 bits a channel.
     """
-    from PIL import Image
-
     if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
     try:
@@ -236,15 +229,13 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
     return np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
 
 
-def _note(path: Path) -> str:
+def _note(name: str, path: Path) -> str:
     """What a file's format may have done to the levels of its picture; empty if nothing."""
-    from PIL import Image
-
     with Image.open(path, formats=_FORMATS) as image:
         if image.format in ("JPEG", "WEBP"):
-            return f"A is a {image.format}, which changes levels: save it as PNG."
+            return f"{name} is a {image.format}, which may change levels: save it as PNG."
         if image.mode in ("P", "PA"):
-            return "A has a palette, of 256 colours at most: save it as RGB."
+            return f"{name} has a palette, of 256 colours at most: save it as RGB."
         return ""
 
 
@@ -299,9 +290,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     spare_inputs(parser, output, (options.a, options.b))
     try:
         return _compare(options, output)
-    except ModuleNotFoundError as error:
-        say(sys.stderr, f"{error}; install it with pip install -e '.[reference]'")
-        return 2
     except MemoryError:
         say(sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part"))
         return 2
@@ -327,7 +315,8 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
     except OSError as error:
         say(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
         return 2
-    notes = [_note(options.a)] if diagnosis.kind != "identical" else []
+    named_files = (("A", options.a), ("B", options.b)) if diagnosis.kind != "identical" else ()
+    notes = [_note(name, path) for name, path in named_files]
     for line in (str(result), diagnosis.text, *filter(None, notes), printable(str(output))):
         say(sys.stdout, line)
     if options.ssim is None and options.max is None:

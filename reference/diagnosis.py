@@ -91,8 +91,6 @@ def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
         return Diagnosis("black", "A is black.")
     if not b.any():
         return Diagnosis("black", "B is black, and A is not.")
-    if not np.ptp(x, axis=2).any() and np.ptp(y, axis=2).any():
-        return Diagnosis("grey", "A is grey, as where one channel stands for all; B has colours.")
     differing = int(np.count_nonzero((difference > 1).any(axis=2)))
     best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
     if _unexplained(x, best) <= _EXACT * differing:
@@ -169,6 +167,10 @@ def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
                 text = f"A is shifted by {_way(right, down)}."
                 yield _Hypothesis("shifted", text, *_around(b, [(right, down)]))
     yield from _tones(a, b)
+    if not np.ptp(a, axis=2).any():
+        text = "A is grey, as where one channel stands for all; B has colours."
+        low, high = b.min(axis=2, keepdims=True), b.max(axis=2, keepdims=True)
+        yield _Hypothesis("grey", text, low - 1.0, high + 1.0)
     full = b == 255
     text = "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap round."
     yield _Hypothesis("unclipped", text, np.where(full, 0, b - 1.0), np.where(full, 255, b + 1.0))

@@ -29,7 +29,7 @@ from reference.compare import amplified
 from reference.machine import describe
 from tracer.command import say
 from tracer.image import quantise, whole_file
-from tracer.reader import printable
+from tracer.messages import printable
 
 __all__ = ["main", "page"]
 

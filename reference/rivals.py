@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from converters.flavours import exact, normalisation, stock
-from converters.variant import use
+from converters.variant import mi, use
 from reference.command import built
 from reference.povray import to_pov
 from tracer.arrays import Floats

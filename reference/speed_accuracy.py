@@ -25,11 +25,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import mitsuba as mi
 import numpy as np
 from tqdm import tqdm
 
-from converters.variant import LLVM, SCALAR, use
+from converters.variant import LLVM, SCALAR, mi, use
 from reference import alternatives, machine, rivals
 from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
 from reference.command import SCENES, built, need_scenes, parser, result, run

@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 import converters.plugins  # noqa: F401 (registers the light without fall-off)
-from converters.variant import LLVM, SCALAR, use
+from converters.variant import LLVM, SCALAR, mi, use
 from reference import alternatives, machine
 from reference.alternatives import closest_approach, exactly, expanded, float32, float64, textbook
 from reference.charts import (

@@ -475,17 +475,17 @@ IMAGES = [
     ("4.0 3", "needs two whole numbers, width and height, as in 640 480; has '4.0 3'"),
     ("1e2 3", "needs two whole numbers, width and height, as in 640 480; has '1e2 3'"),
     ("4 3 2", "needs two whole numbers, width and height, as in 640 480; has '4 3 2'"),
-    ("0 3", "width must be a whole number of at least 1, is 0"),
-    ("4 -3", "height must be a whole number of at least 1, is -3"),
+    ("0 3", "width: must be a whole number of at least 1, is 0"),
+    ("4 -3", "height: must be a whole number of at least 1, is -3"),
     (
         "16384 16385",
-        "16384 x 16385 pixels are too many: the picture would take 6 GiB of memory;"
+        "width, height: 16384 x 16385 pixels are too many: the picture would take 6 GiB of memory;"
         " at most 268435456 pixels are allowed",
     ),
     (
         "1000000 1000000",
-        "1000000 x 1000000 pixels are too many: the picture would take 2.24e+04 GiB of memory;"
-        " at most 268435456 pixels are allowed",
+        "width, height: 1000000 x 1000000 pixels are too many: the picture would take 2.24e+04 GiB"
+        " of memory; at most 268435456 pixels are allowed",
     ),
     (
         f"1{'0' * 5000} 1",

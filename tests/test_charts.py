@@ -444,4 +444,4 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, mod
         check=False,
     )
     told = "No module named mitsuba; install it with pip install -e '.[reference]'\n"
-    assert (done.returncode, done.stdout, done.stderr) == (1, "", told)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", told)

@@ -130,6 +130,22 @@ def test_without_numpy(scene):
     assert done.stderr == "No module named 'numpy'; install it with python -m pip install numpy\n"
 
 
+def test_wrong_usage_without_numpy(scene):
+    (scene.parent / "numpy.py").write_text("raise ModuleNotFoundError")
+    done = run("ball.xml", "-o", "ball.xml", cwd=scene.parent)
+    assert done.returncode == 2
+    assert done.stderr.endswith("this would replace a scene; choose another with -o\n")
+
+
+def test_half_of_numpy(scene):
+    missing = "numpy._core.gone"
+    stub = f"raise ModuleNotFoundError('No module named {missing}', name='{missing}')"
+    (scene.parent / "numpy.py").write_text(stub)
+    done = run("ball.xml", cwd=scene.parent)
+    told = f"No module named {missing}; install it with python -m pip install numpy\n"
+    assert (done.returncode, done.stderr) == (1, told)
+
+
 def test_version():
     done = run("--version")
     assert (done.returncode, done.stdout) == (0, f"tracer {tracer.__version__}\n")

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 from functools import cache
 from itertools import permutations
 from pathlib import Path
@@ -284,6 +285,22 @@ def test_transposed() -> None:
 def test_grey(right: Image8) -> None:
     grey = np.repeat(right.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
     assert diagnose(grey, right).kind == "grey"
+    assert diagnose(right, grey).kind != "grey"
+
+
+def test_a_grey_picture_that_lacks_a_colour_for_another_reason() -> None:
+    white = tracer.Scene(
+        width=60,
+        height=40,
+        lights=[tracer.PointLight(position=(0, 5, 9))],
+        surfaces=[tracer.Sphere(center=(-0.5, 0, -3), radius=0.5)],
+    )
+    red = tracer.Lambertian(diffuse=(1, 0.2, 0.2))
+    both = [*white.surfaces, tracer.Sphere(center=(0.8, 0, -3), radius=0.5, shader=red)]
+    right = codes(tracer.render(replace(white, surfaces=both)))
+    found = diagnose(codes(tracer.render(white)), right)
+    assert found.kind != "grey"
+    assert "lacks" in found.text
 
 
 def test_background(right: Image8) -> None:
@@ -476,7 +493,7 @@ def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, module
 @pytest.mark.parametrize(
     ("suffix", "mode", "note"),
     [
-        ("jpg", "RGB", "A is a JPEG, which changes levels: save it as PNG."),
+        ("jpg", "RGB", "A is a JPEG, which may change levels: save it as PNG."),
         ("gif", "P", "A has a palette, of 256 colours at most: save it as RGB."),
         ("png", "P", "A has a palette, of 256 colours at most: save it as RGB."),
         ("png", "RGB", None),

@@ -309,6 +309,14 @@ def test_converting_needs_no_mitsuba(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "Mitsuba cannot run: not installed\n")
 
 
+@pytest.mark.parametrize("option", ["--exact", "--check"])
+def test_without_numpy(tmp_path: Path, option: str) -> None:
+    (tmp_path / "numpy.py").write_text("raise ModuleNotFoundError('No module named numpy')")
+    done = run(option, str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1
+    assert re.fullmatch("(.*: )?No module named numpy; install it with .*\n", done.stderr)
+
+
 @pytest.mark.parametrize(
     ("module", "stub", "told"),
     [

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from tracer import __version__
 from tracer.command import at_least, begin, heed_signals, is_folder, named, say, targets
+from tracer.messages import printable
 
 if TYPE_CHECKING:
     from tracer.image import Packed
@@ -74,7 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 failures += 1
         return min(failures, 1)
     except ModuleNotFoundError as error:
-        say(sys.stderr, f"{error}; install it with python -m pip install {error.name}")
+        package = (error.name or "numpy").partition(".")[0]
+        say(sys.stderr, f"{error}; install it with python -m pip install {package}")
         return 1
     except KeyboardInterrupt:
         return 130
@@ -119,7 +121,7 @@ def _parser() -> argparse.ArgumentParser:
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
     from tracer.image import packed, write_bands
-    from tracer.reader import SceneFileError, load_scene, printable
+    from tracer.reader import SceneFileError, load_scene
     from tracer.rendering import render_each
 
     begin()

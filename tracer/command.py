@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import NoReturn, TextIO
 
+from tracer.messages import printable
+
 __all__ = [
     "at_least",
     "begin",
@@ -90,12 +92,12 @@ def targets(
                 taken[place] = scene
     except OSError as error:
         parser.exit(1, no_folder(error) + "\n")
+    except ValueError as error:  # a NUL
+        _misused(parser, f"no such name: {error}")
     return found
 
 
 def _misused(parser: argparse.ArgumentParser, wrong: str) -> NoReturn:
-    from tracer.reader import printable
-
     parser.error(printable(wrong))
 
 

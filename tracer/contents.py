@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 
+from tracer.messages import quoted, short
 from tracer.scene import (
     MAX_PIXELS,
     Camera,
@@ -41,8 +42,6 @@ __all__ = [
     "Faults",
     "GiveUp",
     "LineElement",
-    "quoted",
-    "short",
 ]
 
 MAX_FAULTS = 1_000
@@ -97,16 +96,6 @@ CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 _NAN = float("nan")
 
 _Made = TypeVar("_Made")
-
-
-def short(text: str) -> str:
-    """At most 40 characters of a name or text, for a message."""
-    return text if len(text) <= 40 else text[:37] + "..."
-
-
-def quoted(text: str) -> str:
-    """The same in quotes, on one line that any terminal can show."""
-    return repr(short(text))
 
 
 def _in_tags(fault: Fault) -> str:
@@ -584,7 +573,7 @@ class Contents:
             )
         except SceneError as error:
             for fault in error.faults:
-                self.fault(self.seen["image"], str(fault))
+                self.fault(self.seen["image"], f"image: {fault}")
         return None if self.faults.told else scene
 
     def all_surfaces(self) -> Surfaces:

@@ -34,7 +34,7 @@ _LEAST_ANGLE = 1e-5
 
 # With n objects an octant has 4 sqrt(n) cells along each side, up to the first of these; more
 # objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill: where
-# objects are so large that there would be more pairs of a cell and an object, for one light, than
+# objects are so large that their bounds would fill more cells, in all and for one light, than
 # `_PAIRS`, cells are larger.
 _SIDE_FEW, _SIDE_MOST = 128, 320
 _PAIRS = 1 << 21

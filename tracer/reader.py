@@ -26,15 +26,14 @@ from tracer.contents import (
     Faults,
     GiveUp,
     LineElement,
-    quoted,
-    short,
 )
+from tracer.messages import printable, quoted, short
 from tracer.scene import Scene
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "SceneFileError", "load_scene", "printable"]
+__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "SceneFileError", "load_scene"]
 
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""
@@ -117,11 +116,6 @@ def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Sce
         f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
         for line, message in sorted(faults.told, key=lambda fault: fault[0] or 0)
     )
-
-
-def printable(text: str) -> str:
-    """`text` in one line that any terminal can show: a new line becomes ``\\n``."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _opened(path: str, faults: Faults) -> IO[bytes]:

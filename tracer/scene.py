@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats, Ints
+from tracer.messages import number
 
 __all__ = [
     "LARGEST",
@@ -39,7 +40,6 @@ __all__ = [
     "Sphere",
     "Surfaces",
     "Vector",
-    "number",
     "unit",
 ]
 
@@ -84,11 +84,6 @@ class SceneError(ValueError):
     def __reduce__(self) -> tuple[Any, ...]:
         # By default an exception is copied as cls(*args), and `args` holds only the message.
         return type(self), (self.faults,), self.__dict__
-
-
-def number(value: float) -> str:
-    """A number as a person would write it: 3, 0.5, 1e+20."""
-    return f"{value}".removesuffix(".0")
 
 
 def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
@@ -216,13 +211,13 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
     try:
         size = int(operator.index(value))
     except TypeError:
-        faults.append(Fault("image", f"{name} must be an int, is {value!r}"))
+        faults.append(Fault(name, f"must be an int, is {value!r}"))
         return 1
     if size < 1:
-        faults.append(Fault("image", f"{name} must be a whole number of at least 1, is {size}"))
+        faults.append(Fault(name, f"must be a whole number of at least 1, is {size}"))
     elif size > MAX_PIXELS:
         # The message leaves it out: it may have more digits than float() or str() accepts.
-        faults.append(Fault("image", f"{name} must be at most {MAX_PIXELS}"))
+        faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
     return size
 
 
@@ -626,8 +621,8 @@ class Surfaces(Sequence[Sphere | Box]):
         return self._surface(at)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
-        # All at once: to look for each takes as long as there are surfaces.
-        return iter(self[:])
+        # In order from the start: to look for each takes as long as there are surfaces.
+        return map(self._surface, np.argsort(self.file_index).tolist())
 
     def _surface(self, at: int) -> Sphere | Box:
         """One by its place in the arrays, spheres first."""
@@ -660,7 +655,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def __hash__(self) -> int:
         # Length and first surface are enough for a hash: all the arrays would take long.
-        return hash((len(self), self[:1]))
+        return hash((len(self), self[0] if len(self) else None))
 
     def __repr__(self) -> str:
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
@@ -702,7 +697,7 @@ class Scene:
             gib = width * height * 24 / 2**30
             faults.append(
                 Fault(
-                    "image",
+                    "width, height",
                     f"{width} x {height} pixels are too many: the picture would take"
                     f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed",
                 )
