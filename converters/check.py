@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
+from math import isqrt
 from pathlib import Path
 from time import perf_counter
 
@@ -73,6 +74,9 @@ _LARGEST = 1e4
 # The oracle, being slow, judges at most this many pixels.  If more differ, or if nothing is known
 # to be hard for Mitsuba, that stays the judge, and the oracle is asked about some of them.
 _MOST_JUDGED, _MOST_ASKED = 20_000, 200
+
+# More samples in a picture than Mitsuba counts, in 32 bits, would end in a riddle.
+_MOST_SAMPLES = 2**32 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +213,15 @@ def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -
     ------
     ImportError
         If the given variant does not work here.
+    ValueError
+        If the samples are more than Mitsuba can count, or a number is beyond those of float32.
     """
+    every = scene.width * scene.height * (isqrt(samples - 1) + 1) ** 2
+    if every > _MOST_SAMPLES:
+        raise ValueError(
+            f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
+            " use fewer a pixel"
+        )
     return _loaded(exact(scene, samples), variant)().image
 
 

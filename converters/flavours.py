@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan, degrees
 from xml.sax.saxutils import quoteattr
 
@@ -12,7 +12,7 @@ import numpy as np
 from converters.visible import bounds, visible_points, window_point
 from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader
+from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader, Surfaces
 
 __all__ = ["WRITTEN", "Normalisation", "exact", "normalisation", "square_height", "stock"]
 
@@ -28,6 +28,11 @@ _TOLERANCE_ROUNDINGS = 100
 # With what is seen of this size, and no farther from the origin than so many times that, float32
 # is accurate enough for a stock scene in the file's own coordinates.
 _OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
+
+# Largest sphere of a stock scene, and least share of its size that a scene is given on its account.
+# Hit points err by some 1e-7 of a radius; Mitsuba starts shadow rays 1e-4 above a surface, even if
+# all is small.
+_LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
 
 # The largest float32.
 _LARGEST = float(np.finfo(np.float32).max)
@@ -59,8 +64,17 @@ def normalisation(scene: Scene) -> Normalisation:
     return Normalisation((low + high) / 2, _EXTENT / extent if extent > 0 else 1.0)
 
 
-def _own_or_normalised(scene: Scene) -> Normalisation:
+def _stock_place(scene: Scene) -> Normalisation:
     """The file's own coordinates, unless float32 would spoil the picture in them."""
+    place = _own_or_normalised(scene)
+    largest = place.scale * float(scene.surfaces.radius.max(initial=0))
+    if largest <= _LARGEST_RADIUS:
+        return place
+    return replace(place, scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
+
+
+def _own_or_normalised(scene: Scene) -> Normalisation:
+    """The file's own coordinates, if what is seen is of a usual size and near the origin."""
     place = normalisation(scene)
     least, most = _OWN_EXTENT
     near = np.abs(place.center).max() * place.scale <= _OWN_OFFSET * _EXTENT
@@ -177,11 +191,12 @@ def _cubes(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[
         yield _plugin("shape", "cube", to_world, refs[shader])
 
 
-def _bsdf_names(shaders: Sequence[Shader]) -> tuple[list[str], dict[str, Shader]]:
-    """The name of each shader's BSDF, and what each name stands for; equal shaders share one."""
+def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
+    """The name of each shader's BSDF, and what each name in use stands for; equals share one."""
     named: dict[Shader, str] = {}
-    names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in shaders]
-    return names, {name: shader for shader, name in named.items()}
+    names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
+    used = {names[shader] for shader in np.unique(surfaces.shader_index).tolist()}
+    return names, {name: shader for shader, name in named.items() if name in used}
 
 
 def _document(comment: str, parts: Sequence[str]) -> str:
@@ -228,7 +243,7 @@ def exact(scene: Scene, samples: int = 1) -> str:
         If a number is beyond those of float32.
     """
     place = normalisation(scene)
-    names, bsdfs = _bsdf_names(scene.surfaces.shaders)
+    names, bsdfs = _bsdf_names(scene.surfaces)
     parts = [
         _exact_integrator(scene, place),
         _exact_sensor(scene, place, samples),
@@ -343,13 +358,13 @@ def stock(scene: Scene, samples: int = 64) -> str:
     ValueError
         If a number is beyond those of float32, or the picture is too large.
     """
-    names, bsdfs = _bsdf_names(scene.surfaces.shaders)
+    names, bsdfs = _bsdf_names(scene.surfaces)
     height = square_height(scene)
     gain = _gain(bsdfs.values())
     seen = visible_points(scene)
     if not len(seen):
         seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
-    place = _own_or_normalised(scene)
+    place = _stock_place(scene)
     parts = [
         _stock_integrator(),
         _stock_sensor(scene, place, height, samples),

@@ -113,8 +113,12 @@ class UnattenuatedPoint(mi.Emitter):
         ds.pdf = 1
         ds.uv = mi.Point2f(0)
         to_light = self.position - it.p
-        ds.dist = dr.norm(to_light)
-        ds.d = to_light / dr.select(ds.dist > 0, ds.dist, 1)
+        # Divided by its largest component, so that no square overflows: a sun is far away.
+        largest = dr.max(dr.abs(to_light))
+        to_light /= dr.select(largest > 0, largest, 1)
+        length = dr.norm(to_light)
+        ds.dist = length * largest
+        ds.d = to_light / dr.select(length > 0, length, 1)
         ds.n = mi.Normal3f(-ds.d)
         return ds, dr.select(active, self.intensity, 0)
 

@@ -91,9 +91,11 @@ def _ready(variant: str | None) -> bool:
 def _png_and_exr(target: str) -> tuple[Path, Path]:
     """The two files of a rendering, either of which -o may name."""
     path = Path(target)
-    if path.suffix == ".exr":
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
         return path.with_suffix(".png"), path
-    return path, path.with_suffix(".exr")
+    # Only what names the format is replaced: room.v1 and room.v2 have their own.
+    return path, path.with_suffix(".exr") if suffix == ".png" else Path(f"{path}.exr")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -193,7 +195,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         except OSError as error:
             _say_unwritten(written, error)
             return False
-    say(sys.stdout, printable(f"{png} and .exr: {scene.width} x {scene.height}"))
+    say(sys.stdout, printable(f"{png} and {exr.name}: {scene.width} x {scene.height}"))
     return True
 
 

@@ -17,6 +17,9 @@ def told(path: str | os.PathLike[str], error: BaseException) -> str:
     """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
     if isinstance(error, SceneFileError):
         return str(error)
+    # Of what fails while it renders, drjit says only that it does.
+    while isinstance(error, RuntimeError) and error.__cause__ is not None:
+        error = error.__cause__
     if isinstance(error, (ChildProcessError, MemoryError)):  # the system kills who takes too much
         reason = "not enough memory; make the image smaller"
     else:

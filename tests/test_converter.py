@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -366,6 +367,16 @@ def test_either_file_of_a_rendering_may_be_named(small: Path, name: str) -> None
     use()
 
 
+def test_names_with_dots_have_an_exr_each(small: Path) -> None:
+    for name in ("room.v1", "room.v2", "A.EXR"):
+        done = ["--render", "--variant", SCALAR, str(small), "-o", str(small.with_name(name))]
+        assert main(done) == 0
+    names = {path.name for path in small.parent.iterdir()} - {"small.xml"}
+    assert names == {"room.v1", "room.v1.exr", "room.v2", "room.v2.exr", "A.png", "A.EXR"}
+    assert small.with_name("A.EXR").read_bytes().startswith(b"\x76\x2f\x31\x01")
+    use()
+
+
 def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
     done = run("--check", str(ONE_SPHERE), "-o", f"{tmp_path}/", DRJIT_LIBLLVM_PATH="/nonexistent")
     assert done.returncode == 0, done.stderr
@@ -540,6 +551,48 @@ def test_stock_pictures_at_any_scale_and_place(scale: float, offset: float) -> N
         for s in (scene, moved(scene, scale, offset))
     )
     assert figures(there, here).ssim > 0.99
+
+
+def test_a_large_ground_is_not_speckled_in_the_stock_flavour() -> None:
+    """Hit points err by a part of its radius, which Mitsuba's shadow rays do not heed."""
+    ground, ball = Sphere(center=(0, -1e4, 0), radius=1e4), Sphere(center=(0, 0.3, -1), radius=0.5)
+    scene = Scene(
+        camera=Camera(view_point=(0, 1, 5)),
+        width=60,
+        height=60,
+        lights=(PointLight(position=(3, 6, 4)),),
+        surfaces=(ground, ball),
+    )
+    use()
+    mi = importlib.import_module("mitsuba")
+    image = np.array(mi.render(mi.load_string(stock(scene, 16))), dtype=np.float64)
+    # It differs as the flavour does, whose light falls off.
+    assert image.mean() == pytest.approx(render(scene).mean(), rel=0.1)
+    assert figures(image, render(scene, samples=16)).ssim > 0.85
+
+
+def test_a_light_may_be_as_far_away_as_the_sun() -> None:
+    far = PointLight(position=(3e20, 5e20, 4e20))
+    scene = replace(scene_of(Sphere()), lights=(far,))
+    use()
+    np.testing.assert_allclose(render_mitsuba(scene), render(scene), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("flavour", [stock, exact])
+def test_what_nothing_is_made_of_is_left_out(flavour: Callable[[Scene], str]) -> None:
+    odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
+    surfaces = Surfaces(
+        center=np.zeros((1, 3)), radius=np.ones(1), sphere_shader=[1], shaders=[odd, plain]
+    )
+    scene = Scene(width=8, height=8, surfaces=surfaces)
+    assert flavour(scene) == flavour(replace(scene, surfaces=[Sphere(shader=plain)])).replace(
+        "bsdf0", "bsdf1"
+    )
+
+
+def test_more_samples_than_mitsuba_can_count() -> None:
+    with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
+        render_mitsuba(replace(scene_of(), width=4, height=4), samples=1 << 28)
 
 
 def test_stock_scenes_stay_where_they_are() -> None:
