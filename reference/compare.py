@@ -317,7 +317,7 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
         return 2
     named_files = (("A", options.a), ("B", options.b)) if diagnosis.kind != "identical" else ()
     notes = [_note(name, path) for name, path in named_files]
-    for line in (str(result), diagnosis.text, *filter(None, notes), printable(str(output))):
+    for line in (str(result), *filter(None, notes), diagnosis.text, printable(str(output))):
         say(sys.stdout, line)
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")

@@ -37,6 +37,8 @@ _NEARLY_ALL = 0.95
 _FEW = 0.001
 # A difference ends sharply if, where it ends, it is larger than this part of its maximum.
 _SHARP = 0.22
+# The outline is another if more than this part of the differing pixels is black in one picture.
+_OUTLINE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,8 @@ def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
         return Diagnosis("black", "A is black.")
     if not b.any():
         return Diagnosis("black", "B is black, and A is not.")
+    if not np.ptp(x, axis=(0, 1)).any():
+        return Diagnosis("flat", "A has one colour everywhere.")
     differing = int(np.count_nonzero((difference > 1).any(axis=2)))
     best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
     if _unexplained(x, best) <= _EXACT * differing:
@@ -311,13 +315,13 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
         return Diagnosis(
             "edges",
             "Only edges differ: A or B is anti-aliased, samples lie elsewhere in the pixel, or"
-            " shadows are moved by an offset.",
+            " shadows are moved, by an offset or by a light that is elsewhere.",
         )
     if few:
         return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
     same_outline = np.mean(a.any(axis=2) == b.any(axis=2)) > 0.99
-    # An ambient term lights what is black in B as well.
-    if (same_outline or brighter) and differs[~empty].mean() > 0.97:
+    # An ambient term lights what is black as well.
+    if (same_outline or brighter or darker) and differs[~empty].mean() > 0.97:
         if brighter:
             return Diagnosis(
                 "brightness",
@@ -326,7 +330,7 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
         return Diagnosis(
             "brightness",
             "Everything is lit otherwise, not by one factor: lights that fall off with distance,"
-            " or other colours.",
+            " an ambient term that A lacks, or other colours.",
         )
     if brighter or darker:
         return _one_sided(a, b, differs, brighter=brighter)
@@ -339,25 +343,31 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
 
 def _one_sided(a: Codes, b: Codes, differs: Bools, *, brighter: bool) -> Diagnosis:
     """Diagnosis of a part of A that is brighter than in B, or darker, by how it ends."""
+    word, lights = ("larger", "has a light too many") if brighter else ("smaller", "lacks a light")
+    of_size = f"are {word} in A: look at radii, the eye and the window"
+    outline = (a.any(axis=2) != b.any(axis=2))[differs].mean() > _OUTLINE
     size = np.abs(linear(a) - linear(b)).mean(axis=2)
     if _sharpness(a, b, differs, size) > _SHARP:
         if brighter:
-            return Diagnosis(
-                "missing shadows",
+            kind = "missing shadows"
+            text = (
                 f"Shadows are missing in A ({differs.mean():.1%} of its pixels), or it has a light"
-                " or an object too many, or much wider highlights.",
+                " or an object too many, or much wider highlights."
             )
-        return Diagnosis(
-            "extra shadows",
-            "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a"
-            " light, an object or a part of its highlights.",
-        )
+        else:
+            kind = "extra shadows"
+            text = (
+                "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a"
+                " light, an object or a part of its highlights."
+            )
+        # A single light's shadows are as black as what is behind all objects.
+        return Diagnosis(kind, f"{text} Or objects {of_size}." if outline else text)
+    if outline:
+        return Diagnosis("outline", f"Objects {of_size}; or it {lights}.")
     if brighter:
-        return Diagnosis(
-            "highlights", "Highlights are stronger or larger in A, or it has a light too many."
-        )
+        return Diagnosis("highlights", f"Highlights are stronger or larger in A, or it {lights}.")
     return Diagnosis(
-        "missing highlight", "Highlights are missing, or weaker, in A, or it lacks a light."
+        "missing highlight", f"Highlights are missing, or weaker, in A, or it {lights}."
     )
 
 
