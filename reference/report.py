@@ -10,8 +10,8 @@ import argparse
 import base64
 import html
 import io
-import re
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,14 +27,14 @@ from converters.variant import use
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
-from tracer.command import say
+from tracer.command import is_folder, named, say
 from tracer.image import quantise, whole_file
 from tracer.messages import printable
 
 __all__ = ["main", "page"]
 
-# How each report begins, as the template does.
-_HTML = b"<!doctype html>"
+# What a report is called in a folder, and how each begins, as the template does.
+_NAME, _HTML = "report.html", b"<!doctype html>"
 
 TEMPLATE = HERE / "report-template.html"
 
@@ -227,9 +227,14 @@ def _lines(text: str) -> str:
 
 
 def _comment(path: Path) -> str:
-    """The comment at the head of a scene file, on one line."""
-    found = re.search(r"<!--(.*?)-->", path.read_text(encoding="utf-8", errors="replace"), re.S)
-    return " ".join(found.group(1).split()) if found else ""
+    """The comment at the head of a scene file, before the first part of the scene, on one line."""
+    with path.open("rb") as file:
+        for number, (event, element) in enumerate(ET.iterparse(file, ("comment", "start"))):
+            if event == "comment":
+                return " ".join((element.text or "").split())
+            if number:
+                break
+    return ""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -242,14 +247,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
     parser.add_argument(
-        "-o", "--output", type=Path, default=BUILD / "report.html", help="(%(default)s)"
+        "-o",
+        "--output",
+        type=named,
+        metavar="PATH",
+        default=str(BUILD / _NAME),
+        help="the page to write, or a folder for it (%(default)s)",
     )
     parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = parser.parse_args(arguments)
     if not options.scenes:
         need_scenes(parser)
     paths = sorted({*(options.scenes or own_scenes())})
-    spare_inputs(parser, options.output, (*paths, TEMPLATE, *CHARTS.values()))
+    output = Path(options.output, _NAME if is_folder(options.output) else "")
+    spare_inputs(parser, output, (*paths, TEMPLATE, *CHARTS.values()))
     try:
         use(options.variant)
     except ImportError as error:
@@ -270,14 +281,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
     text = page(results, comments, charts, unread)
     try:
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(options.output, _HTML) as file:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(output, _HTML) as file:
             file.write(text.encode())
     except OSError as error:
         reason = error.strerror or error
-        say(sys.stderr, printable(f"{options.output}: cannot be written: {reason}"))
+        say(sys.stderr, printable(f"{output}: cannot be written: {reason}"))
         return 1
-    say(sys.stdout, printable(str(options.output)))
+    say(sys.stdout, printable(str(output)))
     return int(bool(unread) or any(result.faults for result in results))
 
 

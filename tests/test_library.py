@@ -90,6 +90,7 @@ def test_a_size_may_be_true() -> None:
         ("4", "must be an int, is '4'"),
         (None, "must be an int, is None"),
         (np.int8(-4), "must be a whole number of at least 1, is -4"),
+        pytest.param(-(10**5000), "must be a whole number of at least 1", id="many digits below"),
         pytest.param(10**5000, f"must be at most {MAX_PIXELS}", id="many digits"),
     ],
 )
@@ -98,6 +99,30 @@ def test_sizes_that_are_none(width: Any, fault: str) -> None:
         Scene(width=width, height=0)
     told = [f"width: {fault}", "height: must be a whole number of at least 1, is 0"]
     assert str(bad.value).splitlines() == told
+
+
+def test_numbers_that_are_none() -> None:
+    """NumPy would make them NaN, or drop their imaginary parts."""
+    for value in (None, np.complex128(1 + 2j), np.datetime64("2000-01-01")):
+        with pytest.raises(SceneError, match=r"^radius: must be given in numbers, is "):
+            Sphere(radius=value)
+    with pytest.raises(SceneError, match=r"^center: must be given in numbers, is "):
+        Sphere(center=np.array([1j, 2, 3]))
+
+
+@pytest.mark.parametrize("one", [Sphere(), None, 5])
+def test_one_in_place_of_a_list(one: Any) -> None:
+    with pytest.raises(SceneError) as bad:
+        Scene(width="a", height=8, camera=3, lights=one, surfaces=one)  # type: ignore[arg-type]
+    kind = type(one).__name__
+    assert str(bad.value).splitlines() == [
+        "camera: must be of type Camera, is of type int",
+        f"lights: must be a list, is of type {kind}",
+        f"surfaces: must be a list, is of type {kind}",
+        "width: must be an int, is 'a'",
+    ]
+    with pytest.raises(SceneError, match=r"^shaders: must be a list, is of type "):
+        Surfaces(shaders=one)
 
 
 def test_too_many_pixels_are_counted_without_overflow() -> None:

@@ -123,6 +123,27 @@ def small(tmp_path: Path) -> Path:
     return small_one(tmp_path, "16 12")
 
 
+@pytest.mark.parametrize(
+    ("encoding", "before", "within", "shown"),
+    [
+        ("latin-1", "<!-- Kugel für Übung -->", "<!-- later -->", "Kugel für Übung"),
+        ("utf-16", "<!-- Kugel für Übung -->", "", "Kugel für Übung"),
+        ("utf-8", "", "<!-- ask somebody -->", ""),
+    ],
+)
+def test_what_a_scene_shows_is_its_first_comment(
+    tmp_path: Path, encoding: str, before: str, within: str, shown: str
+) -> None:
+    scene = f"<image>9 9</image><camera/>{within}<surface type='Sphere'/>"
+    text = f"<?xml version='1.0' encoding='{encoding}'?>{before}<scene>{scene}</scene>"
+    (tmp_path / "a.xml").write_text(text, encoding=encoding)
+    folder = tmp_path / "new"
+    assert main(["--variant", "scalar_rgb", str(tmp_path / "a.xml"), "-o", f"{folder}/"]) == 0
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    assert shown in html
+    assert "ask somebody" not in html
+
+
 @pytest.mark.parametrize("output", ["small.xml", "link.xml"])
 def test_scenes_are_not_replaced(
     small: Path, capsys: pytest.CaptureFixture[str], output: str

@@ -16,7 +16,7 @@ import operator
 import reprlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias, overload
+from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,8 @@ __all__ = [
 ]
 
 Vector: TypeAlias = tuple[float, float, float]
+
+_Part = TypeVar("_Part")
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
@@ -86,9 +88,15 @@ class SceneError(ValueError):
         return type(self), (self.faults,), self.__dict__
 
 
+_NUMPY = np.ndarray, np.generic
+
+
 def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
     """As an array; None after a fault."""
     try:
+        # NumPy would make these NaN, or drop a part of them.
+        if value is None or (isinstance(value, _NUMPY) and value.dtype.kind in "cmM"):
+            raise TypeError
         return np.asarray(value, dtype=np.float64)
     except OverflowError:
         faults.append(Fault(name, "must be finite"))
@@ -181,6 +189,20 @@ def _check_types(
             faults.append(Fault(name, f"must be of type {right}, is of type {kind.__name__}"))
 
 
+def _listed(
+    values: Iterable[_Part], types: tuple[type, ...], name: str, faults: list[Fault]
+) -> tuple[_Part, ...]:
+    """All of some values; none after a fault."""
+    try:
+        parts = tuple(values)
+    except TypeError:
+        faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
+        return ()
+    before = len(faults)
+    _check_types(parts, types, name, faults)
+    return parts if len(faults) == before else ()
+
+
 def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
     """A copy as (n, 3)."""
     array = _floats(value, name, faults)
@@ -213,10 +235,11 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
     except TypeError:
         faults.append(Fault(name, f"must be an int, is {value!r}"))
         return 1
+    # A message leaves out what may have more digits than float() or str() accepts.
     if size < 1:
-        faults.append(Fault(name, f"must be a whole number of at least 1, is {size}"))
+        has = f", is {size}" if size > -MAX_PIXELS else ""
+        faults.append(Fault(name, f"must be a whole number of at least 1{has}"))
     elif size > MAX_PIXELS:
-        # The message leaves it out: it may have more digits than float() or str() accepts.
         faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
     return size
 
@@ -511,7 +534,7 @@ class Surfaces(Sequence[Sphere | Box]):
             box_index = np.arange(spheres, spheres + boxes)
         self.sphere_index = _integers(sphere_index, "sphere_index", faults)
         self.box_index = _integers(box_index, "box_index", faults)
-        self.shaders = tuple(shaders)
+        self.shaders = _listed(shaders, (Lambertian, Phong), "shaders", faults)
         # What does not fit together cannot be checked further.
         faults = faults or self._misfits()
         if not faults:
@@ -535,7 +558,6 @@ class Surfaces(Sequence[Sphere | Box]):
             count, needed = len(getattr(self, name)), len(getattr(self, of))
             if count != needed:
                 faults.append(Fault(name, f"needs {needed}, as many as {of}; has {count}"))
-        _check_types(self.shaders, (Lambertian, Phong), "shaders", faults)
         for name in ("sphere_shader", "box_shader"):
             places = getattr(self, name)
             wrong = places[(places < 0) | (places >= len(self.shaders))]
@@ -570,9 +592,8 @@ class Surfaces(Sequence[Sphere | Box]):
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
-        items = tuple(surfaces)
         faults: list[Fault] = []
-        _check_types(items, (Sphere, Box), "surfaces", faults)
+        items = _listed(surfaces, (Sphere, Box), "surfaces", faults)
         if faults:
             raise SceneError(faults)
         # By identity: objects that share a shader keep sharing it.
@@ -687,11 +708,15 @@ class Scene:
     surfaces: Surfaces = field(default_factory=Surfaces)
 
     def __post_init__(self) -> None:
-        lights, surfaces, faults = tuple(self.lights), self.surfaces, list[Fault]()
-        if not isinstance(surfaces, Surfaces):
-            surfaces = Surfaces.of(surfaces)
+        faults: list[Fault] = []
         _check_types((self.camera,), (Camera,), "camera", faults)
-        _check_types(lights, (PointLight,), "lights", faults)
+        lights = _listed(self.lights, (PointLight,), "lights", faults)
+        surfaces = self.surfaces
+        if not isinstance(surfaces, Surfaces):
+            try:
+                surfaces = Surfaces.of(surfaces)
+            except SceneError as error:
+                faults += error.faults
         width, height = _size(self.width, "width", faults), _size(self.height, "height", faults)
         if not faults and width * height > MAX_PIXELS:
             gib = width * height * 24 / 2**30
