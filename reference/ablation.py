@@ -166,8 +166,8 @@ def _one_sample(quick: bool) -> Table:
     found = [_timed(scene, parts, 1, quick) for scene in scenes.values()]
     return Table(
         "One sample a pixel",
-        f"Milliseconds with all parts; then how many times as long it takes with a change, the"
-        f" fastest rounds compared. {wide[0]}×{wide[1]}, the small objects at 640×360.",
+        f"Milliseconds with all parts, in the fastest of up to {_MOST} rounds; then how many times"
+        f" as long it takes with a change. {wide[0]}×{wide[1]}, the small objects at 640×360.",
         ("change", *scenes),
         [(part.name, *(spent[part.name] for spent in found)) for part in parts],
     )
@@ -184,13 +184,13 @@ def _antialiased(quick: bool) -> Table:
     for name, scene in scenes.items():
         truth = Truth.of(scene, truth_side(quick))
         spent = _timed(scene, parts, _SAMPLES, quick)
-        header += [name, "RMSE"]
+        header += [name, f"{name}: RMSE"]
         for row, part in zip(rows, parts, strict=True):
             row += [spent[part.name], truth.error(_render(scene, part, _SAMPLES))]
     return Table(
         f"{_SAMPLES} samples a pixel",
-        "Milliseconds with all parts, then how many times as long, the fastest rounds compared;"
-        " and the error of each. 320×180.",
+        f"Milliseconds with all parts, in the fastest of up to {_MOST} rounds, then how many times"
+        " as long; and the error of each. 320×180.",
         tuple(header),
         [tuple(row) for row in rows],
     )
@@ -202,6 +202,8 @@ def _timed(scene: Scene, parts: Sequence[Part], samples: int, quick: bool) -> di
         part.name: on_copies(partial(_render, part=part, samples=samples), scene, _MOST)
         for part in parts
     }
+    for task in tasks.values():
+        task(-1)
     if quick:
         return interleaved(tasks, 1)
     return interleaved(tasks, _ROUNDS, most=_MOST, seconds=_ENOUGH)
@@ -213,21 +215,21 @@ def _render(scene: Scene, part: Part, samples: int) -> Floats:
 
 
 def _shown(table: Table) -> Table:
-    """Times of all rows but the first as multiples of it; errors with six decimals.
+    """Fastest times, in all rows but the first as multiples of it; errors with six decimals.
 
-    The fastest times are compared: what else the machine does only ever adds to a time, and parts
-    that gain a tenth would drown in it.
+    What else the machine does only ever adds to a time: parts that gain a tenth drown in medians.
     """
     every = table.rows[0]
 
     def cell(value: object, whole: object) -> object:
         if isinstance(value, float):
             return f"{value:.6f}"
-        if isinstance(value, Timing) and isinstance(whole, Timing) and value is not whole:
-            return times(value.low / whole.low)
+        if isinstance(value, Timing) and isinstance(whole, Timing):
+            return Timing.of([value.low]) if value is whole else times(value.low / whole.low)
         return value
 
-    return replace(table, rows=[tuple(map(cell, row, every)) for row in table.rows])
+    header = tuple(name.rpartition(": ")[2] for name in table.header)
+    return replace(table, header=header, rows=[tuple(map(cell, row, every)) for row in table.rows])
 
 
 def main() -> None:

@@ -77,6 +77,9 @@ _PIXELS = 1 << 14
 # The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
 _LEVEL = 1e-3
 
+# Errors within this factor pass for the same, where a curve ends; a speedup of no more is level.
+_NEAR, _AHEAD = 1.5, 1.1
+
 
 @dataclass(frozen=True, slots=True)
 class Point:
@@ -218,7 +221,7 @@ def _sweep(
         tasks = {
             curve: task
             for curve, task in tasks_of(k).items()
-            if len(spent[curve]) == k and _next(spent[curve]) <= _TOO_LONG
+            if len(spent[curve]) == k and _next(curve[0], spent[curve]) <= _TOO_LONG
         }
         # Mitsuba compiles a kernel for each number of samples, and keeps it for the next process.
         for (method, _), task in tasks.items():
@@ -232,12 +235,14 @@ def _sweep(
         yield k, timings
 
 
-def _next(seconds: Sequence[float]) -> float:
-    """Expected time for four times as many samples; of the first time, most is starting up."""
+def _next(method: str, seconds: Sequence[float]) -> float:
+    """Expected time of a curve's next point; of the first time, most is starting up."""
     if not seconds:
         return 0.0
     before = seconds[-2] if len(seconds) > 1 else 0.75 * seconds[-1]
-    return seconds[-1] + 4 * max(seconds[-1] - before, 0.0)
+    # Four times as many samples, but for POV-Ray, which has thresholds.
+    growth = 1 if method == _POVRAY else 4
+    return seconds[-1] + growth * max(seconds[-1] - before, 0.0)
 
 
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
@@ -311,16 +316,24 @@ class Lead:
 
     @classmethod
     def of(cls, points: Sequence[Point]) -> Lead | None:
-        """At `_LEVEL`, or the least error above it that both reach; None without any rival."""
+        """The least lead over any rival; None without one.
+
+        At `_LEVEL`, or the least error above it that both reach.  A rival whose curve ends a little
+        above the others' is met there: it may be the fastest.
+        """
         curves = _curves(points)
         ours = curves.pop(_OURS, [])
         theirs = [curve for method, curve in curves.items() if method in _RIVALS]
         if not ours or not theirs:
             return None
-        level = max(_LEVEL, _least(ours), min(map(_least, theirs)))
-        times = [_time_to(level, curve) for curve in theirs if _least(curve) <= level]
-        own = min(p.time.median for p in ours if p.error <= level)
-        return cls(level, own, min(times))
+        least = max(_LEVEL, _least(ours), min(map(_least, theirs)))
+        leads = []
+        for curve in theirs:
+            level = max(least, _least(curve))
+            if level <= _NEAR * least:
+                own = next(p.time.median for p in ours if p.error <= level)
+                leads.append(cls(level, own, _time_to(level, curve)))
+        return min(leads, key=lambda lead: lead.speedup)
 
     @property
     def speedup(self) -> float:
@@ -364,11 +377,11 @@ def _in_words(*speedups: float) -> str:
 
 def _title(leads: dict[bool, list[Lead]], others: str) -> str:
     """Where this tracer is ahead; nothing where there is nothing to compare."""
-    counts = [
-        f"in {sum(m.speedup > 1 for m in leads[whole])} of {len(leads[whole])} pictures {where}"
-        for whole, where in ((True, "from file to picture"), (False, "at rendering alone"))
-        if leads[whole]
-    ]
+    counts = []
+    for whole, where in ((True, "from file to picture"), (False, "at rendering alone")):
+        ahead = sum(lead.speedup > _AHEAD for lead in leads[whole])
+        if leads[whole]:
+            counts.append(f"in {ahead} of {len(leads[whole])} pictures {where}")
     if not counts:
         return "Time against error"
     return f"To the same error, this tracer is faster than {others}\n{', '.join(counts)}"
@@ -418,7 +431,7 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
         "Time against error: the root mean square, in linear radiance, from a picture of"
         f" {truth:,} samples a pixel.  Lower left is better.\n"
         "Points: 1, 4, 16, ... samples a pixel (9, 36, ... too for this tracer), or POV-Ray's"
-        " thresholds.\nArrows: from the fastest"
+        " thresholds; this tracer goes in steps.\nArrows: from the fastest"
         f" of {others} to this tracer, near the error of an 8-bit picture.",
     )
     return figure
@@ -432,7 +445,10 @@ def _panel(axes: Any, points: Sequence[Point]) -> Lead | None:
     ends: list[End] = []
     for method, curve in _curves(points).items():
         look = LOOKS[_LOOK_OF[method]]
-        axes.plot([p.time.median for p in curve], [p.error for p in curve], **look)
+        # It cannot take what lies between two of its points.
+        style = "steps-post" if method == _OURS else "default"
+        seconds, errors = [p.time.median for p in curve], [p.error for p in curve]
+        axes.plot(seconds, errors, drawstyle=style, **look)
         ends.append((curve[-1].time.median, curve[-1].error, method, look["color"]))
     low, high = axes.get_xlim()
     steps = [1] if high > 100 * low else [1, 5]
@@ -529,6 +545,8 @@ def main() -> None:
             _COLUMNS,
             ((p.scene, p.method, p.samples, p.process, p.error, *astuple(p.time)) for p in points),
         )
+    elif not chart.exists():
+        options.exit(2, f"{options.prog}: {chart} is missing; measure first\n")
     # As the file has them, rounded: drawn again, the chart is the same.
     save(_draw(scenes, _stored(chart), truth_side(chosen.quick) ** 2), chart)
 

@@ -69,9 +69,9 @@ def interleaved(
 def on_copies(picture: Callable[[Scene], object], scene: Scene, rounds: int) -> Task:
     """Render a fresh copy of a scene in each round: nothing can be left from the one before.
 
-    The copy for round 0 looks the same as the scene.
+    The copy for round 0 looks the same as the scene; round -1, to warm up, has one of its own.
     """
-    copies = [afresh(scene, k) for k in range(rounds)]
+    copies = [afresh(scene, k) for k in range(rounds + 1)]
     return lambda k: picture(copies[k])
 
 

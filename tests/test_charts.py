@@ -350,6 +350,18 @@ def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
     rough = Lead.of([*ours, *_curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))])
     assert rough is not None
     assert (rough.level, rough.ours, rough.theirs) == pytest.approx((0.1, 1.0, 2.0))
+    # One that ends a little above the others is met there, if it is faster; not one that ends far.
+    early = _curve("Mitsuba independent", (1e-2, 0.5), (1.2e-3, 1.5))
+    near = Lead.of([*ours, *fast, *early])
+    assert near is not None
+    assert (near.level, near.ours, near.theirs) == pytest.approx((1.2e-3, 2.0, 1.5))
+    far = Lead.of([*ours, *fast, *_curve("Mitsuba independent", (1e-2, 0.5), (2e-3, 1.5))])
+    assert far is not None
+    assert far.theirs == pytest.approx(3.0)
+    # The first picture of ours that is as good counts, whatever the noise of later ones.
+    noisy = Lead.of([*_curve("this tracer", (5e-4, 2.0), (1e-4, 1.0)), *fast])
+    assert noisy is not None
+    assert noisy.ours == 2.0
     assert Lead.of([*ours, *numpy]) is None
 
 
@@ -364,10 +376,10 @@ def test_the_chart_says_what_was_measured() -> None:
     def lead(speedup: float) -> Lead:
         return Lead(1e-3, 1.0, speedup)
 
-    found = {False: [lead(0.5), lead(0.2)], True: [lead(2.0), lead(0.9)]}
+    found = {False: [lead(0.5), lead(0.2)], True: [lead(2.0), lead(0.9), lead(1.05)]}
     title = speed_accuracy._title(found, "Mitsuba")
     assert "faster than Mitsuba" in title
-    assert "in 1 of 2 pictures from file to picture, in 0 of 2 pictures at rendering alone" in title
+    assert "in 1 of 3 pictures from file to picture, in 0 of 2 pictures at rendering alone" in title
     assert speed_accuracy._title({False: [], True: []}, "Mitsuba") == "Time against error"
     assert speed_accuracy._in_words(0.5, 0.2) == "2.0–5.0× slower"
     assert speed_accuracy._in_words(0.9, 3.0, 2.0) == "1.1× slower, 2.0–3.0× faster"
