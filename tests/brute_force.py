@@ -194,14 +194,14 @@ def blocks(
     reach: Floats,
 ) -> Bools:
     """Whether the surface keeps each point from the light."""
-    if light_side == ON:
-        reach = np.maximum(reach, np.abs(np.array(light)).sum())
     tolerance = SURFACE_TOLERANCE * (reach + size_of(surface))
+    there = SURFACE_TOLERANCE * (np.abs(np.array(light)).sum() + size_of(surface))
+    at_light = np.maximum(tolerance, there) if light_side == ON else tolerance
     if isinstance(surface, Box):
         low, high, end = (
             _triple([np.asarray(c) for c in v]) for v in (surface.min_pt, surface.max_pt, light)
         )
-        return box_blocks(p, end, low, high, tolerance)
+        return box_blocks(p, end, low, high, (tolerance, at_light))
     return sphere_blocks(
         _triple([light[k] - p[k] for k in range(3)]),
         _triple([surface.center[k] - p[k] for k in range(3)]),

@@ -201,6 +201,29 @@ def test_the_horizon_of_a_planet(radius: float, up: float) -> None:
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
 
+@pytest.mark.parametrize(
+    "floor",
+    [
+        Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9), shader=RED),
+        Box(min_pt=(0, -1, -9), max_pt=(9, 0, 9), shader=RED),
+        Sphere(center=(0, -1, 0), radius=1, shader=RED),
+        Sphere(center=(-1, 0, 0), radius=1, shader=RED),
+    ],
+    ids=["on a face", "on an edge", "on a ball", "beside a ball"],
+)
+def test_the_eye_on_a_surface(floor: Box | Sphere) -> None:
+    """It sees the inside, on one side of the plane that touches it there, and past it elsewhere."""
+    room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
+    scene = Scene(
+        camera=Camera(view_dir=(0.3, 0.01, -1), view_up=(0.1, 1, 0)),
+        width=24,
+        height=16,
+        lights=[PointLight(position=(0, 5, 3))],
+        surfaces=[floor, room],
+    )
+    no_worse_than_the_uniform_grid(scene)
+
+
 def test_light_that_falls_off_towards_a_horizon() -> None:
     # On the near side of the horizon's line light falls from nearly all to nothing.
     camera = Camera(

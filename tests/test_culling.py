@@ -361,6 +361,31 @@ def test_a_light_at_the_horizon_of_an_enormous_ball() -> None:
     assert_same(scene(ground, carpet, light=(1000, 2e-5, 0), camera=camera))
 
 
+@pytest.mark.parametrize("far", [1e10, 1e13, 1e15, 1e20, 1e40])
+@pytest.mark.parametrize("direction", [(1, 2, 1.5), (1, 1, 0), (0, 1, 0)])
+def test_a_sun(far: float, direction: tuple[float, float, float]) -> None:
+    """Its own rounding, much larger than the scene, is none of the points that it lights."""
+    suns = [[PointLight(position=tuple(c * f for c in direction))] for f in (1e6, far)]
+    near, sun = (
+        Scene(
+            camera=Camera(view_point=(3, 4, 8), view_dir=(-3, -4, -8)),
+            width=40,
+            height=40,
+            lights=lights,
+            surfaces=[
+                Box(min_pt=(-6, -1, -6), max_pt=(6, 0, 6)),
+                Box(min_pt=(-1, 0, -1), max_pt=(0, 1, 0)),
+                Box(min_pt=(0.5, 0, 0), max_pt=(1.1, 0.6, 0.6)),
+                Sphere(center=(-1.5, 0.5, 1), radius=0.5),
+                Sphere(center=(-0.5, 1.3, -0.5), radius=0.3),
+            ],
+        )
+        for lights in suns
+    )
+    assert_same(sun)
+    np.testing.assert_allclose(render(sun), render(near), rtol=0, atol=1e-5)
+
+
 def test_in_one_direction() -> None:
     # A hundred objects behind each other, as seen by the eye and as seen by the light.
     row = [Sphere(center=(0.01 * i, 1, -0.05 * i), radius=0.02) for i in range(100)]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, each, expand, pick
+from tracer.arrays import Bools, Floats, Ints, dot, each, expand, pick
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
@@ -124,6 +124,15 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
     if at.size:
         cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
+        touched = outlines.power[ball] == 0
+        if touched.any():
+            # The eye is on them: the plane that touches them there divides what it sees.
+            on = pencil.take(np.flatnonzero(touched))
+            center = pick(outlines.center, ball[touched])
+            a, b, c = (dot(center, m) for m in (on.across, on.down, on.ray))
+            lines.append(Lines(on.cell, np.full(on.cell.size, Kind.EDGE), a, b, c).crossing())
+            rest = np.flatnonzero(~touched)
+            cell, ball, pencil = cell[rest], ball[rest], pencil.take(rest)
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
         straight = turn <= min(MOST_TURN, _LIMB_TURN * cells.tolerance)
         seen.unresolved[cell[near & ~straight]] = True

@@ -264,20 +264,27 @@ def sphere_blocks(
 
 
 def box_blocks(
-    p: Triple, light: Triple, low: Triple, high: Triple, tolerance: Floats | None = None
+    p: Triple,
+    light: Triple,
+    low: Triple,
+    high: Triple,
+    tolerances: tuple[Floats, Floats] | None = None,
 ) -> Bools:
     """Whether boxes block the open segments from points `p` to `light`.
 
     A root strictly between the ends blocks.  Slabs are open: a segment in a
-    face is not blocked; a flat plate blocks.  An end within `tolerance` of a
-    face's plane is on it; without a tolerance, no end may be as near as that.
+    face is not blocked; a flat plate blocks.  An end within its tolerance of a
+    face's plane is on it: `tolerances` are the points' and the light's.  Without
+    them, no end may be as near as that.
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
     for k in range(3):
         start, end = p[k], light[k]
-        if tolerance is not None:
-            start = _snap(start, low[k], high[k], tolerance)
-            end = _snap(end, low[k], high[k], tolerance)
+        if tolerances is not None:
+            start, end = (
+                _snap(x, low[k], high[k], tolerance)
+                for x, tolerance in zip((start, end), tolerances, strict=True)
+            )
         near, far = _slab(low[k] - start, high[k] - start, end - start, closed=False)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     blocked: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges, spread
-from tracer.intersection import INSIDE, ON, SURFACE_TOLERANCE, sphere_side
+from tracer.intersection import INSIDE, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
 from tracer.visibility import Hits, View
 
@@ -46,9 +46,6 @@ class Occluders(NamedTuple):
         Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`.
     light_inside : (lights, n)
         Whether each light is inside each object.
-    light_on : (lights, n)
-        Whether each light may be on an object's surface, so that its rounding counts: any box that
-        it is not inside of.
     on_plane : (lights, n)
         Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
@@ -66,7 +63,6 @@ class Occluders(NamedTuple):
     lights: Floats
     side: NDArray[np.int8]
     light_inside: Bools
-    light_on: Bools
     on_plane: Bools
     eye_inside: Bools
     seen: Bools
@@ -232,7 +228,6 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         lights=lights,
         side=side,
         light_inside=np.concatenate([side == INSIDE, inside], axis=1),
-        light_on=np.concatenate([side == ON, ~inside], axis=1),
         on_plane=on_plane,
         eye_inside=view.eye_inside,
         seen=view.outlines.in_picture(),

@@ -147,6 +147,16 @@ class Outlines(NamedTuple):
         )
         low, high = _tangents(disc.u, disc.w, disc.chord2, disc.power)
         hypot = np.sqrt(disc.hypot2)
+        touched = np.flatnonzero(disc.power == 0)
+        if touched.size:
+            # The eye is on these: they are seen on their side of the plane that touches them there.
+            u, v, w = pick(self.center, owner[touched])
+            g, level = self.raster.down(rows)[row[touched]], w * self.raster.depth
+            tilted = v * g
+            bound = -(tilted + level + _ROUNDING * (np.abs(tilted) + np.abs(level))) / (u + 0.0)
+            bound /= hypot[touched]
+            low[touched] = np.fmax(low[touched], np.where(u >= 0, bound, -np.inf))
+            high[touched] = np.fmin(high[touched], np.where(u < 0, bound, np.inf))
         left, right = self.raster.column(low * hypot), self.raster.column(high * hypot)
         return self._clip(owner, row, left, right, pad)
 
@@ -452,5 +462,15 @@ def _silhouettes(
     at = np.flatnonzero(shaped)
     there = u[:, at], v[:, at], w[:, at]
     planes[:, :, at] = silhouette_planes(there, raster.eye, min_pt[at], max_pt[at])
+    # A box is seen from inside on its side of the faces that the eye is on.
+    low, high = min_pt - raster.eye, max_pt - raster.eye
+    inside = ((low <= 0) & (high >= 0)).all(axis=1)
+    on = inside & ((low == 0) | (high == 0)).any(axis=1)
+    for box in np.flatnonzero(on & shaped).tolist():
+        faces = [(k, 1.0) for k in range(3) if low[box, k] == 0]
+        faces += [(k, -1.0) for k in range(3) if high[box, k] == 0]
+        for number in range(6):
+            k, sign = faces[number % len(faces)]
+            planes[:, number, box] = sign * raster.axes[:, k]
     planes[2] *= raster.depth
     return (planes[0], planes[1], planes[2]), shaped, frames

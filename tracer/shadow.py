@@ -154,12 +154,14 @@ class Shadows(NamedTuple):
         # Ends that may be on a face's plane are looked at more closely.
         at = np.flatnonzero(candidates.spread(self._on_planes(candidates, *corners)))
         if at.size:
+            near, some = pick(p, at), pairs.take(at)
+            tolerance = self._tolerance(near, some)
             blocks[at] = box_blocks(
-                pick(p, at),
+                near,
                 pick(end, at),
                 pick(low, at),
                 pick(high, at),
-                self._tolerance(pick(p, at), pairs.take(at)),
+                (tolerance, self._tolerance_at_light(some, tolerance)),
             )
         if larger is not None:
             # A box shrunk to less than nothing blocks nothing.
@@ -230,15 +232,19 @@ class Shadows(NamedTuple):
         return result
 
     def _tolerance(self, p: Triple, pairs: Pairs) -> Floats:
-        """How near to an object the ends of a segment count as on it, pair by pair."""
-        occluders = self.occluders
-        x, y, z = occluders.eye.tolist()
+        """How near to an object points count as on it, pair by pair."""
+        x, y, z = self.occluders.eye.tolist()
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
-        at_light = np.abs(occluders.lights).sum(axis=1)[pairs.light]
-        on = entries(occluders.light_on, pairs.light, pairs.occluder)
-        reach = np.where(on, np.maximum(reach, at_light), reach)
-        return SURFACE_TOLERANCE * (reach + occluders.size[pairs.occluder])
+        return SURFACE_TOLERANCE * (reach + self.occluders.size[pairs.occluder])
+
+    def _tolerance_at_light(self, pairs: Pairs, tolerance: Floats) -> Floats:
+        """How near to a box its light counts as on it; `tolerance`: how near the points do."""
+        occluders = self.occluders
+        reach = np.abs(occluders.lights).sum(axis=1)[pairs.light]
+        at_light = SURFACE_TOLERANCE * (reach + occluders.size[pairs.occluder])
+        inside = entries(occluders.light_inside, pairs.light, pairs.occluder)
+        return np.where(inside, tolerance, np.maximum(tolerance, at_light))
 
 
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
