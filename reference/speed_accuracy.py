@@ -365,13 +365,15 @@ def _time_to(level: float, curve: Sequence[Point]) -> float:
 
 def _in_words(*speedups: float) -> str:
     """From the least speedup to the largest."""
-    slow = [f"{1 / s:.1f}" for s in sorted(speedups) if s < 1]
-    fast = [f"{s:.1f}" for s in sorted(speedups) if s >= 1]
+    slow = [f"{1 / s:.1f}" for s in sorted(speedups) if s < 1 / _AHEAD]
+    fast = [f"{s:.1f}" for s in sorted(speedups) if s > _AHEAD]
     ranges = [
         f"{'–'.join(dict.fromkeys([some[0], some[-1]]))}× {what}"
         for some, what in ((slow[::-1], "slower"), (fast, "faster"))
         if some
     ]
+    if len(slow) + len(fast) < len(speedups):
+        ranges.insert(bool(slow), "level")
     return ", ".join(ranges)
 
 
@@ -404,7 +406,7 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
     for whole, wide in zip((False, True), _WIDE, strict=True):
         low, high = _limits([p.time.median for p in points if p.process == whole])
         # On the left is place for the pictures and for the arrows' labels.
-        xlim = low * (low / high) ** (0.24 if whole else 0.14), high
+        xlim = low * (low / high) ** (0.42 if whole else 0.14), high
         bottom = height - _TOP - _ROW
         for name, scene in scenes.items():
             place = (left / _WIDTH, bottom / height, wide / _WIDTH, _ROW / height)

@@ -383,6 +383,8 @@ def test_the_chart_says_what_was_measured() -> None:
     assert speed_accuracy._title({False: [], True: []}, "Mitsuba") == "Time against error"
     assert speed_accuracy._in_words(0.5, 0.2) == "2.0–5.0× slower"
     assert speed_accuracy._in_words(0.9, 3.0, 2.0) == "1.1× slower, 2.0–3.0× faster"
+    assert speed_accuracy._in_words(0.5, 1.05, 3.0) == "2.0× slower, level, 3.0× faster"
+    assert speed_accuracy._in_words(0.95) == "level"
 
 
 def test_speed_accuracy_of_a_small_picture(
