@@ -14,32 +14,52 @@ from hypothesis import strategies as st
 from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, lighting, render
+from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.outlines import outlines_of
 from tracer.sampling import Samples
-from tracer.visibility import Hits, View
+from tracer.visibility import Hits, View, view_of
 
 
 def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
     Made in all ways that there are: as with many samples for each object, and with few; objects
-    one by one, and together; boxes bounded by silhouettes, and by rectangles.
+    one by one, and together; boxes bounded by silhouettes, and by rectangles; samples in rows, and
+    scattered.
     """
     expected = brute_force(scene)
     for samples_each, large, small in ((1e-3, 100, 0), (1e-3, 1e9, 1e9), (1e9, 1e9, 1e9)):
         with (
             patch("tracer.shadow._PIXELS_EACH", samples_each),
+            patch("tracer.shadow._SPLIT_EACH", samples_each),
             patch("tracer.shadow._FEW", 0),
             patch("tracer.visibility._LARGE", large),
             patch("tracer.outlines._SMALL", small),
         ):
-            image = render(scene)
-        different = np.argwhere((image != expected).any(axis=2)).tolist()
-        assert not different, (
-            f"{len(different)} pixels differ; at row {different[0][0]}, column {different[0][1]}"
-            f" {image[tuple(different[0])]} is not {expected[tuple(different[0])]}"
-        )
+            images = render(scene), scattered(scene)
+        for image in images:
+            different = np.argwhere((image != expected).any(axis=2)).tolist()
+            assert not different, (
+                f"{len(different)} pixels differ; at row {different[0][0]}, column"
+                f" {different[0][1]} {image[tuple(different[0])]} is not"
+                f" {expected[tuple(different[0])]}"
+            )
+
+
+@np.errstate(all="ignore")
+def scattered(scene: Scene) -> Floats:
+    """A picture from samples that are scattered in pixels up to eight times as large."""
+    # Powers of two change no bit of a ray.
+    times = math.gcd(scene.width, scene.height, 8)
+    width, height = scene.width // times, scene.height // times
+    coarse = replace(scene, width=width, height=height)
+    view = view_of(raster_of(coarse.camera, width, height), coarse.surfaces, split=True)
+    x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
+    samples, order = Samples.scattered(np.tile(x, y.size), np.repeat(y, x.size))
+    radiance = np.empty((3, order.size))
+    radiance[:, order] = lighting.radiance_at(lighting.lighting_of(coarse, view, True), samples)
+    return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
 @pytest.mark.parametrize("kind", KINDS)

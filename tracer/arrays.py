@@ -94,9 +94,9 @@ def scaled(vector: Triple, factor: Floats) -> Triple:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
-def spread(value: T, counts: Ints) -> T:
-    """Repeat each element i of an array counts[i] times; a single value stays as it is."""
-    if np.ndim(value):  # type: ignore[arg-type]
+def spread(value: T, counts: Ints | None) -> T:
+    """Repeat each element i of an array counts[i] times, or once; a single value stays as it is."""
+    if counts is not None and np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
         repeated: Any = np.repeat(array, counts)
         return repeated  # type: ignore[no-any-return]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, dot, each, expand, pick
+from tracer.arrays import Bools, Floats, Ints, dot, each, equal_runs, expand, pick
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
@@ -92,10 +92,12 @@ def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
     """
     if not found.owner.size:
         return found.owner, found.owner, found.owner
-    order = np.lexsort((found.row, found.owner))
+    # One number for object and row.
+    key = found.owner * (found.row.max() + 1) + found.row
+    order = np.argsort(key, kind="stable")
     owner, row = found.owner[order], found.row[order]
     begin, end = found.begin[order], found.end[order]
-    first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(owner, prepend=-1) != 0))
+    first, _ = equal_runs(key[order])
     (left_min, left_max), (right_min, right_max) = (
         (np.fmin.reduceat(m, first), np.fmax.reduceat(m, first)) for m in (begin, end)
     )

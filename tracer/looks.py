@@ -130,20 +130,12 @@ class Seen(NamedTuple):
         return lambda cell: lighting._replace(shadows=cached(near[cell]))
 
 
-def _sorted(x: Floats, y: Floats) -> tuple[Samples, Ints]:
-    """Positions, in any order, as samples; and which position each sample has."""
-    order = np.lexsort((x, y))
-    y = y[order]
-    new = np.diff(y, prepend=-np.inf) != 0
-    return Samples(y[new], x[order], np.cumsum(new) - 1), order
-
-
 def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> Floats:
     """Radiance (3, n) at positions in any order; `cell` (n,): the one that each lies in."""
     radiance = np.empty((3, x.size))
     if not x.size:
         return radiance
-    samples, order = _sorted(x, y)
+    samples, order = Samples.scattered(x, y)
     radiance[:, order] = radiance_at(lighting_in(cell[order]), samples)
     return radiance
 
@@ -161,7 +153,7 @@ def look_at(
     `cell` (n,): the cell, of those that `lighting_in` knows, in which each position lies.
     `share`: see `look`.
     """
-    samples, order = _sorted(x, y)
+    samples, order = Samples.scattered(x, y)
     seen = Seen.of(order.size)
     look(lighting_in(cell[order]), samples, size, seen, order, share)
     return seen

@@ -43,6 +43,9 @@ _NEARLY_ON = 1e-14
 # An edge that is seen under a smaller angle bounds nothing: its plane is too uncertain.
 _LEAST_ANGLE = 1e-10
 
+# Within so many rows of its leftmost or rightmost point a sphere's outline leans to neither side.
+_NEARBY = 0.5
+
 
 class Spans(NamedTuple):
     """Intervals of picture rows that objects cover.
@@ -121,6 +124,9 @@ class Outlines(NamedTuple):
         Whether a box has such planes; if not, its frame serves as its outline.
     frames : Frames
         Of all objects, spheres first.
+    leftmost, rightmost : (s,)
+        The height, in pixels from the top, at which spheres extend farthest to either side; NaN
+        where they extend without end.  Known only if pixels are split.
     turns : Turns
         Of all objects; none unless pixels are split.
     """
@@ -132,38 +138,54 @@ class Outlines(NamedTuple):
     planes: Triple
     shaped: NDArray[np.bool_]
     frames: Frames
+    leftmost: Floats
+    rightmost: Floats
     turns: Turns
 
-    def sphere_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
-        """Spans of the spheres in rows at `rows` (ascending, pixels from the top)."""
+    def sphere_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
+        """Spans of the spheres in rows that begin at `rows` (ascending, pixels from the top).
+
+        `height`: of the rows; 0 for lines.
+        """
         frames = self.frames.take(slice(0, self.radius.size))
-        owner, row = _rows_in_frames(frames, rows, self.raster.width, pad)
-        disc = disc_in_row(
-            self.raster.down(rows)[row],
-            self.raster.depth,
-            pick(self.center, owner),
-            self.radius[owner],
-            self.power[owner],
-        )
+        owner, row = _rows_in_frames(frames, rows, height, self.raster.width, pad)
+        left, right = self._sphere_ends(owner, rows[row])
+        if height:
+            # On the way down an outline goes to the left as far as its leftmost point, then to the
+            # right: except where that point is, one of a row's two lines is the limit.
+            left_below, right_below = self._sphere_ends(owner, rows[row] + height)
+            left, right = np.minimum(left, left_below), np.maximum(right, right_below)
+            for end, frame, place in (
+                (left, frames.left, self.leftmost),
+                (right, frames.right, self.rightmost),
+            ):
+                down = place[owner] - rows[row]
+                # NaN, the place of what extends without end, is outside of no row.
+                at = np.flatnonzero(~((down < -_NEARBY) | (down > height + _NEARBY)))
+                end[at] = frame[owner[at]]
+        return self._clip(owner, row, left, right, pad)
+
+    def _sphere_ends(self, owner: Ints, y: Floats) -> tuple[Floats, Floats]:
+        """Where spheres begin and end on lines at `y`; where they do not, the end comes first."""
+        g, center = self.raster.down(y), pick(self.center, owner)
+        disc = disc_in_row(g, self.raster.depth, center, self.radius[owner], self.power[owner])
         low, high = _tangents(disc.u, disc.w, disc.chord2, disc.power)
         hypot = np.sqrt(disc.hypot2)
         touched = np.flatnonzero(disc.power == 0)
         if touched.size:
             # The eye is on these: they are seen on their side of the plane that touches them there.
             u, v, w = pick(self.center, owner[touched])
-            g, level = self.raster.down(rows)[row[touched]], w * self.raster.depth
-            tilted = v * g
+            tilted, level = v * g[touched], w * self.raster.depth
             bound = -(tilted + level + _ROUNDING * (np.abs(tilted) + np.abs(level))) / (u + 0.0)
             bound /= hypot[touched]
             low[touched] = np.fmax(low[touched], np.where(u >= 0, bound, -np.inf))
             high[touched] = np.fmin(high[touched], np.where(u < 0, bound, np.inf))
-        left, right = self.raster.column(low * hypot), self.raster.column(high * hypot)
-        return self._clip(owner, row, left, right, pad)
+        return self.raster.column(low * hypot), self.raster.column(high * hypot)
 
-    def box_spans(self, rows: Floats, pad: float = 0.0) -> Spans:
-        """Spans of the boxes in rows at `rows` (ascending, pixels from the top)."""
+    def box_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
+        """Spans of the boxes in rows: see `sphere_spans`."""
         frames = self.frames.take(slice(self.radius.size, None))
-        owner, row = _rows_in_frames(frames, rows, self.raster.width, pad)
+        owner, row = _rows_in_frames(frames, rows, height, self.raster.width, pad)
         left, right = frames.left[owner], frames.right[owner]
         at = np.flatnonzero(self.shaped[owner])
         box, g = owner[at], self.raster.down(rows)[row[at]]
@@ -172,6 +194,9 @@ class Outlines(NamedTuple):
         for k in range(6):
             slope, tilt, level = (m[k][box] for m in self.planes)
             tilted = tilt * g
+            if height:
+                # On whichever line of the row more is inside.
+                tilted += np.maximum(tilt * (height * self.raster.step_v), 0)
             # Inside, slope * s + tilted + level >= 0, up to rounding.  The slack for that decides
             # where the plane contains the whole row.
             slack = _ROUNDING * (np.abs(tilt) * (np.abs(g) + self.raster.depth) + np.abs(level))
@@ -263,36 +288,64 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     )
     small = 0.0 if split else _SMALL
     planes, shaped, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, small)
+    leftmost = rightmost = np.zeros(0)
     turns: list[Turns] = []
     if split:
-        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, of_spheres))
+        leftmost, rightmost = _widest(raster, (u, v, w), radius, of_spheres)
+        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, of_spheres, leftmost, rightmost))
         turns.extend(_turns_of_boxes(raster, surfaces))
     frames = Frames(*map(np.append, of_spheres, of_boxes))
-    return Outlines(raster, (u, v, w), radius, power, planes, shaped, frames, Turns.joined(turns))
+    return Outlines(
+        raster=raster,
+        center=(u, v, w),
+        radius=radius,
+        power=power,
+        planes=planes,
+        shaped=shaped,
+        frames=frames,
+        leftmost=leftmost,
+        rightmost=rightmost,
+        turns=Turns.joined(turns),
+    )
+
+
+def _ahead(raster: Raster, w: Floats, radius: Floats, slope: Floats, side: int) -> Floats:
+    """How many times as far ahead as the window a plane touches spheres.
+
+    A plane through the eye that touches a sphere, and is parallel to an axis of the camera, does so
+    where the centre is along that axis.  `slope`: where it cuts the window along the other axis;
+    `side`: 1 if the sphere lies beyond, else -1.
+    """
+    found = w + side * radius * slope / np.sqrt(slope * slope + raster.depth**2)
+    return np.where(found > 0, found, np.nan) / raster.depth
+
+
+def _widest(
+    raster: Raster, center: Triple, radius: Floats, frames: Frames
+) -> tuple[Floats, Floats]:
+    """`Outlines.leftmost` and `Outlines.rightmost`."""
+    _, v, w = center
+    left = raster.row(v / _ahead(raster, w, radius, raster.across(frames.left), 1))
+    right = raster.row(v / _ahead(raster, w, radius, raster.across(frames.right), -1))
+    return left, right
 
 
 def _turns_of_spheres(
-    raster: Raster, center: Triple, radius: Floats, frames: Frames
+    raster: Raster,
+    center: Triple,
+    radius: Floats,
+    frames: Frames,
+    leftmost: Floats,
+    rightmost: Floats,
 ) -> Iterator[Turns]:
-    """The leftmost, rightmost, uppermost and lowest points.
-
-    A plane through the eye that touches a sphere, and is parallel to an axis of the camera, does so
-    where the centre is along that axis.
-    """
-    u, v, w = center
+    """The leftmost, rightmost, uppermost and lowest points."""
+    u, _, w = center
     every = np.arange(radius.size)
     yes, no = np.repeat([[True], [False]], radius.size, axis=1)
-
-    def ahead(slope: Floats, side: int) -> Floats:
-        """How many times as far ahead as the window a plane touches."""
-        found = w + side * radius * slope / np.sqrt(slope * slope + raster.depth**2)
-        return np.where(found > 0, found, np.nan) / raster.depth
-
-    for x, side in ((frames.left, 1), (frames.right, -1)):
-        y = raster.row(v / ahead(raster.across(x), side))
-        yield Turns(every, x, y, *((yes, no) if side == 1 else (no, yes)))
+    yield Turns(every, frames.left, leftmost, yes, no)
+    yield Turns(every, frames.right, rightmost, no, yes)
     for y, side in ((frames.top, 1), (frames.bottom, -1)):
-        x = raster.column(u / ahead(raster.down(y), side))
+        x = raster.column(u / _ahead(raster, w, radius, raster.down(y), side))
         yield Turns(every, x, y, yes, yes)
 
 
@@ -311,9 +364,11 @@ def _turns_of_boxes(raster: Raster, surfaces: Surfaces) -> Iterator[Turns]:
         yield Turns(every, *corner)
 
 
-def _rows_in_frames(frames: Frames, rows: Floats, width: int, pad: float) -> tuple[Ints, Ints]:
-    """Pairs (object, row) with the row inside the object's frame, if that is in the picture."""
-    top, bottom = frames.top - pad, frames.bottom + pad
+def _rows_in_frames(
+    frames: Frames, rows: Floats, height: float, width: int, pad: float
+) -> tuple[Ints, Ints]:
+    """Pairs (object, row) with some of the row in the object's frame, if that is in the picture."""
+    top, bottom = frames.top - pad - height, frames.bottom + pad
     beside = (frames.left - pad > width + 1) | (frames.right + pad < -1)
     at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
     first = np.searchsorted(rows, top[at])

@@ -174,13 +174,13 @@ class _Polygons(NamedTuple):
         kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
         count = kept.sum(axis=1)
         some = np.flatnonzero(count)
+        first = (np.cumsum(count) - count)[some, None]
         last = np.minimum(np.arange(z.shape[1] + 1), count[some, None] - 1)
-        order = np.take_along_axis(np.argsort(~kept[some], axis=1, kind="stable"), last, axis=1)
+        place = np.flatnonzero(kept)[first + last]
         corners = []
         for m in (self.x, self.y):
             new = m + part * (np.roll(m, -1, axis=1) - m)
-            both = np.stack([m, new], axis=2).reshape(len(z), -1)[some]
-            corners.append(np.take_along_axis(both, order, axis=1))
+            corners.append(np.stack([m, new], axis=2).ravel()[place])
         return _Polygons(self.cell[some], self.code[some], corners[0], corners[1])
 
     def centroids(self) -> tuple[Floats, Floats, Floats]:

@@ -2,31 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints
+from tracer.arrays import Floats, Ints, expand, ranges
 from tracer.camera import Raster
 from tracer.outlines import Spans
 
-__all__ = ["CENTRES", "Lattice", "Samples"]
+__all__ = ["CENTRES", "Covered", "Lattice", "Samples"]
+
+
+# Of lattices with so many points, one in each row and each column: by how many columns each point
+# lies to the right of that in the row above.
+_GENERATORS = {5: 2, 13: 5}
+
+# A lattice has at least this many points for each of the grid that it stands for: a quarter more
+# are enough for the mean error, but the largest error of a pixel is a matter of chance.
+_MORE = 1.5
+
+
+def _stride(*places: Floats) -> float:
+    """Between rows that are laid end to end on one axis: no place in one reaches into the next."""
+    return 4 * (max(float(np.abs(m).max(initial=0)) for m in places) + 2)
+
+
+class Covered(NamedTuple):
+    """Where objects may be seen.
+
+    Attributes
+    ----------
+    owner : (spans,)
+        Which sphere or box.
+    row : (spans,)
+        Index into `Samples.y`.
+    first : (spans,)
+        The first of a span of samples.
+    counts : (spans,), or None
+        How many there are; None if every span has one.
+    """
+
+    owner: Ints
+    row: Ints
+    first: Ints
+    counts: Ints | None
+
+    def take(self, index: Ints) -> Covered:
+        """Some of the spans."""
+        counts = None if self.counts is None else self.counts[index]
+        return Covered(self.owner[index], self.row[index], self.first[index], counts)
+
+    def samples(self) -> Ints:
+        """All samples, span by span."""
+        return self.first if self.counts is None else ranges(self.first, self.counts)
 
 
 class Samples(NamedTuple):
-    """Sample positions, row by row, from the picture's upper left corner.
+    """Sample positions, from the picture's upper left corner: in rows, or *scattered*.
 
     The unit is the pixel of the raster that gives their rays: for a `Lattice` that is a finer
     one, with the lattice's columns and rows in every pixel of the picture.
 
     Attributes
     ----------
-    y : (rows,)
-        Ascending.
+    y : (rows,) or (n,)
+        Of each row, ascending; or of each sample.
     x : (columns,) or (n,)
-        Position along the row, ascending within each row.
+        Position along the row, ascending within each row of pixels.
     row : (n,), optional
-        Index into `y`, ascending; without it, every row holds all of `x`, one pixel apart.
+        Of scattered samples, the row of pixels each is in, ascending; without it, every row holds
+        all of `x`, one pixel apart.
     shift : (rows,)
         How far each row is moved to the right; used only without `row`.
     """
@@ -35,6 +81,14 @@ class Samples(NamedTuple):
     x: Floats
     row: Ints | None = None
     shift: Floats = np.zeros(0)
+
+    @classmethod
+    def scattered(cls, x: Floats, y: Floats) -> tuple[Samples, Ints]:
+        """Positions, in any order, as samples; and which position each sample has."""
+        row = np.floor(y)
+        # One number for row and x is sorted several times as fast as the two.
+        order = np.argsort(row * _stride(x) + x, kind="stable")
+        return cls(y[order], x[order], row[order].astype(np.intp)), order
 
     @property
     def size(self) -> int:
@@ -49,44 +103,48 @@ class Samples(NamedTuple):
     def positions(self) -> tuple[Floats, Floats]:
         """x and y of all samples."""
         if self.row is not None:
-            return self.x, self.y[self.row]
+            return self.x, self.y
         return np.add.outer(self.shift, self.x).ravel(), np.repeat(self.y, self.x.size)
 
     def at(self, index: Ints) -> tuple[Floats, Floats]:
         """x and y of some samples."""
         if self.row is not None:
-            return self.x[index], self.y[self.row[index]]
+            return self.x[index], self.y[index]
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def within(self, spans: Spans) -> tuple[Ints, Ints]:
-        """First sample in each span, and the number of samples there."""
+    def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
+        """Where objects may be seen, given the function from rows and their height to `spans`."""
         if self.row is None:
+            found = spans(self.y, 0.0)
             columns = self.x.size
-            first = self.x[0] + self.shift[spans.row]
-            start = np.ceil(spans.left - first).astype(np.intp)
-            stop = np.floor(spans.right - first).astype(np.intp) + 1
+            first = self.x[0] + self.shift[found.row]
+            start = np.ceil(found.left - first).astype(np.intp)
+            stop = np.floor(found.right - first).astype(np.intp) + 1
             np.clip(start, 0, columns, out=start)
             np.clip(stop, 0, columns, out=stop)
-            return spans.row * columns + start, np.maximum(stop - start, 0)
-        # Lay the rows end to end on one axis, so far apart that no span reaches into the next.
-        ends = (self.x, spans.left, spans.right)
-        stride = 4 * (max(float(np.abs(end).max(initial=0)) for end in ends) + 2)
-        key = self.row * stride + self.x
-        start = np.searchsorted(key, spans.row * stride + spans.left)
-        stop = np.searchsorted(key, spans.row * stride + spans.right, side="right")
-        return start, np.maximum(stop - start, 0)
+            counts = np.maximum(stop - start, 0)
+            return Covered(found.owner, found.row, found.row * columns + start, counts)
+        tops = self.row[np.flatnonzero(np.diff(self.row, prepend=self.row[:1] - 1))]
+        found = spans(tops.astype(np.float64), 1.0)
+        # Lay the rows end to end on one axis.
+        stride = _stride(self.x, found.left, found.right)
+        key, begin = self.row * stride + self.x, tops[found.row] * stride
+        start = np.searchsorted(key, begin + found.left)
+        stop = np.searchsorted(key, begin + found.right, side="right")
+        span, sample = expand(np.maximum(stop - start, 0), start)
+        return Covered(found.owner[span], sample, sample, None)
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2).
+    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2) or atan(2 / 3).
 
     Where edges follow the rows or columns of an upright grid, as those of boxes often do, they pass
     a whole row of points at once; in most other directions all square grids do equally well.  In
     this one few points of a pixel share a row or a column, and yet it repeats from pixel to
-    pixel: it is a rank-1 lattice of five points (Dammertz and Keller, Image synthesis by rank-1
-    lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps it
-    onto itself, so what is smooth is averaged as well as by an upright grid.  Where all
+    pixel: it is a rank-1 lattice of 5 or of 13 points (Dammertz and Keller, Image synthesis by
+    rank-1 lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps
+    it onto itself, so what is smooth is averaged as well as by an upright grid.  Where all
     pixels have it (`samples`), every other row of them has its mirror image: an edge along one of
     its own directions meets those in only half of the pixels.
 
@@ -95,7 +153,7 @@ class Lattice(NamedTuple):
     columns : int
         Points in each row.
     rows : int
-        1 for the centre alone, else 5 * `columns`.
+        1 for the centre alone, else 5 or 13 times `columns`.
     """
 
     columns: int
@@ -103,13 +161,14 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, per_side: int) -> Lattice:
-        """A lattice that mostly errs less than an upright grid of per_side x per_side points.
-
-        A quarter more points than the grid's are enough for the mean error; the largest error is a
-        matter of chance, hence one more repetition of the five points across and down.
-        """
-        columns = (per_side + 1) // 2 + 1
-        return cls(columns, 5 * columns)
+        """A lattice that mostly errs less than an upright grid of per_side x per_side points."""
+        lattices = (
+            cls(columns, points * columns)
+            for points in _GENERATORS
+            for columns in range(1, per_side + 1)
+        )
+        least = _MORE * per_side**2
+        return min((m for m in lattices if m.size >= least), key=lambda m: m.size)
 
     @property
     def size(self) -> int:
@@ -135,11 +194,11 @@ class Lattice(NamedTuple):
         return np.moveaxis(each.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
-        """How far each row is moved, in columns: by two fifths from one to the next."""
-        steps = self.rows // self.columns
-        middle = steps // 2
-        place = (2 * (row - middle) + middle) % steps
-        shift: Floats = (place - middle) / steps
+        """How far each row is moved, in columns, so that its middle row and column cross."""
+        points = self.rows // self.columns
+        middle = points // 2
+        place = (_GENERATORS.get(points, 0) * (row - middle) + middle) % points
+        shift: Floats = (place - middle) / points
         return np.where(row // self.rows % 2, -shift, shift)
 
 

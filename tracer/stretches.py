@@ -87,8 +87,10 @@ class StretchFinder(NamedTuple):
         """See `Finder.candidates`."""
         if not (hits.owner.size and self.lists):
             return
-        start, length, run = _cut(hits.first[:-1], np.diff(hits.first), _LONG)
-        balls = _balls(self.occluders, hits, hits.owner[run], start, length)
+        # Scattered points stand close together: their stretches are short ones from the start.
+        longest, around = (_SHORT, _on_points) if hits.scattered else (_LONG, _on_chords)
+        start, length, run = _cut(hits.first[:-1], np.diff(hits.first), longest)
+        balls = around(self.occluders, hits, hits.owner[run], start, length)
         margin = np.zeros(start.size)
         if footprint is not None:
             margin = np.maximum.reduceat(footprint, start)
@@ -166,10 +168,12 @@ class _Search(NamedTuple):
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
         near = np.flatnonzero(meets & entries(self.asked, light, stretch))
+        if self.hits.scattered:
+            return Candidates(balls.take(near), light[near], occluder[near])
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
         at = near[parent]
         light, stretch, occluder = light[at], stretch[at], occluder[at]
-        balls = _balls(self.occluders, self.hits, self.balls.owner[stretch], start, length)
+        balls = _on_chords(self.occluders, self.hits, self.balls.owner[stretch], start, length)
         balls.radius[:] += self.margin[stretch]
         meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
         self._darken(light, balls, cuts)
@@ -183,8 +187,8 @@ class _Search(NamedTuple):
         put(self.dark, np.repeat(light[mask], length), ranges(start, length), True)
 
 
-def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
-    """Put balls around stretches of points of some objects."""
+def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
+    """Put balls around stretches of points in rows."""
     # Points of a row lie on a line, or on an arc of less than half a circle: the ball on the chord
     # between the ends holds them.
     a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
@@ -201,6 +205,15 @@ def _balls(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: In
         for m, c in zip(middle, occluders.middle, strict=True):
             m[longer] = c[owner[longer]]
         radius[longer] = occluders.radius[owner[longer]]
+    return Balls(owner, start, count, middle, radius + occluders.slack[owner])
+
+
+def _on_points(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
+    """Put balls around stretches, which follow each other, of points that lie anywhere."""
+    low, high = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
+    half = 0.5 * (high - low)
+    middle = hits.raster.point_to_scene(rows(low + half, slice(None)))
+    radius = np.sqrt((half * half).sum(axis=0))
     return Balls(owner, start, count, middle, radius + occluders.slack[owner])
 
 
@@ -269,8 +282,10 @@ def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
 
     A block's `start` and `length` are those of its tiles; a tile's, of its stretches in that order.
     """
-    column = (hits.column[run] + (balls.start - hits.first[run])) // _TILE
-    row = hits.row[run] // _TILE
+    column = hits.column[run]
+    if not hits.scattered:
+        column = column + (balls.start - hits.first[run])
+    column, row = column // _TILE, hits.row[run] // _TILE
     block = hits.owner[run]
     for m in (row // _BLOCK, column // _BLOCK):
         block = block * (m.max() + 1) + m

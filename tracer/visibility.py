@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,15 +18,14 @@ from tracer.arrays import (
     dot,
     entries,
     pick,
-    ranges,
     rows,
     select,
     spread,
 )
 from tracer.camera import Raster
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
-from tracer.outlines import Outlines, Spans, outlines_of
-from tracer.sampling import Samples
+from tracer.outlines import Outlines, outlines_of
+from tracer.sampling import Covered, Samples
 from tracer.scene import Surfaces
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
@@ -120,8 +120,8 @@ class Group(NamedTuple):
         Which sample.
     owner : int, or (spans,)
         Which object they see (spheres first): one, or one for each span.
-    counts : (spans,)
-        How many samples each span has: those in one row that see one object.
+    counts : (spans,), or None
+        How many samples each span has: those in one row that see one object; None: one each.
     face
         Of boxes, the axis of the face: a number, or (n,); `_NO_FACE` for spheres.
     sign, level
@@ -136,7 +136,7 @@ class Group(NamedTuple):
     part: slice
     sample: Ints
     owner: Index
-    counts: Ints
+    counts: Ints | None
     face: Index
     sign: Floats
     level: Floats
@@ -168,12 +168,14 @@ class Hits(NamedTuple):
     groups : list of Group
     first : (runs + 1,)
         Where each run of points begins, through all groups, and the end of the last.  A run is on
-        one object and one face, in one row; among samples at any positions (with `Samples.row`) it
-        has no gap of more than `_GAP` without a sample, whatever that sees.
+        one object and one face, in one row of samples; or, if these are scattered, in one row of
+        pixels, with no gap of more than `_GAP` without a sample, whatever that sees.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
         The pixel that each begins in.
+    scattered : bool
+        Whether the samples are.
     """
 
     raster: Raster
@@ -183,6 +185,7 @@ class Hits(NamedTuple):
     owner: Ints
     row: Ints
     column: Ints
+    scattered: bool
 
     @property
     def own(self) -> Ints:
@@ -234,7 +237,7 @@ class _Fragments(NamedTuple):
     owner : int, or (spans,)
         A sphere or a box.
     row, counts : (spans,)
-        Each span's row, and how many samples there are.
+        See `Covered`.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
         units of the direction's length, infinite for a miss.
@@ -245,7 +248,7 @@ class _Fragments(NamedTuple):
     sphere: bool
     owner: Index
     row: Ints
-    counts: Ints
+    counts: Ints | None
     sample: Ints
     s: Floats
     t: Floats
@@ -259,8 +262,12 @@ class _Fragments(NamedTuple):
         """Some of the pairs, in order."""
         if index.size == self.t.size:
             return self
-        return self._replace(
-            counts=np.diff(np.searchsorted(index, np.cumsum(self.counts)), prepend=0),
+        if self.counts is None:
+            spans = self._replace(owner=select(self.owner, index), row=self.row[index])
+        else:
+            ends = np.searchsorted(index, np.cumsum(self.counts))
+            spans = self._replace(counts=np.diff(ends, prepend=0))
+        return spans._replace(
             sample=self.sample[index],
             s=self.s[index],
             t=self.t[index],
@@ -273,7 +280,7 @@ class _Fragments(NamedTuple):
 
     def of_rows(self, values: Floats) -> Floats:
         """Values of rows, for each of the samples."""
-        return np.repeat(values[self.row], self.counts)
+        return spread(values[self.row], self.counts)
 
     def slope(self, view: View) -> Any:
         """`View.slope` for each sample; a single number if all have the least."""
@@ -364,33 +371,37 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
-def _groups(spans: Spans, counts: Ints, objects: int) -> Iterator[tuple[Index, Ints]]:
-    """Spans of each large object, then of all small ones together.
+def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered, Ints]]:
+    """Where each large object may be seen, then all small ones together.
 
     Yields
     ------
     owner
         The large object, or the owner (spans,) of each span.
-    spans
-        Which spans.
+    covered
+        The spans.
+    samples : (n,)
+        All their samples.
     """
-    size = np.bincount(spans.owner, counts, minlength=objects)
+    size = np.bincount(covered.owner, covered.counts, minlength=objects)
     large = np.flatnonzero(size >= _LARGE).tolist()
     for owner in large:
-        yield owner, np.flatnonzero(spans.owner == owner)
-    rest = np.flatnonzero((size[spans.owner] < _LARGE) & (counts > 0))
-    if rest.size:
-        yield spans.owner[rest], rest
+        own = covered.take(np.flatnonzero(covered.owner == owner))
+        yield owner, own, own.samples()
+    rest = size[covered.owner] < _LARGE
+    if covered.counts is not None:
+        rest &= covered.counts > 0
+    if rest.any():
+        small = covered.take(np.flatnonzero(rest))
+        yield small.owner, small, small.samples()
 
 
 def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, outlines = view.raster, view.outlines
     if not outlines.radius.size:
         return
-    spans = outlines.sphere_spans(samples.y, _PAD)
-    start, counts = samples.within(spans)
-    for owner, span in _groups(spans, counts, outlines.radius.size):
-        many, row = counts[span], spans.row[span]
+    covered = samples.covered(partial(outlines.sphere_spans, pad=_PAD))
+    for owner, (_, row, _, counts), sample in _groups(covered, outlines.radius.size):
         # What is constant along a row is computed once a span.
         disc = disc_in_row(
             raster.down(samples.y[row]),
@@ -399,41 +410,37 @@ def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Frag
             outlines.radius[owner],
             outlines.power[owner],
         )
-        sample = ranges(start[span], many)
         across = s[sample]
-        t, rise = sphere_hit(across, Disc(*(spread(m, many) for m in disc)))
-        yield _Fragments(True, owner, row, many, sample, across, t, rise)
+        t, rise = sphere_hit(across, Disc(*(spread(m, counts) for m in disc)))
+        yield _Fragments(True, owner, row, counts, sample, across, t, rise)
 
 
 def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
     raster, surfaces = view.raster, view.surfaces
     if not len(surfaces.min_pt):
         return
-    spans = view.outlines.box_spans(samples.y, _PAD)
-    start, counts = samples.within(spans)
+    covered = samples.covered(partial(view.outlines.box_spans, pad=_PAD))
     eye = raster.eye.tolist()
-    for owner, span in _groups(spans, counts, len(surfaces.min_pt)):
-        many, row = counts[span], spans.row[span]
-        sample = ranges(start[span], many)
+    for owner, (_, row, _, counts), sample in _groups(covered, len(surfaces.min_pt)):
         across = s[sample]
         t, axis = box_hit(
-            _directions(raster, across, raster.down(samples.y[row]), many),
-            _seen_from(eye, surfaces.min_pt[owner], many),
-            _seen_from(eye, surfaces.max_pt[owner], many),
+            _directions(raster, across, raster.down(samples.y[row]), counts),
+            _seen_from(eye, surfaces.min_pt[owner], counts),
+            _seen_from(eye, surfaces.max_pt[owner], counts),
         )
-        yield _Fragments(False, owner, row, many, sample, across, t, axis)
+        yield _Fragments(False, owner, row, counts, sample, across, t, axis)
 
 
-def _seen_from(eye: list[float], points: Floats, counts: Ints) -> Triple:
+def _seen_from(eye: list[float], points: Floats, counts: Ints | None) -> Triple:
     """One point (3,), or points (spans, 3) repeated for their samples, seen from the eye."""
     x, y, z = (spread(points[..., k] - eye[k], counts) for k in range(3))
     return x, y, z
 
 
-def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints) -> Triple:
+def _directions(raster: Raster, s: Floats, g: Floats, counts: Ints | None) -> Triple:
     """Ray directions in the scene's axes, from (s, g, depth) in the camera's."""
     u, v, w = raster.axes.tolist()
-    x, y, z = (s * u[k] + np.repeat(g * v[k] + raster.depth * w[k], counts) for k in range(3))
+    x, y, z = (s * u[k] + spread(g * v[k] + raster.depth * w[k], counts) for k in range(3))
     return x, y, z
 
 
@@ -542,6 +549,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
         owner=owner,
         row=y.astype(np.intp),
         column=x.astype(np.intp),
+        scattered=samples.row is not None,
     )
 
 
@@ -549,24 +557,30 @@ def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
     """Runs of hits, as in `Hits.first`: the first hit, the object, and the first sample of each."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
-    piece = None
     if samples.row is not None:
-        piece = np.cumsum(np.diff(samples.x, prepend=0) > _GAP)
+        apart = np.diff(samples.x, prepend=0) > _GAP
+        piece = np.cumsum(apart | (np.diff(samples.row, prepend=0) != 0))
     for group in groups:
-        span = np.flatnonzero(group.counts)
-        first, owner = (np.cumsum(group.counts) - group.counts)[span], select(group.owner, span)
-        # Samples of a row that see one object may be far apart, or on different faces.
-        parts: list[NDArray[Any]] = [] if piece is None else [piece[group.sample]]
-        if np.ndim(group.face):
-            # One number for the axis of a face and its side.
-            parts.append(4 * group.face + group.sign)
-        if parts:
-            starts = np.any([np.diff(part, prepend=0) != 0 for part in parts], axis=0)
-            starts[first] = True
-            every = np.flatnonzero(starts)
-            owner = select(owner, np.searchsorted(first, every, side="right") - 1)
-            first = every
+        # Of faces, one number for the axis and the side.
+        faces = [4 * group.face + group.sign] if np.ndim(group.face) else []
+        if group.counts is None:
+            first = _starts([0], piece[group.sample], group.owner, *faces)
+            owner = select(group.owner, first)
+        else:
+            span = np.flatnonzero(group.counts)
+            first, owner = (np.cumsum(group.counts) - group.counts)[span], select(group.owner, span)
+            if faces:
+                every = _starts(first, *faces)
+                owner = select(owner, np.searchsorted(first, every, side="right") - 1)
+                first = every
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(owner, first.shape))
         begins.append(group.sample[first])
     return np.concatenate(firsts), np.concatenate(owners), np.concatenate(begins)
+
+
+def _starts(some: Ints | list[int], *numbers: Any) -> Ints:
+    """Where any of the numbers (n,) changes, and at `some` places."""
+    starts = np.any([np.diff(m, prepend=0) != 0 for m in numbers if np.ndim(m)], axis=0)
+    starts[some] = True
+    return np.flatnonzero(starts)
