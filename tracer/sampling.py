@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -16,16 +17,12 @@ __all__ = ["CENTRES", "Covered", "Lattice", "Samples"]
 
 # Of lattices with so many points, one in each row and each column: by how many columns each point
 # lies to the right of that in the row above.
-_GENERATORS = {5: 2, 13: 5}
-
-# A lattice has at least this many points for each of the grid that it stands for: a quarter more
-# are enough for the mean error, but the largest error of a pixel is a matter of chance.
-_MORE = 1.5
+_GENERATORS = {5: 2, 13: 5, 25: 7}
 
 
-def _stride(*places: Floats) -> float:
-    """Between rows that are laid end to end on one axis: no place in one reaches into the next."""
-    return 4 * (max(float(np.abs(m).max(initial=0)) for m in places) + 2)
+def _stride(*places: Floats) -> int:
+    """Between rows laid end to end on one axis: none of the places reaches into the next row."""
+    return 4 * ceil(max(float(np.abs(m).max(initial=0)) for m in places) + 2)
 
 
 class Covered(NamedTuple):
@@ -69,10 +66,10 @@ class Samples(NamedTuple):
     y : (rows,) or (n,)
         Of each row, ascending; or of each sample.
     x : (columns,) or (n,)
-        Position along the row, ascending within each row of pixels.
+        Position along the row, ascending; or of each sample.
     row : (n,), optional
-        Of scattered samples, the row of pixels each is in, ascending; without it, every row holds
-        all of `x`, one pixel apart.
+        Of scattered samples, the row of pixels each is in: these are sorted by row and column of
+        pixels.  Without it, every row holds all of `x`, one pixel apart.
     shift : (rows,)
         How far each row is moved to the right; used only without `row`.
     """
@@ -86,8 +83,9 @@ class Samples(NamedTuple):
     def scattered(cls, x: Floats, y: Floats) -> tuple[Samples, Ints]:
         """Positions, in any order, as samples; and which position each sample has."""
         row = np.floor(y)
-        # One number for row and x is sorted several times as fast as the two.
-        order = np.argsort(row * _stride(x) + x, kind="stable")
+        # Pixel by pixel, each from the top: one number for all is sorted several times as fast.
+        pixel = row * _stride(x) + np.floor(x)
+        order = np.argsort(pixel + (y - row) / 2, kind="stable")
         return cls(y[order], x[order], row[order].astype(np.intp)), order
 
     @property
@@ -127,22 +125,22 @@ class Samples(NamedTuple):
             return Covered(found.owner, found.row, found.row * columns + start, counts)
         tops = self.row[np.flatnonzero(np.diff(self.row, prepend=self.row[:1] - 1))]
         found = spans(tops.astype(np.float64), 1.0)
-        # Lay the rows end to end on one axis.
+        # Whole pixels, as they are sorted.
         stride = _stride(self.x, found.left, found.right)
-        key, begin = self.row * stride + self.x, tops[found.row] * stride
-        start = np.searchsorted(key, begin + found.left)
-        stop = np.searchsorted(key, begin + found.right, side="right")
+        pixel, begin = self.row * stride + np.floor(self.x), tops[found.row] * stride
+        start = np.searchsorted(pixel, begin + np.floor(found.left))
+        stop = np.searchsorted(pixel, begin + np.floor(found.right), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
         return Covered(found.owner[span], sample, sample, None)
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2) or atan(2 / 3).
+    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2), say.
 
     Where edges follow the rows or columns of an upright grid, as those of boxes often do, they pass
     a whole row of points at once; in most other directions all square grids do equally well.  In
     this one few points of a pixel share a row or a column, and yet it repeats from pixel to
-    pixel: it is a rank-1 lattice of 5 or of 13 points (Dammertz and Keller, Image synthesis by
+    pixel: it is a rank-1 lattice of 5, 13 or 25 points (Dammertz and Keller, Image synthesis by
     rank-1 lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps
     it onto itself, so what is smooth is averaged as well as by an upright grid.  Where all
     pixels have it (`samples`), every other row of them has its mirror image: an edge along one of
@@ -153,7 +151,7 @@ class Lattice(NamedTuple):
     columns : int
         Points in each row.
     rows : int
-        1 for the centre alone, else 5 or 13 times `columns`.
+        1 for the centre alone, else 5, 13 or 25 times `columns`.
     """
 
     columns: int
@@ -161,13 +159,17 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, per_side: int) -> Lattice:
-        """A lattice that mostly errs less than an upright grid of per_side x per_side points."""
+        """A lattice that mostly errs less than an upright grid of per_side x per_side points.
+
+        A quarter more points than the grid's are enough for the mean error; the largest error is a
+        matter of chance, hence as many again as lie along the grid's sides.
+        """
         lattices = (
             cls(columns, points * columns)
             for points in _GENERATORS
             for columns in range(1, per_side + 1)
         )
-        least = _MORE * per_side**2
+        least = 1.25 * per_side**2 + 4 * per_side
         return min((m for m in lattices if m.size >= least), key=lambda m: m.size)
 
     @property

@@ -41,7 +41,7 @@ _PAD = 0.5
 # What crosses another surface at a slope that is steeper still may be missed.
 _LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
 
-# Samples farther apart, in pixels, are no neighbours.
+# Samples farther apart, in pixels, across or in depth, are no neighbours.
 _GAP = 4.0
 
 # In place of the axis of a box's face, for spheres.
@@ -169,7 +169,7 @@ class Hits(NamedTuple):
     first : (runs + 1,)
         Where each run of points begins, through all groups, and the end of the last.  A run is on
         one object and one face, in one row of samples; or, if these are scattered, in one row of
-        pixels, with no gap of more than `_GAP` without a sample, whatever that sees.
+        pixels, with no gap of more than `_GAP`.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
@@ -539,7 +539,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
     for (part, face, sign), start, end in zip(faces, ends, ends[1:], strict=False):
         place = slice(start, end)
         groups.append(_hit(view, samples, part, face, sign, place, p[:, place]))
-    first, owner, begin = _runs(samples, groups)
+    first, owner, begin = _runs(view.raster, samples, groups, p[2])
     x, y = samples.at(begin)
     return Hits(
         raster=view.raster,
@@ -553,10 +553,16 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
     )
 
 
-def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
-    """Runs of hits, as in `Hits.first`: the first hit, the object, and the first sample of each."""
+def _runs(
+    raster: Raster, samples: Samples, groups: list[Group], ahead: Floats
+) -> tuple[Ints, Ints, Ints]:
+    """Runs of hits, as in `Hits.first`: the first hit, the object, and the first sample of each.
+
+    `ahead` (n,): how far ahead of the eye hits are.
+    """
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
+    gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
     if samples.row is not None:
         apart = np.diff(samples.x, prepend=0) > _GAP
         piece = np.cumsum(apart | (np.diff(samples.row, prepend=0) != 0))
@@ -564,7 +570,9 @@ def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
         # Of faces, one number for the axis and the side.
         faces = [4 * group.face + group.sign] if np.ndim(group.face) else []
         if group.counts is None:
-            first = _starts([0], piece[group.sample], group.owner, *faces)
+            w = ahead[group.part]
+            jump = np.cumsum(np.abs(np.diff(w, prepend=w[:1])) > gap * w)
+            first = _starts([0], piece[group.sample], jump, group.owner, *faces)
             owner = select(group.owner, first)
         else:
             span = np.flatnonzero(group.counts)
