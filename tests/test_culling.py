@@ -17,7 +17,7 @@ from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces,
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.outlines import outlines_of
-from tracer.sampling import Samples
+from tracer.sampling import Samples, Scattered
 from tracer.visibility import Hits, View, view_of
 
 
@@ -56,7 +56,7 @@ def scattered(scene: Scene) -> Floats:
     coarse = replace(scene, width=width, height=height)
     view = view_of(raster_of(coarse.camera, width, height), coarse.surfaces, split=True)
     x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
-    samples, order = Samples.scattered(np.tile(x, y.size), np.repeat(y, x.size))
+    samples, order = Scattered.of(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
     radiance[:, order] = lighting.radiance_at(lighting.lighting_of(coarse, view, True), samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)

@@ -17,7 +17,7 @@ from tracer.arrays import Bools, Floats, Ints
 from tracer.boundaries import Patches, footprint_of, intersections, near_lights
 from tracer.edges import Lines
 from tracer.lighting import Highlights, Lighting, incoming_at, narrow_highlights, radiance_at, shade
-from tracer.sampling import Samples
+from tracer.sampling import Samples, Scattered
 from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import visible_and_behind
 
@@ -135,7 +135,7 @@ def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> Fl
     radiance = np.empty((3, x.size))
     if not x.size:
         return radiance
-    samples, order = Samples.scattered(x, y)
+    samples, order = Scattered.of(x, y)
     radiance[:, order] = radiance_at(lighting_in(cell[order]), samples)
     return radiance
 
@@ -153,7 +153,7 @@ def look_at(
     `cell` (n,): the cell, of those that `lighting_in` knows, in which each position lies.
     `share`: see `look`.
     """
-    samples, order = Samples.scattered(x, y)
+    samples, order = Scattered.of(x, y)
     seen = Seen.of(order.size)
     look(lighting_in(cell[order]), samples, size, seen, order, share)
     return seen

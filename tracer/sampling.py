@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import ceil
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from tracer.arrays import Floats, Ints, expand, ranges
 from tracer.camera import Raster
 from tracer.outlines import Spans
 
-__all__ = ["CENTRES", "Covered", "Lattice", "Samples"]
+__all__ = ["CENTRES", "Covered", "Lattice", "Rows", "Samples", "Scattered"]
 
 
 # Of lattices with so many points, one in each row and each column: by how many columns each point
@@ -33,7 +33,7 @@ class Covered(NamedTuple):
     owner : (spans,)
         Which sphere or box.
     row : (spans,)
-        Index into `Samples.y`.
+        Index into the samples' `y`.
     first : (spans,)
         The first of a span of samples.
     counts : (spans,), or None
@@ -55,35 +55,76 @@ class Covered(NamedTuple):
         return self.first if self.counts is None else ranges(self.first, self.counts)
 
 
-class Samples(NamedTuple):
-    """Sample positions, from the picture's upper left corner: in rows, or *scattered*.
+class Rows(NamedTuple):
+    """Samples in rows, one pixel apart, from the picture's upper left corner.
 
     The unit is the pixel of the raster that gives their rays: for a `Lattice` that is a finer
     one, with the lattice's columns and rows in every pixel of the picture.
 
     Attributes
     ----------
-    y : (rows,) or (n,)
-        Of each row, ascending; or of each sample.
-    x : (columns,) or (n,)
-        Position along the row, ascending; or of each sample.
-    row : (n,), optional
-        Of scattered samples, the row of pixels each is in: these are sorted by row and column of
-        pixels.  Without it, every row holds all of `x`, one pixel apart.
+    y : (rows,)
+        Ascending.
+    x : (columns,)
+        Ascending.
     shift : (rows,)
-        How far each row is moved to the right; used only without `row`.
+        How far each row is moved to the right.
     """
 
     y: Floats
     x: Floats
-    row: Ints | None = None
-    shift: Floats = np.zeros(0)
+    shift: Floats
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        return self.x.size * self.y.size
+
+    def across(self, raster: Raster) -> Floats:
+        """First component of each sample's ray."""
+        return np.add.outer(self.shift * raster.step_u, raster.across(self.x)).ravel()
+
+    def positions(self) -> tuple[Floats, Floats]:
+        """x and y of all samples."""
+        return np.add.outer(self.shift, self.x).ravel(), np.repeat(self.y, self.x.size)
+
+    def at(self, index: Ints) -> tuple[Floats, Floats]:
+        """x and y of some samples."""
+        row, column = np.divmod(index, self.x.size)
+        return self.x[column] + self.shift[row], self.y[row]
+
+    def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
+        """Where objects may be seen, given the function from rows and their height to `spans`."""
+        owner, row, left, right = spans(self.y, 0.0)
+        columns = self.x.size
+        first = self.x[0] + self.shift[row]
+        start = np.ceil(left - first).astype(np.intp)
+        stop = np.floor(right - first).astype(np.intp) + 1
+        np.clip(start, 0, columns, out=start)
+        np.clip(stop, 0, columns, out=stop)
+        return Covered(owner, row, row * columns + start, np.maximum(stop - start, 0))
+
+
+class Scattered(NamedTuple):
+    """Samples anywhere, sorted pixel by pixel, and downwards in each.
+
+    Attributes
+    ----------
+    y, x : (n,)
+        In pixels from the picture's upper left corner.
+    row : (n,)
+        The row of pixels each is in.
+    """
+
+    y: Floats
+    x: Floats
+    row: Ints
 
     @classmethod
-    def scattered(cls, x: Floats, y: Floats) -> tuple[Samples, Ints]:
+    def of(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
         """Positions, in any order, as samples; and which position each sample has."""
         row = np.floor(y)
-        # Pixel by pixel, each from the top: one number for all is sorted several times as fast.
+        # One number for pixel and height is sorted several times as fast as three.
         pixel = row * _stride(x) + np.floor(x)
         order = np.argsort(pixel + (y - row) / 2, kind="stable")
         return cls(y[order], x[order], row[order].astype(np.intp)), order
@@ -91,47 +132,31 @@ class Samples(NamedTuple):
     @property
     def size(self) -> int:
         """How many there are."""
-        return self.x.size if self.row is not None else self.x.size * self.y.size
+        return self.x.size
 
     def across(self, raster: Raster) -> Floats:
         """First component of each sample's ray."""
-        s = raster.across(self.x)
-        return s if self.row is not None else np.add.outer(self.shift * raster.step_u, s).ravel()
-
-    def positions(self) -> tuple[Floats, Floats]:
-        """x and y of all samples."""
-        if self.row is not None:
-            return self.x, self.y
-        return np.add.outer(self.shift, self.x).ravel(), np.repeat(self.y, self.x.size)
+        return raster.across(self.x)
 
     def at(self, index: Ints) -> tuple[Floats, Floats]:
         """x and y of some samples."""
-        if self.row is not None:
-            return self.x[index], self.y[index]
-        row, column = np.divmod(index, self.x.size)
-        return self.x[column] + self.shift[row], self.y[row]
+        return self.x[index], self.y[index]
 
     def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
         """Where objects may be seen, given the function from rows and their height to `spans`."""
-        if self.row is None:
-            found = spans(self.y, 0.0)
-            columns = self.x.size
-            first = self.x[0] + self.shift[found.row]
-            start = np.ceil(found.left - first).astype(np.intp)
-            stop = np.floor(found.right - first).astype(np.intp) + 1
-            np.clip(start, 0, columns, out=start)
-            np.clip(stop, 0, columns, out=stop)
-            counts = np.maximum(stop - start, 0)
-            return Covered(found.owner, found.row, found.row * columns + start, counts)
         tops = self.row[np.flatnonzero(np.diff(self.row, prepend=self.row[:1] - 1))]
-        found = spans(tops.astype(np.float64), 1.0)
-        # Whole pixels, as they are sorted.
-        stride = _stride(self.x, found.left, found.right)
-        pixel, begin = self.row * stride + np.floor(self.x), tops[found.row] * stride
-        start = np.searchsorted(pixel, begin + np.floor(found.left))
-        stop = np.searchsorted(pixel, begin + np.floor(found.right), side="right")
+        owner, row, left, right = spans(tops.astype(np.float64), 1.0)
+        # Whole pixels: so samples are sorted.
+        stride = _stride(self.x, left, right)
+        pixel, begin = self.row * stride + np.floor(self.x), tops[row] * stride
+        start = np.searchsorted(pixel, begin + np.floor(left))
+        stop = np.searchsorted(pixel, begin + np.floor(right), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
-        return Covered(found.owner[span], sample, sample, None)
+        return Covered(owner[span], sample, sample, None)
+
+
+Samples: TypeAlias = Rows | Scattered
+"""Where rays are sent."""
 
 
 class Lattice(NamedTuple):
@@ -177,12 +202,12 @@ class Lattice(NamedTuple):
         """Points in a pixel."""
         return self.columns * self.rows
 
-    def samples(self, rows: slice, columns: slice) -> Samples:
+    def samples(self, rows: slice, columns: slice) -> Rows:
         """The points in a rectangle of pixels, in units of the lattice's rows and columns."""
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (each.astype(np.float64) + 0.5 for each in (row, column))
-        return Samples(y, x, shift=self._shift(row))
+        return Rows(y, x, self._shift(row))
 
     def points(self) -> tuple[Floats, Floats]:
         """x and y of the points, row by row, from -1/2 to 1/2 across the pixel."""

@@ -25,7 +25,7 @@ from tracer.arrays import (
 from tracer.camera import Raster
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
 from tracer.outlines import Outlines, outlines_of
-from tracer.sampling import Covered, Samples
+from tracer.sampling import Covered, Samples, Scattered
 from tracer.scene import Surfaces
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
@@ -549,7 +549,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
         owner=owner,
         row=y.astype(np.intp),
         column=x.astype(np.intp),
-        scattered=samples.row is not None,
+        scattered=isinstance(samples, Scattered),
     )
 
 
@@ -563,7 +563,7 @@ def _runs(
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
     gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
-    if samples.row is not None:
+    if isinstance(samples, Scattered):
         apart = np.diff(samples.x, prepend=0) > _GAP
         piece = np.cumsum(apart | (np.diff(samples.row, prepend=0) != 0))
     for group in groups:
