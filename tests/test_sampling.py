@@ -71,3 +71,13 @@ def test_the_mean_is_that_of_each_pixel() -> None:
     np.testing.assert_allclose(mean[..., 0], expected, rtol=1e-12)
     np.testing.assert_allclose(mean[..., 1], 2 * expected, rtol=1e-12)
     np.testing.assert_allclose(mean[..., 2], 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("per_side", SIDES)
+def test_the_mean_of_a_pixel_does_not_depend_on_its_neighbours(per_side: int) -> None:
+    lattice, width = Lattice.of(per_side), 7
+    radiance = np.random.default_rng(0).random((3, lattice.rows, width, lattice.columns))
+    together = lattice.mean(radiance.reshape(3, -1), width)
+    for column in range(width):
+        alone = lattice.mean(radiance[:, :, column].reshape(3, -1), 1)
+        np.testing.assert_array_equal(alone[:, 0], together[:, column])

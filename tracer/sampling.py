@@ -15,9 +15,11 @@ from tracer.outlines import Spans
 __all__ = ["CENTRES", "Covered", "Lattice", "Rows", "Samples", "Scattered"]
 
 
-# Of lattices with so many points, one in each row and each column: by how many columns each point
-# lies to the right of that in the row above.
+# Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
 _GENERATORS = {5: 2, 13: 5, 25: 7}
+
+# A lattice has at least this many points for each of the grid's.
+_MORE = 2.5
 
 
 def _stride(*places: Floats) -> int:
@@ -165,18 +167,18 @@ class Lattice(NamedTuple):
     Where edges follow the rows or columns of an upright grid, as those of boxes often do, they pass
     a whole row of points at once; in most other directions all square grids do equally well.  In
     this one few points of a pixel share a row or a column, and yet it repeats from pixel to
-    pixel: it is a rank-1 lattice of 5, 13 or 25 points (Dammertz and Keller, Image synthesis by
-    rank-1 lattices, 2008), repeated `columns` times across the pixel and down.  A quarter turn maps
-    it onto itself, so what is smooth is averaged as well as by an upright grid.  Where all
-    pixels have it (`samples`), every other row of them has its mirror image: an edge along one of
-    its own directions meets those in only half of the pixels.
+    pixel: it is a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of
+    13 or 25 points, or one of five that is repeated `columns` times across the pixel and down.  A
+    quarter turn maps it onto itself, so what is smooth is averaged as well as by an upright grid.
+    Where all pixels have it (`samples`), every other row of them has its mirror image: an edge
+    along one of its own directions meets those in only half of the pixels.
 
     Attributes
     ----------
     columns : int
         Points in each row.
     rows : int
-        1 for the centre alone, else 5, 13 or 25 times `columns`.
+        1 for the centre alone, else 13, 25 or 5 * `columns`.
     """
 
     columns: int
@@ -186,16 +188,12 @@ class Lattice(NamedTuple):
     def of(cls, per_side: int) -> Lattice:
         """A lattice that mostly errs less than an upright grid of per_side x per_side points.
 
-        A quarter more points than the grid's are enough for the mean error; the largest error is a
-        matter of chance, hence as many again as lie along the grid's sides.
+        As many points as the grid's are enough for the mean error of most pictures; more are for
+        the largest error, and for edges along the lattice's own directions.
         """
-        lattices = (
-            cls(columns, points * columns)
-            for points in _GENERATORS
-            for columns in range(1, per_side + 1)
-        )
-        least = 1.25 * per_side**2 + 4 * per_side
-        return min((m for m in lattices if m.size >= least), key=lambda m: m.size)
+        repeated = (cls(columns, 5 * columns) for columns in range(2, per_side + 1))
+        lattices = (m for m in (cls(1, 13), cls(1, 25), *repeated) if m.size >= _MORE * per_side**2)
+        return min(lattices, key=lambda m: m.size)
 
     @property
     def size(self) -> int:
@@ -217,8 +215,12 @@ class Lattice(NamedTuple):
 
     def mean(self, radiance: Floats, width: int) -> Floats:
         """Mean (height, width, 3) over pixels of radiance (3, n) at all their `samples`."""
-        each = radiance.reshape(3, -1, self.rows, width, self.columns).sum(axis=2)
-        return np.moveaxis(each.sum(axis=3) / self.size, 0, 2)
+        each = radiance.reshape(3, -1, self.rows, width, self.columns)
+        # Row by row: how NumPy adds along an axis depends on the width.
+        total = each[:, :, 0].copy()
+        for row in range(1, self.rows):
+            total += each[:, :, row]
+        return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
         """How far each row is moved, in columns, so that its middle row and column cross."""
