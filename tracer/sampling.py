@@ -14,17 +14,11 @@ from tracer.outlines import Spans
 
 __all__ = ["CENTRES", "Covered", "Lattice", "Rows", "Samples", "Scattered"]
 
-
 # Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
 _GENERATORS = {5: 2, 13: 5, 25: 7}
 
 # A lattice has at least this many points for each of the grid's.
 _MORE = 2.5
-
-
-def _stride(*places: Floats) -> int:
-    """Between rows laid end to end on one axis: none of the places reaches into the next row."""
-    return 4 * ceil(max(float(np.abs(m).max(initial=0)) for m in places) + 2)
 
 
 class Covered(NamedTuple):
@@ -58,7 +52,7 @@ class Covered(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Samples in rows, one pixel apart, from the picture's upper left corner.
+    """Samples in rows, from the picture's upper left corner.
 
     The unit is the pixel of the raster that gives their rays: for a `Lattice` that is a finer
     one, with the lattice's columns and rows in every pixel of the picture.
@@ -68,7 +62,7 @@ class Rows(NamedTuple):
     y : (rows,)
         Ascending.
     x : (columns,)
-        Ascending.
+        Ascending, one pixel apart.
     shift : (rows,)
         How far each row is moved to the right.
     """
@@ -155,6 +149,11 @@ class Scattered(NamedTuple):
         stop = np.searchsorted(pixel, begin + np.floor(right), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
         return Covered(owner[span], sample, sample, None)
+
+
+def _stride(*places: Floats) -> int:
+    """Between rows laid end to end on one axis: none of the places reaches into the next row."""
+    return 4 * ceil(max(float(np.abs(m).max(initial=0)) for m in places) + 2)
 
 
 Samples: TypeAlias = Rows | Scattered
