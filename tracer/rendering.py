@@ -41,7 +41,7 @@ _SPLIT_BANDS = 3
 
 # A picture's load grows with its samples, its lights, its objects up to `_FEW_OBJECTS`, and how
 # often pixels are split, each time for the work of `_SPLIT` samples.  Last, the loads from which it
-# pays to fork, and to ask helpers.
+# pays to fork, and to ask helpers; the latter times `_SPLIT_BANDS` where pixels are split.
 _FEW_OBJECTS, _SPLIT = 8, 3
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
 
@@ -150,7 +150,8 @@ def _rendered(
     """
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
-    processes = _processes(threads, load >= _WORTH_HELP)
+    pays = load >= _WORTH_HELP * (_SPLIT_BANDS if picture.split else 1)
+    processes = _processes(threads, pays)
     bands = _Bands.of(picture, processes, band_pixels)
     job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
     # Whoever asks for processors by number gets helpers from the first picture on.
