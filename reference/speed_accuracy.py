@@ -72,7 +72,7 @@ _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.01, 5), (0.003, 6), (0.001, 7))
 _TOO_LONG, _ENOUGH, _ROUNDS = 2.5, 0.3, 15
 
 # About how many pixels of a picture the error is measured over.
-_PIXELS = 1 << 14
+_PIXELS = 1 << 15
 
 # The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
 _LEVEL = 1e-3

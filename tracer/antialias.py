@@ -37,7 +37,7 @@ __all__ = ["antialiased", "dense", "splittings"]
 _CHUNK = 1 << 16
 
 # Pixels that are looked at together.
-_STRIP = 3 << 15
+_STRIP = 3 << 16
 
 # A cell is split where its correction for curvature may err by more than this, in radiance, over
 # the power 3/2 of the samples along each side: so fast the error of grids falls.

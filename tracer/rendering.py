@@ -37,7 +37,7 @@ _QUIET = np.errstate(all="ignore")
 
 # Samples in a band, and the least that pays; both times `_SPLIT_BANDS` where pixels are split.
 _BAND_SAMPLES, _LEAST_SAMPLES = 3 << 15, 1 << 15
-_SPLIT_BANDS = 3
+_SPLIT_BANDS = 4
 
 # A picture's load grows with its samples, its lights, its objects up to `_FEW_OBJECTS`, and how
 # often pixels are split, each time for the work of `_SPLIT` samples.  Last, the loads from which it
