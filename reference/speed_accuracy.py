@@ -538,7 +538,8 @@ def main() -> None:
         mi.set_log_level(mi.LogLevel.Error)
         points: list[Point] = []
         where = machine.describe()
-        print(f"About {2 * len(scenes)} minutes, or less where the build folder has the truth already")
+        minutes = 2 * len(scenes)
+        print(f"About {minutes} minutes, or less where the build folder has the truth already")
         for name, scene in tqdm(scenes.items(), unit="scene"):
             points += measure(name, scene, quick=chosen.quick)
         write_csv(

@@ -44,7 +44,8 @@ _STRIP = 3 << 16
 _CURVATURE = 1e-2
 
 # Cells in which the grid asked for has no more samples along each side than this are not split any
-# more, but sampled: looks would cost more than the samples they save.
+# more, but sampled: looks would cost more than the samples they save.  They cost so much that what
+# has been split gets no fewer samples than this.
 _LAST = 3
 
 # With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
@@ -268,5 +269,5 @@ def _split(
         quarters = quarters._replace(error=np.fmax(quarters.error, error))
         radiance = np.add(closer.radiance, bend, out=bend)
         every = np.ones(x.size, dtype=np.bool_)
-        _refine(lighting, quarters, closer, radiance, (per_side + 1) // 2, every)
+        _refine(lighting, quarters, closer, radiance, max((per_side + 1) // 2, _LAST), every)
         mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
