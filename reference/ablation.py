@@ -139,7 +139,7 @@ ANTIALIASING = [
     Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
     Part("no memory of looks: shadows sought anew", [(Seen, "lighting_in", _forgotten)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
-    Part("no turn: upright grids, 16 samples for 13", [(Lattice, "of", _upright)]),
+    Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
 ]
 """Parts without which an antialiased picture takes longer, or errs more."""
 
