@@ -111,7 +111,7 @@ class StretchFinder(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """Long stretches of some hits, and what is still to be decided about them.
+    """Stretches of some hits, and what is still to be decided about them.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class _Search(NamedTuple):
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
         near = np.flatnonzero(meets & entries(self.asked, light, stretch))
-        if self.hits.scattered:
+        if self.hits.scattered:  # they are short already
             return Candidates(balls.take(near), light[near], occluder[near])
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
         at = near[parent]
