@@ -458,4 +458,7 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, mod
         check=False,
     )
     told = "No module named mitsuba; install it with pip install -e '.[reference]'\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", told)
+    assert (done.returncode, done.stdout) == (2, "")
+    # Dr.Jit may say before that it has no LLVM.
+    assert done.stderr.endswith(told)
+    assert "Traceback" not in done.stderr

@@ -343,7 +343,10 @@ def test_without_numpy(tmp_path: Path, option: str) -> None:
 def test_what_mitsuba_lacks_is_told(module: str, stub: str, told: str, tmp_path: Path) -> None:
     (tmp_path / f"{module}.py").write_text(stub)
     done = run("--check", str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
-    assert (done.returncode, done.stderr) == (1, f"Mitsuba cannot run: {told}\n")
+    assert done.returncode == 1
+    # Dr.Jit may say before that it has no LLVM.
+    assert done.stderr.endswith(f"Mitsuba cannot run: {told}\n")
+    assert "Traceback" not in done.stderr
 
 
 def test_render_writes_a_png_and_an_exr(small: Path, tmp_path: Path) -> None:
