@@ -242,7 +242,7 @@ def _sample(
         for channel, values in zip(mean, single, strict=True):
             np.add.at(channel, empty.cell, empty.share * values)
         if not begin:
-            colors = others
+            colors[:] = others
     return colors
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "Spans",
     "Turns",
     "box_corners",
+    "boxes_around",
     "outlines_of",
     "silhouette_planes",
 ]
@@ -472,6 +473,14 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     return sign * normal[0], sign * normal[1], sign * normal[2]
 
 
+def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> NDArray[np.bool_]:
+    """Which boxes (n,) hold a point (3,), inside or on a face."""
+    around = np.ones(len(min_pt), dtype=np.bool_)
+    for k, place in enumerate(point.tolist()):
+        around &= (min_pt[:, k] <= place) & (place <= max_pt[:, k])
+    return around
+
+
 def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
     """Corners seen from an apex: three (8, n); i is high along axis k where bit k of i is set."""
     ends = (min_pt - apex).T, (max_pt - apex).T
@@ -518,12 +527,11 @@ def _silhouettes(
     there = u[:, at], v[:, at], w[:, at]
     planes[:, :, at] = silhouette_planes(there, raster.eye, min_pt[at], max_pt[at])
     # A box is seen from inside on its side of the faces that the eye is on.
-    low, high = min_pt - raster.eye, max_pt - raster.eye
-    inside = ((low <= 0) & (high >= 0)).all(axis=1)
-    on = inside & ((low == 0) | (high == 0)).any(axis=1)
-    for box in np.flatnonzero(on & shaped).tolist():
-        faces = [(k, 1.0) for k in range(3) if low[box, k] == 0]
-        faces += [(k, -1.0) for k in range(3) if high[box, k] == 0]
+    for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt) & shaped).tolist():
+        faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
+        faces += [(k, -1.0) for k in range(3) if max_pt[box, k] == raster.eye[k]]
+        if not faces:
+            continue
         for number in range(6):
             k, sign = faces[number % len(faces)]
             planes[:, number, box] = sign * raster.axes[:, k]

@@ -150,8 +150,7 @@ def _rendered(
     """
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
-    pays = load >= _WORTH_HELP * (_SPLIT_BANDS if picture.split else 1)
-    processes = _processes(threads, pays)
+    processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
     bands = _Bands.of(picture, processes, band_pixels)
     job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
     # Whoever asks for processors by number gets helpers from the first picture on.
@@ -224,6 +223,11 @@ class _Picture(NamedTuple):
         """Whether pixels are split."""
         return self.per_side > 1
 
+    @property
+    def larger(self) -> int:
+        """How many times as large bands are if pixels are split, and pictures worth help."""
+        return _SPLIT_BANDS if self.split else 1
+
     def raster(self) -> Raster:
         """The rays of the samples that every pixel has."""
         scene, (columns, rows) = self.scene, self.lattice
@@ -268,7 +272,7 @@ class _Bands(NamedTuple):
         """Bands for a number of processes; `band_pixels`: see `render_bands`."""
         width, height = picture.scene.width, picture.scene.height
         # Few pixels of a band are split: larger bands have enough of them for long arrays.
-        times = (_SPLIT_BANDS if picture.split else 1) / picture.lattice.size
+        times = picture.larger / picture.lattice.size
         at_once = max(1, int(band_pixels or _BAND_SAMPLES * times))
         step = max(1, at_once // width)
         if processes > 1:

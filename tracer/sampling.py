@@ -110,20 +110,26 @@ class Scattered(NamedTuple):
         In pixels from the picture's upper left corner.
     row : (n,)
         The row of pixels each is in.
+    pixel : (n,)
+        A number for each pixel: row * (2 * `beside` + 1) + column.
+    beside : int
+        All columns are less, to either side.
     """
 
     y: Floats
     x: Floats
     row: Ints
+    pixel: Floats
+    beside: int
 
     @classmethod
     def of(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
         """Positions, in any order, as samples; and which position each sample has."""
-        row = np.floor(y)
+        row, beside = np.floor(y), ceil(np.abs(x).max(initial=0)) + 1
+        pixel = row * (2 * beside + 1) + np.floor(x)
         # One number for pixel and height is sorted several times as fast as three.
-        pixel = row * _stride(x) + np.floor(x)
         order = np.argsort(pixel + (y - row) / 2, kind="stable")
-        return cls(y[order], x[order], row[order].astype(np.intp)), order
+        return cls(y[order], x[order], row[order].astype(np.intp), pixel[order], beside), order
 
     @property
     def size(self) -> int:
@@ -143,17 +149,12 @@ class Scattered(NamedTuple):
         tops = self.row[np.flatnonzero(np.diff(self.row, prepend=self.row[:1] - 1))]
         owner, row, left, right = spans(tops.astype(np.float64), 1.0)
         # Whole pixels: so samples are sorted.
-        stride = _stride(self.x, left, right)
-        pixel, begin = self.row * stride + np.floor(self.x), tops[row] * stride
-        start = np.searchsorted(pixel, begin + np.floor(left))
-        stop = np.searchsorted(pixel, begin + np.floor(right), side="right")
+        beside, begin = self.beside, tops[row] * (2 * self.beside + 1)
+        first, last = (begin + np.clip(np.floor(m), -beside, beside) for m in (left, right))
+        start = np.searchsorted(self.pixel, first)
+        stop = np.searchsorted(self.pixel, last, side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
         return Covered(owner[span], sample, sample, None)
-
-
-def _stride(*places: Floats) -> int:
-    """Between rows laid end to end on one axis: none of the places reaches into the next row."""
-    return 4 * ceil(max(float(np.abs(m).max(initial=0)) for m in places) + 2)
 
 
 Samples: TypeAlias = Rows | Scattered

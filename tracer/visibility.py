@@ -24,7 +24,7 @@ from tracer.arrays import (
 )
 from tracer.camera import Raster
 from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
-from tracer.outlines import Outlines, outlines_of
+from tracer.outlines import Outlines, boxes_around, outlines_of
 from tracer.sampling import Covered, Samples, Scattered
 from tracer.scene import Surfaces
 
@@ -83,9 +83,7 @@ class View(NamedTuple):
 def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
     """Prepare surfaces to be seen from a raster's eye; `split`: whether pixels may be split."""
     outlines, eye = outlines_of(raster, surfaces, split), raster.eye
-    in_box = np.ones(len(surfaces.min_pt), dtype=np.bool_)
-    for k, place in enumerate(eye.tolist()):
-        in_box &= (surfaces.min_pt[:, k] <= place) & (place <= surfaces.max_pt[:, k])
+    in_box = boxes_around(eye, surfaces.min_pt, surfaces.max_pt)
     eye_inside = np.concatenate([outlines.power <= 0, in_box])
     return View(
         raster=raster,
@@ -371,7 +369,7 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
-def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered, Ints]]:
+def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered]]:
     """Where each large object may be seen, then all small ones together.
 
     Yields
@@ -380,20 +378,17 @@ def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered, In
         The large object, or the owner (spans,) of each span.
     covered
         The spans.
-    samples : (n,)
-        All their samples.
     """
     size = np.bincount(covered.owner, covered.counts, minlength=objects)
     large = np.flatnonzero(size >= _LARGE).tolist()
     for owner in large:
-        own = covered.take(np.flatnonzero(covered.owner == owner))
-        yield owner, own, own.samples()
+        yield owner, covered.take(np.flatnonzero(covered.owner == owner))
     rest = size[covered.owner] < _LARGE
     if covered.counts is not None:
         rest &= covered.counts > 0
     if rest.any():
         small = covered.take(np.flatnonzero(rest))
-        yield small.owner, small, small.samples()
+        yield small.owner, small
 
 
 def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragments]:
@@ -401,7 +396,8 @@ def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Frag
     if not outlines.radius.size:
         return
     covered = samples.covered(partial(outlines.sphere_spans, pad=_PAD))
-    for owner, (_, row, _, counts), sample in _groups(covered, outlines.radius.size):
+    for owner, part in _groups(covered, outlines.radius.size):
+        row, counts, sample = part.row, part.counts, part.samples()
         # What is constant along a row is computed once a span.
         disc = disc_in_row(
             raster.down(samples.y[row]),
@@ -421,7 +417,8 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
         return
     covered = samples.covered(partial(view.outlines.box_spans, pad=_PAD))
     eye = raster.eye.tolist()
-    for owner, (_, row, _, counts), sample in _groups(covered, len(surfaces.min_pt)):
+    for owner, part in _groups(covered, len(surfaces.min_pt)):
+        row, counts, sample = part.row, part.counts, part.samples()
         across = s[sample]
         t, axis = box_hit(
             _directions(raster, across, raster.down(samples.y[row]), counts),
@@ -562,8 +559,8 @@ def _runs(
     """
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
-    gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
     if isinstance(samples, Scattered):
+        gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
         apart = np.diff(samples.x, prepend=0) > _GAP
         piece = np.cumsum(apart | (np.diff(samples.row, prepend=0) != 0))
     for group in groups:
