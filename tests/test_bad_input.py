@@ -407,10 +407,21 @@ VALUES = [
     (SPHERE.format("<radius>--1</radius>"), [f"radius: '--1' {DECIMAL}"]),
     # Digits of another script, and a space that XML does not know.
     (SPHERE.format("<radius>\u0663</radius>"), [f"radius: '\u0663' {DECIMAL}"]),
+    (SPHERE.format("<center>1\u30002 3</center>"), [f"center: '1\\u30002' {DECIMAL}"]),
+    # As copied from a page or a program.
     (
         SPHERE.format("<center>1\u00a02 3</center>"),
-        [f"center: '1\\xa02' {DECIMAL}"],
+        ["center: has '\\xa0' (U+00A0); write it as '1 2 3'"],
     ),
+    (
+        SPHERE.format("<center>\u22121 \u20132 3</center>"),
+        ["center: has '\u2212' (U+2212) and '\u2013' (U+2013); write it as '-1 -2 3'"],
+    ),
+    (
+        SPHERE.format("<center>(1, 2, 3)</center>"),
+        ["center: has '(' and ',' and ')'; write it as '1 2 3'"],
+    ),
+    (SPHERE.format("<radius>(r)</radius>"), [f"radius: '(r)' {DECIMAL}"]),
     (
         SPHERE.format(f"<radius>{'x' * 99}</radius>"),
         [f"radius: '{'x' * 37}...' {DECIMAL}"],

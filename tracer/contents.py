@@ -95,6 +95,11 @@ CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 _NAN = float("nan")
 
+# What numbers copied from a page or a program come with, and what to write in its place.
+_COPIED = str.maketrans(
+    dict.fromkeys("\u2010\u2011\u2013\u2212", "-") | dict.fromkeys("\u00a0\u2009\u202f()[]{}", " ")
+)
+
 _Made = TypeVar("_Made")
 
 
@@ -136,6 +141,14 @@ def _is_decimal(word: str) -> bool:
     except ValueError:
         return False
     return _is_plain(word)
+
+
+def _odd(text: str) -> str:
+    """In words, the commas in `text`, and what `_COPIED` replaces; empty if there is none."""
+    found = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
+    if found == [","]:
+        return "commas"
+    return " and ".join(repr(c) if c.isascii() else f"{c!r} (U+{ord(c):04X})" for c in found)
 
 
 class LineElement(list["LineElement"]):
@@ -454,11 +467,12 @@ class Contents:
         self.no_attributes(element)
         self.no_children(element)
         text = element.text or ""
+        odd = _odd(text)
         for comma in " .":
-            words = _words(text.replace(",", comma))
-            if "," in text and len(words) == count and all(map(_is_decimal, words)):
+            words = _words(text.translate(_COPIED).replace(",", comma))
+            if odd and len(words) == count and all(map(_is_decimal, words)):
                 right = quoted(" ".join(words))
-                self.fault(element, f"{element.tag}: has commas; write it as {right}")
+                self.fault(element, f"{element.tag}: has {odd}; write it as {right}")
                 return [_NAN] * count
         words = _words(text)
         wrong = [word for word in words if not _is_decimal(word)]
