@@ -243,6 +243,15 @@ NOT_XML = [
         "1: scene: has a version, so it is Mitsuba's; name the scene it was made from",
     ),
     ("<html><body>", "1: html: the root must be <scene>"),
+    # How a PNG begins, a JPEG, and a file that gzip made.
+    *(
+        (
+            begins,
+            "1: not XML: not well-formed (invalid token) at column 1;"
+            " a scene file holds <scene> ... </scene>",
+        )
+        for begins in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"\x1f\x8b\x08\x08")
+    ),
 ]
 
 

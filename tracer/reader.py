@@ -193,6 +193,8 @@ class _LineReader:
         if after.startswith(b"\0"):  # UTF-32, taken for another encoding, has some as well
             return "save the file as UTF-8, and without a NUL"
         after = after.replace(b"\0", b"")
+        if index == 0 and not after.startswith(b"<"):  # a picture, say
+            return "a scene file holds <scene> ... </scene>"
         if message == expat.errors.XML_ERROR_UNCLOSED_TOKEN and after.startswith(b"<!--"):
             return "end the comment with -->"
         if before.endswith(b"--") and before.rfind(b"<!--") > before.rfind(b"-->"):
