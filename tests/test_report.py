@@ -111,7 +111,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--variant", "scalar_rgb", "-o", str(output)]
     assert main([str(good), *arguments]) == 0
     assert capsys.readouterr().out == f"{output}\n"
-    assert "The unit sphere, lit from the upper right" in output.read_text(encoding="utf-8")
+    assert "The unit sphere, lit from the upper left" in output.read_text(encoding="utf-8")
     assert "All agree." in output.read_text(encoding="utf-8")
     assert main([str(bad), *arguments]) == 1
     assert f"{bad}:" in capsys.readouterr().err
@@ -182,7 +182,7 @@ def test_bad_scenes_are_told_and_spare_the_others(
     ]
     text = output.read_text(encoding="utf-8")
     assert text.count('<section class="scene"') == 1
-    assert "The unit sphere, lit from the upper right" in text
+    assert "The unit sphere, lit from the upper left" in text
     assert "All agree." not in text
     assert "<p>1 scene, " in text
     assert f"Not compared: {folder}: is a folder; name a scene file in it<" in text
