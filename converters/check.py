@@ -141,7 +141,8 @@ class CheckResult:
         """What the oracle says of pixels that differ; empty if it was not asked."""
         hard = ", ".join(self.reasons)
         if self.judged:
-            return f"Mitsuba errs on {self.judged} pixels ({hard}): there the oracle is the judge"
+            pixels = f"{self.judged} pixel{'s' * (self.judged != 1)}"
+            return f"Mitsuba errs on {pixels} ({hard}): there the oracle is the judge"
         if not self.asked:
             return ""
         return (
@@ -163,10 +164,10 @@ class CheckResult:
             verdict += ", where Mitsuba errs"
         lines = [
             f"{self.name}: {verdict}",
-            f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9 % {f.p999:.1e},"
-            f" RMSE {f.rmse:.1e}, {f.over} pixels over 1e-3",
-            f"  {f.masked} pixels ({self.mask.mean():.3%}) differ as edges may: they change by more"
-            f" than {EDGE_CHANGE:g} when the sample moves by {EDGE_SHIFT:g} pixels",
+            f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
+            f" RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
+            f"  differing edge pixels, masked: {f.masked} ({self.mask.mean():.3%}); they change by"
+            f" more than {EDGE_CHANGE:g} when the sample moves by {EDGE_SHIFT:g} pixels",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]

@@ -90,7 +90,8 @@ def _summary(results: Sequence[CheckResult], unread: Sequence[str]) -> str:
     scenes = f"{len(results)} scene{'s' * (len(results) != 1)}"
     lines = [
         f"<p>{scenes}, sampled at the pixels' centres by both renderers and compared"
-        f" in linear light: away from edges they may differ by {MAX_DIFFERENCE:g}. {verdict}</p>",
+        " in linear light: away from edges they may differ by at most"
+        f" {MAX_DIFFERENCE:g}. {verdict}</p>",
         *(f'<p class="bad">Not compared: {_lines(fault)}</p>' for fault in unread),
         f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(describe())}</p>',
     ]
