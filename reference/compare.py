@@ -236,6 +236,8 @@ def _note(name: str, path: Path) -> str:
             return f"{name} is a {image.format}, which may change levels: save it as PNG."
         if image.mode in ("P", "PA"):
             return f"{name} has a palette, of 256 colours at most: save it as RGB."
+        if (np.asarray(image.convert("RGBA"))[:, :, 3] < 255).any():
+            return f"{name} is transparent in places, which counts as black: save it as RGB."
         return ""
 
 
@@ -316,8 +318,10 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
         say(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
         return 2
     named_files = (("A", options.a), ("B", options.b)) if diagnosis.kind != "identical" else ()
-    notes = [_note(name, path) for name, path in named_files]
-    for line in (str(result), *filter(None, notes), diagnosis.text, printable(str(output))):
+    notes = [note for name, path in named_files if (note := _note(name, path))]
+    if not notes or diagnosis.kind != "other":  # or else the format may be to blame, not the scene
+        notes.append(diagnosis.text)
+    for line in (str(result), *notes, printable(str(output))):
         say(sys.stdout, line)
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")

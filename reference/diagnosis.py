@@ -336,8 +336,8 @@ def _regional(a: Codes, b: Codes) -> Diagnosis:
         return _one_sided(a, b, differs, brighter=brighter)
     return Diagnosis(
         "other",
-        f"{share:.1%} of the pixels differ by more than {_NOISE} levels, in no way that is known:"
-        " look at the geometry, the camera and the shaders.",
+        f"{share:.1%} of the pixels differ by more than {_NOISE} levels, in none of the ways"
+        " known here: look at the geometry, the camera and the shaders.",
     )
 
 

@@ -549,6 +549,28 @@ def test_formats_that_change_levels(
     assert lines[-1] == str(tmp_path / "a.compare.png")
 
 
+def test_a_format_to_blame_comes_before_the_scene(
+    tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.jpg"
+    Image.fromarray(right).save(path, quality=30)
+    noted = ["A is a JPEG, which may change levels: save it as PNG."]
+    assert main([str(path), save(tmp_path / "b.png", right), "-o", f"{tmp_path}"]) == 1
+    assert capsys.readouterr().out.splitlines()[1:-1] == noted
+
+
+def test_transparency_that_was_not_meant(
+    tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nothing = np.zeros((*right.shape[:2], 1), dtype=np.uint8)
+    clear = save(tmp_path / "a.png", np.concatenate([right, nothing], axis=2))
+    assert main([clear, save(tmp_path / "b.png", right)]) == 1
+    assert capsys.readouterr().out.splitlines()[1:-1] == [
+        "A is transparent in places, which counts as black: save it as RGB.",
+        "A is black.",
+    ]
+
+
 def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
     black = np.zeros((40, 40, 3))
     pictures = []
