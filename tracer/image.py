@@ -122,7 +122,7 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     path : str or path-like
         A PNG file that is there already is replaced, once the new one is whole.
     image : (height, width, 3) array_like
-        Linear RGB; see `quantise`.
+        Linear RGB, as `render` returns it; the codes are round(255 clip(x, 0, 1)^(1/2.2)).
 
     Raises
     ------
@@ -131,7 +131,7 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     ValueError
         For another shape, a picture of no pixels, or a NaN.
     OSError
-        If the file cannot be written, or what is there is no PNG file.
+        If the file cannot be written, or a file that is there is not a PNG.
     """
     radiance = _checked(image)
     height, width, _ = radiance.shape

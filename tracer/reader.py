@@ -88,7 +88,7 @@ def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Sce
     Parameters
     ----------
     path : str, bytes or path-like
-        An XML file of at most `MAX_BYTES`.
+        An XML file of at most 256 MiB; its format is described in the README.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Sce
     Raises
     ------
     SceneFileError
-        If the file cannot be read, or is anything but a faultless scene.
+        If the file cannot be read, or has any fault; the message has a line for each.
     """
     path = os.fsdecode(path)
     faults = Faults()

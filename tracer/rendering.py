@@ -59,11 +59,11 @@ def render(
     ----------
     scene : Scene
     samples : int
-        Rounded up to a square, n x n: the picture errs no more (RMSE) than with n x n samples in a
-        grid in every pixel, and mostly much less; 1 samples the pixels' centres.
+        Rounded up to a square, n x n: the picture's error (RMSE) is no larger than with a grid of
+        n x n samples in every pixel, and mostly much smaller; 1 samples the pixels' centres.
     threads : int, optional
-        How many processors to use, at most as many as there are, with a process on each, this one
-        included; if absent or 0, one or two, whatever pays.  Processes that help start in the
+        How many processors to use, with one process on each, this one included, and no more than
+        there are; if absent or 0, one or two, whichever pays.  Processes that help start in the
         background, and stay for the next picture.
     offset : (float, float)
         Moves every sample, in pixels to the right and down.
@@ -76,10 +76,9 @@ def render(
     Raises
     ------
     TypeError
-        For what is no scene, and a number of samples or threads that is no integer.
+        If `scene` is not a Scene, or `samples` or `threads` is not an integer.
     ValueError
-        For fewer than one sample, a negative number of threads, and an offset that is not two
-        finite numbers.
+        If `samples` is less than 1, `threads` is negative, or `offset` is not two finite numbers.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")

@@ -329,12 +329,18 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight:
-    """A point light; its `intensity`, RGB, does not fall off with distance.
+    """A point light; its intensity does not fall off with distance.
+
+    Parameters
+    ----------
+    position : (3,)
+    intensity : (3,)
+        Linear RGB.
 
     Raises
     ------
     SceneError
-        For what is not three finite numbers, a coordinate out of range (`LARGEST`), and a negative
+        For anything but three finite numbers, a coordinate out of range (`LARGEST`), or a negative
         intensity.
     """
 
@@ -350,7 +356,14 @@ class PointLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambertian:
-    """Radiance I kd n.l from each light that is not hidden (Shirley, Fundamentals of CG, 9.1).
+    """Matt: radiance I kd n.l from each light that is not hidden, of intensity I.
+
+    See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
+
+    Parameters
+    ----------
+    diffuse : (3,)
+        The colour kd: linear RGB, 1 for all of the light.
 
     Raises
     ------
@@ -369,7 +382,15 @@ class Lambertian:
 class Phong:
     """Blinn-Phong: I (kd n.l + ks (n.h)^exponent) from each light that is not hidden (Blinn 1977).
 
-    A light behind the surface (n.l <= 0) is hidden: it makes no highlight either.
+    A light, of intensity I, that is behind the surface (n.l <= 0) is hidden: it makes no highlight
+    either.
+
+    Parameters
+    ----------
+    diffuse, specular : (3,)
+        The colours kd and ks: linear RGB, 1 for all of the light.
+    exponent : float
+        The larger, the smaller the highlight.
 
     Raises
     ------
@@ -401,6 +422,12 @@ Shader: TypeAlias = Lambertian | Phong
 class Sphere:
     """A sphere; white and Lambertian if it has no shader.
 
+    Parameters
+    ----------
+    center : (3,)
+    radius : float
+    shader : Lambertian or Phong
+
     Raises
     ------
     SceneError
@@ -423,6 +450,12 @@ class Sphere:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box:
     """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
+
+    Parameters
+    ----------
+    min_pt, max_pt : (3,)
+        Opposite corners, with the least and the largest coordinates.
+    shader : Lambertian or Phong
 
     Raises
     ------
@@ -690,7 +723,7 @@ class Scene:
     ----------
     camera : Camera
     width, height : int
-        Size of the picture in pixels; their product is at most `MAX_PIXELS`.
+        Size of the picture in pixels; their product is at most `MAX_PIXELS`, 2^28.
     lights : iterable of PointLight
     surfaces : iterable of Sphere and Box, or Surfaces
 
