@@ -13,6 +13,7 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.patheffects import withStroke
 
 __all__ = [
@@ -33,6 +34,9 @@ HALO = [withStroke(linewidth=3, foreground="white")]
 
 # Font size of labels, in points.
 _SIZE = 9
+
+# Of text: contrast to white is 1.05 over luminance + 0.05, and should be 4.5.
+_MOST_LUMINANCE = 1.05 / 4.5 - 0.05
 
 plt.rcParams.update(
     {
@@ -113,6 +117,14 @@ def label_losses(axes: Any, ends: Iterable[End]) -> None:
     _label(axes, ends, 0)
 
 
+def _ink(color: str) -> Any:
+    """A colour, darkened until text in it has a contrast of 4.5 to white (WCAG 2.1, 1.4.3)."""
+    rgb = np.array(to_rgb(color))
+    # A luminance, nearly: codes to the power 2.2.
+    luminance = float(rgb**2.2 @ (0.2126, 0.7152, 0.0722))
+    return rgb * (_MOST_LUMINANCE / max(luminance, _MOST_LUMINANCE)) ** (1 / 2.2)
+
+
 def _label(axes: Any, ends: Sequence[End], along: int) -> None:
     axes.figure.canvas.draw()
     points = 72 / axes.figure.dpi
@@ -128,7 +140,7 @@ def _label(axes: Any, ends: Sequence[End], along: int) -> None:
             xy=(x, y),
             xytext=away,
             textcoords="offset points",
-            color=color,
+            color=_ink(color),
             fontsize=_SIZE,
             fontweight="bold" if "tracer" in text else "normal",
             va="center" if along else "bottom",

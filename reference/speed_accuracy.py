@@ -386,7 +386,7 @@ def _title(leads: dict[bool, list[Lead]], others: str) -> str:
             counts.append(f"in {ahead} of {len(leads[whole])} pictures {where}")
     if not counts:
         return "Time against error"
-    return f"To the same error, this tracer is faster than {others}\n{', '.join(counts)}"
+    return f"At the same error, this tracer is faster than {others}\n{', '.join(counts)}"
 
 
 # Inches: what surrounds the panels, and the panels, rendering alone and whole processes.
@@ -434,7 +434,7 @@ def _draw(scenes: dict[str, Scene], points: Sequence[Point], truth: int) -> Any:
         f" {truth:,} samples a pixel.  Lower left is better.\n"
         "Points: 1, 4, 16, ... samples a pixel (9, 36, ... too for this tracer), or POV-Ray's"
         " thresholds; this tracer goes in steps.\nArrows: from the fastest"
-        f" of {others} to this tracer, near the error of an 8-bit picture.",
+        f" of {others} to this tracer, near the error of rounding to 8 bits.",
     )
     return figure
 

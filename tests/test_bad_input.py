@@ -458,10 +458,7 @@ VALUES = [
     (SPHERE.format("<radius>-.5</radius>"), ["radius: must be positive and finite, is -0.5"]),
     (
         BOX.format("<minPt>1 0 0</minPt><maxPt>0 1 -2</maxPt>"),
-        [
-            "minPt: must not exceed maxPt, but x has 1 > 0",
-            "minPt: must not exceed maxPt, but z has 0 > -2",
-        ],
+        ["minPt: must not exceed maxPt, but x has 1 > 0 and z has 0 > -2; swap these"],
     ),
     (LIGHT.format("<color>1 -1 0</color>"), ["color: must not be negative, has -1"]),
     (LIGHT.format("<intensity>1 -1 0</intensity>"), ["intensity: must not be negative, has -1"]),
@@ -595,7 +592,7 @@ def test_a_file_with_several_faults_reports_them_all_in_its_order(faults):
         "12: center: needs 3 numbers, has 2",
         "13: radius: must be positive and finite, is -1",
         "16: scene: stray text 'stray'; remove it",
-        "18: minPt: must not exceed maxPt, but x has 1 > 0",
+        "18: minPt: must not exceed maxPt, but x has 1 > 0; swap these",
         "21: exponent: must be finite and not negative, is -1",
     ]
 

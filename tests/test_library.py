@@ -245,7 +245,7 @@ NO_PERMUTATION = "sphere_index, box_index: must together be a permutation of 0 .
         (
             {"radius": [1, -1], "max_pt": [(-2, 0, 0)]},
             [
-                "surface 1: min_pt: must not exceed max_pt, but x has -1 > -2",
+                "surface 1: min_pt: must not exceed max_pt, but x has -1 > -2; swap these",
                 "surface 2: radius: must be positive and finite, is -1",
             ],
         ),

@@ -498,9 +498,13 @@ def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
 
 
 def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    for i, axis in np.argwhere(min_pt > max_pt).tolist():
-        has = f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-        yield Fault("min_pt", f"must not exceed max_pt, but {has}", index.item(i))
+    wrong = min_pt > max_pt
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        has = " and ".join(
+            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
+            for axis in np.flatnonzero(wrong[i]).tolist()
+        )
+        yield Fault("min_pt", f"must not exceed max_pt, but {has}; swap these", index.item(i))
 
 
 class Surfaces(Sequence[Sphere | Box]):
