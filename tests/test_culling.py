@@ -25,17 +25,15 @@ def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
     Made in all ways that there are: as with many samples for each object, and with few; objects
-    one by one, and together; boxes bounded by silhouettes, and by rectangles; samples in rows, and
-    scattered.
+    one by one, and together; samples in rows, and scattered.
     """
     expected = brute_force(scene)
-    for samples_each, large, small in ((1e-3, 100, 0), (1e-3, 1e9, 1e9), (1e9, 1e9, 1e9)):
+    for samples_each, large in ((1e-3, 100), (1e-3, 1e9), (1e9, 1e9)):
         with (
             patch("tracer.shadow._PIXELS_EACH", samples_each),
             patch("tracer.shadow._SPLIT_EACH", samples_each),
             patch("tracer.shadow._FEW", 0),
             patch("tracer.visibility._LARGE", large),
-            patch("tracer.outlines._SMALL", small),
         ):
             images = render(scene), scattered(scene)
         for image in images:

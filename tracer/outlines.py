@@ -34,9 +34,6 @@ __all__ = [
 # More than all roundings of a plane's coefficients, relative to their size.
 _ROUNDING = 1e-12
 
-# For boxes of at most so many pixels across, or down, the frame is as good as the silhouette.
-_SMALL = 8.0
-
 # A power smaller than this part of the squared distance is little but rounding, and slopes contain
 # its square root, with a relative error that is larger still.
 _NEARLY_ON = 1e-14
@@ -119,10 +116,7 @@ class Outlines(NamedTuple):
         Of spheres: seen from the eye, in the camera's axes; power is
         |centre|^2 - radius^2, as in `Disc`.
     planes : three (6, b)
-        Of boxes, the planes of their silhouettes, as `_silhouettes` says; zero where the
-        frame says enough.
-    shaped : (b,)
-        Whether a box has such planes; if not, its frame serves as its outline.
+        Of boxes, the planes of their silhouettes, as `_silhouettes` says.
     frames : Frames
         Of all objects, spheres first.
     leftmost, rightmost : (s,)
@@ -137,7 +131,6 @@ class Outlines(NamedTuple):
     radius: Floats
     power: Floats
     planes: Triple
-    shaped: NDArray[np.bool_]
     frames: Frames
     leftmost: Floats
     rightmost: Floats
@@ -187,13 +180,11 @@ class Outlines(NamedTuple):
         """Spans of the boxes in rows: see `sphere_spans`."""
         frames = self.frames.take(slice(self.radius.size, None))
         owner, row = _rows_in_frames(frames, rows, height, self.raster.width, pad)
-        left, right = frames.left[owner], frames.right[owner]
-        at = np.flatnonzero(self.shaped[owner])
-        box, g = owner[at], self.raster.down(rows)[row[at]]
-        low = np.full(at.size, -np.inf)
-        high = np.full(at.size, np.inf)
+        g = self.raster.down(rows)[row]
+        low = np.full(g.size, -np.inf)
+        high = np.full(g.size, np.inf)
         for k in range(6):
-            slope, tilt, level = (m[k][box] for m in self.planes)
+            slope, tilt, level = (m[k][owner] for m in self.planes)
             tilted = tilt * g
             if height:
                 # On whichever line of the row more is inside.
@@ -206,7 +197,8 @@ class Outlines(NamedTuple):
             bound = -(tilted + level + slack) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
-        left[at], right[at] = self.raster.column(low), self.raster.column(high)
+        left = np.maximum(frames.left[owner], self.raster.column(low))
+        right = np.minimum(frames.right[owner], self.raster.column(high))
         return self._clip(owner, row, left, right, pad)
 
     def in_picture(self) -> NDArray[np.bool_]:
@@ -235,7 +227,7 @@ class Outlines(NamedTuple):
 
     def in_rows(self) -> Floats:
         """How many objects may be seen in each row of pixels (height,)."""
-        return self._over_rows(np.ones(self.radius.size + self.shaped.size))
+        return self._over_rows(np.ones(self.frames.top.size))
 
     def layers(self) -> float:
         """How many objects at most lie behind a pixel, on average over the fullest row."""
@@ -273,7 +265,7 @@ class Outlines(NamedTuple):
 def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     """Project all surfaces onto the picture.
 
-    The silhouettes of small boxes, and all turns, are left out unless pixels are `split`.
+    Turns, and where spheres are widest, are left out unless pixels are `split`.
     """
     u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
@@ -287,8 +279,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         raster.column(left * raster.depth),
         raster.column(right * raster.depth),
     )
-    small = 0.0 if split else _SMALL
-    planes, shaped, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt, small)
+    planes, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
     leftmost = rightmost = np.zeros(0)
     turns: list[Turns] = []
     if split:
@@ -302,7 +293,6 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         radius=radius,
         power=power,
         planes=planes,
-        shaped=shaped,
         frames=frames,
         leftmost=leftmost,
         rightmost=rightmost,
@@ -501,19 +491,15 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
     return u, v, w
 
 
-def _silhouettes(
-    raster: Raster, min_pt: Floats, max_pt: Floats, small: float
-) -> tuple[Triple, NDArray[np.bool_], Frames]:
-    """Planes (6, n) through the eye and silhouette edges, which boxes have them (n,), and frames.
+def _silhouettes(raster: Raster, min_pt: Floats, max_pt: Floats) -> tuple[Triple, Frames]:
+    """Planes (6, n) through the eye and silhouette edges of boxes, and their frames.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
-    Boxes of more than `small` pixels, both across and down, have them.
     """
-    planes = np.zeros((3, 6, len(min_pt)))
     if not len(min_pt):
-        none = np.zeros(0)
-        return (planes[0], planes[1], planes[2]), none > 0, Frames(none, none, none, none)
+        none, nothing = np.zeros((6, 0)), np.zeros(0)
+        return (none, none, none), Frames(nothing, nothing, nothing, nothing)
     u, v, w = _local_corners(raster, min_pt, max_pt)
     behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
     ends = []
@@ -521,19 +507,16 @@ def _silhouettes(
         least, most = (place(m * raster.depth) for m in (slopes.min(axis=0), slopes.max(axis=0)))
         ends.append(np.where(behind, -np.inf, least))
         ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), most))
-    frames = Frames(*ends)
-    shaped = (frames.right - frames.left > small) & (frames.bottom - frames.top > small)
-    at = np.flatnonzero(shaped)
-    there = u[:, at], v[:, at], w[:, at]
-    planes[:, :, at] = silhouette_planes(there, raster.eye, min_pt[at], max_pt[at])
+    slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
     # A box is seen from inside on its side of the faces that the eye is on.
-    for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt) & shaped).tolist():
+    for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt)).tolist():
         faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
         faces += [(k, -1.0) for k in range(3) if max_pt[box, k] == raster.eye[k]]
         if not faces:
             continue
         for number in range(6):
             k, sign = faces[number % len(faces)]
-            planes[:, number, box] = sign * raster.axes[:, k]
-    planes[2] *= raster.depth
-    return (planes[0], planes[1], planes[2]), shaped, frames
+            for plane, axis in zip((slope, tilt, level), raster.axes, strict=True):
+                plane[number, box] = sign * axis[k]
+    level *= raster.depth
+    return (slope, tilt, level), Frames(*ends)
