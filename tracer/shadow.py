@@ -26,7 +26,7 @@ from tracer.intersection import (
     sphere_crosses,
 )
 from tracer.light_buffers import LightBufferFinder, light_buffer_finder
-from tracer.occluders import SLACK, Candidates, Finder, Occluders, Pairs, point_candidates
+from tracer.occluders import Candidates, Finder, Occluders, Pairs, point_candidates
 from tracer.shadow_cache import ShadowCache, ShadowEdges
 from tracer.stretches import stretch_finder
 from tracer.visibility import Hits
@@ -188,10 +188,6 @@ class Shadows(NamedTuple):
         closely |= dot(aside, aside) <= reach * reach
         at = np.flatnonzero(candidates.spread(closely))
         if at.size:
-            _, light, ball = pairs.take(at)
-            distance = np.sqrt(dot(pick(to_center, at), pick(to_center, at)))
-            closely = distance <= radius[at] * (1 + SLACK) + occluders.slack[ball]
-            at = at[closely | (entries(occluders.side, light, ball) != OUTSIDE)]
             some = pairs.take(at)
             blocks[at] = sphere_blocks(
                 pick(to_light, at),
