@@ -281,9 +281,9 @@ class _Fragments(NamedTuple):
         return spread(values[self.row], self.counts)
 
     def slope(self, view: View) -> Any:
-        """`View.slope` for each sample; a single number if all have the least."""
-        slope = view.slope[self.owner + (not self.sphere) * view.surfaces.sphere_count]
-        return self.spread(slope) if np.any(slope > _LEAST_SLOPE) else _LEAST_SLOPE
+        """`View.slope`, for each of the samples that see the object."""
+        first = 0 if self.sphere else view.surfaces.sphere_count
+        return self.spread(view.slope[first + self.owner])
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -331,18 +331,15 @@ def _close_behind(
         return []
     raster = view.raster
     pixel = size * max(raster.step_u, raster.step_v)
-    ahead: Floats | float = _LEAST_SLOPE
-    grazed = [(group, slope) for group in seen if np.any((slope := group.slope(view)) > ahead)]
-    if grazed:
-        ahead = np.full(samples.size, _LEAST_SLOPE)
-        for group, slope in grazed:
-            ahead[group.sample] = slope
+    ahead = np.full(samples.size, _LEAST_SLOPE)
+    for group in seen:
+        ahead[group.sample] = group.slope(view)
     behind = []
     for group in groups:
         first = nearest[group.sample]
         # From a pixel's centre to where the two cross, each distance changes by at most its slope
         # times half the diagonal.
-        step = 2 * pixel * np.maximum(select(ahead, group.sample), group.slope(view))
+        step = 2 * pixel * np.maximum(ahead[group.sample], group.slope(view))
         # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
         # of directions are then computed for these few alone.
         most = first * (1 + 2 * step / raster.depth)
@@ -350,7 +347,7 @@ def _close_behind(
         _, y = samples.at(group.sample[at])
         s, g, first = group.s[at], raster.down(y), first[at]
         gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
-        behind.append(group.take(at[gap < select(step, at) * first]))
+        behind.append(group.take(at[gap < step[at] * first]))
     return behind
 
 
