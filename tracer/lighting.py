@@ -193,11 +193,8 @@ def narrow_highlights(
     if not group.flat:
         bending += 1 / group.of(highlights.lighting.view.surfaces.radius)
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
-    most = footprint.max(), bending.max(), scale.max()
     for number, faces in enumerate(facing):
         length = np.sqrt(incoming.length2[number])
-        if most[0] * (most[1] + 1 / length.min()) * most[2] <= _SMOOTH:
-            continue
         change = footprint * (bending + 1 / length) * scale
         at = np.flatnonzero((change > _SMOOTH) & faces)
         if at.size:
