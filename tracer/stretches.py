@@ -240,27 +240,27 @@ def _near(
 ) -> tuple[Bools, Bools]:
     """Whether objects may come between balls and lights, and whether they surely do."""
     met_or_cut = sphere_and_capsule if lists.spheres else box_and_capsule
-    meets, cuts = met_or_cut(*_capsules(occluders, lists, middle, radius, light, occluder))
+    meets, cuts = met_or_cut(*_capsules(occluders, lists.spheres, middle, radius, light, occluder))
     if lists.light_inside:
         at = np.flatnonzero(entries(occluders.light_inside, light, occluder))
         around = sphere_around_capsule if lists.spheres else box_around_capsule
         some = pick(middle, at), radius[at], light[at], occluder[at]
-        meets[at] &= ~around(*_capsules(occluders, lists, *some))
+        meets[at] &= ~around(*_capsules(occluders, lists.spheres, *some))
     return meets, cuts
 
 
 def _capsules(
     occluders: Occluders,
-    lists: _OccluderLists,
+    spheres: bool,
     middle: Triple,
     radius: Floats,
     light: Ints,
     occluder: Ints,
 ) -> tuple[Triple, Triple, Floats, Triple, Any]:
-    """Capsules from balls to lights, and bounds of objects."""
+    """Capsules from balls to lights, and bounds of objects: all spheres, or all boxes."""
     surfaces = occluders.surfaces
     end = columns(occluders.lights, light)
-    if lists.spheres:
+    if spheres:
         return middle, end, radius, columns(surfaces.center, occluder), surfaces.radius[occluder]
     box = occluder - surfaces.sphere_count
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
@@ -303,44 +303,32 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
     return start[run] + offset, np.minimum(count[run] - offset, longest), run
 
 
+def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
+    """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
+    lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
+    met_or_cut = sphere_and_capsule if spheres else box_and_capsule
+    around_light = SLACK * np.abs(lights).sum(axis=1)
+    light, own = (m.ravel() for m in np.indices(occluders.light_inside.shape))
+    step = max(1, _OBJECT_PAIRS // occluder.size)
+    counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
+    # A row for each light and each object it may light, a column for each that may shade it.
+    for start in range(0, light.size, step):
+        at, one = light[start : start + step, None], own[start : start + step, None]
+        thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
+        middle = pick(occluders.middle, one)
+        may, _ = met_or_cut(*_capsules(occluders, spheres, middle, thickness, at, occluder))
+        may &= (one != occluder) & occluders.seen[one]
+        counts.append(np.count_nonzero(may, axis=1))
+        listed.append(occluder[np.nonzero(may)[1]])
+    light_inside = bool(occluders.light_inside[:, occluder].any())
+    first = np.cumsum(np.concatenate(counts))
+    return _OccluderLists(spheres, light_inside, first, np.concatenate(listed))
+
+
 def stretch_finder(occluders: Occluders) -> StretchFinder:
     """Prepare the coarsest step: all objects tried against each other."""
-    lights = occluders.lights
-    surfaces, count = occluders.surfaces, len(occluders.surfaces)
-    if count < 2:
-        return StretchFinder(occluders, ())
-    # A row for each light and each object it may light, a column for each that may shade it.
-    light, own = (m.ravel() for m in np.indices((len(lights), count)))
-    step = max(1, _OBJECT_PAIRS // count)
-    center, low, high = (
-        columns(m, slice(None)) for m in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
-    )
-    # Spheres come first.
-    kinds = slice(0, surfaces.sphere_count), slice(surfaces.sphere_count, count)
-    many: list[list[Ints]] = [[], []]
-    listed: list[list[Ints]] = [[], []]
-    for start in range(0, light.size, step):
-        row = slice(start, start + step)
-        end = each(lambda c: c[:, None], columns(lights, light[row]))
-        middle = each(lambda c: c[:, None], pick(occluders.middle, own[row]))
-        thickness = occluders.radius[own[row]] + 2 * occluders.slack[own[row]]
-        thickness = (thickness + SLACK * np.abs(lights).sum(axis=1)[light[row]])[:, None]
-        spheres_meet, _ = sphere_and_capsule(middle, end, thickness, center, surfaces.radius)
-        boxes_meet, _ = box_and_capsule(middle, end, thickness, low, high)
-        may = np.concatenate([spheres_meet, boxes_meet], axis=1)
-        may[np.arange(len(may)), own[row]] = False
-        may &= occluders.seen[own[row], None]
-        for kind, place in enumerate(kinds):
-            many[kind].append(np.count_nonzero(may[:, place], axis=1))
-            listed[kind].append(np.nonzero(may[:, place])[1] + place.start)
-    lists = (
-        _OccluderLists(
-            kind == 0,
-            bool(occluders.light_inside[:, place].any()),
-            np.append(0, np.cumsum(np.concatenate(many[kind]))),
-            np.concatenate(listed[kind]),
-        )
-        for kind, place in enumerate(kinds)
-        if any(part.size for part in listed[kind])
-    )
-    return StretchFinder(occluders, tuple(lists))
+    spheres, count = occluders.surfaces.sphere_count, len(occluders.surfaces)
+    kinds = np.arange(spheres), np.arange(spheres, count)
+    # Nothing shades a lone object.
+    lists = (_occluder_lists(occluders, kind) for kind in kinds if kind.size and count > 1)
+    return StretchFinder(occluders, tuple(some for some in lists if some.listed.size))
