@@ -272,10 +272,6 @@ class _Fragments(NamedTuple):
             detail=self.detail[index],
         )
 
-    def spread(self, values: Any) -> Any:
-        """Values of spans, repeated for each of their samples; of one object, as they are."""
-        return spread(values, self.counts)
-
     def of_rows(self, values: Floats) -> Floats:
         """Values of rows, for each of the samples."""
         return spread(values[self.row], self.counts)
@@ -283,7 +279,7 @@ class _Fragments(NamedTuple):
     def slope(self, view: View) -> Any:
         """`View.slope`, for each of the samples that see the object."""
         first = 0 if self.sphere else view.surfaces.sphere_count
-        return self.spread(view.slope[first + self.owner])
+        return spread(view.slope[first + self.owner], self.counts)
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -355,7 +351,7 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
     sample = np.concatenate([group.sample for group in groups])
     of_kind = {True: view.surfaces.sphere_index, False: view.surfaces.box_index}
-    orders = (group.spread(of_kind[group.sphere][group.owner]) for group in groups)
+    orders = (spread(of_kind[group.sphere][group.owner], group.counts) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
@@ -467,12 +463,12 @@ def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> B
     raster, owner = view.raster, group.owner
     inside = view.eye_inside[view.surfaces.sphere_count :][owner]
     # From outside, the face that looks towards the eye is seen; from inside, that ahead of the ray.
-    down = group.spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis])
+    down = spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis], group.counts)
     if inside.any():
         g = raster.down(samples.y)
         u, v, w = raster.axes[:, axis].tolist()
         ahead = group.s * u + group.of_rows(g * v + raster.depth * w) > 0
-        down = np.where(group.spread(inside), ahead, down)
+        down = np.where(spread(inside, group.counts), ahead, down)
     return np.asarray(down)
 
 
@@ -492,23 +488,23 @@ def _hit(
     np.multiply(part.t, raster.depth, out=p[2])
     owner = part.owner
     if part.sphere:
-        inverse = part.spread(1 / outlines.radius[owner])
-        center = (part.spread(m[owner]) for m in outlines.center)
+        inverse = spread(1 / outlines.radius[owner], part.counts)
+        center = (spread(m[owner], part.counts) for m in outlines.center)
         n = [(q - c) * inverse for q, c in zip(p, center, strict=True)]
         if view.eye_inside[owner].any():
-            flip = part.spread(np.where(view.eye_inside[owner], -1.0, 1.0))
+            flip = spread(np.where(view.eye_inside[owner], -1.0, 1.0), part.counts)
             n = [flip * m for m in n]
         level, lift = np.zeros(()), part.detail * inverse
     else:
         # The same face for all boxes, or one for each sample.
         one = isinstance(face, int)
-        box = owner if one else part.spread(owner)
+        box = owner if one else spread(owner, part.counts)
         low, high = entries(surfaces.min_pt, box, face), entries(surfaces.max_pt, box, face)
         inside = view.eye_inside[surfaces.sphere_count :][box]
         level = np.where(inside == (sign > 0), low, high)
         lift = sign * (raster.eye[face] - level)
         if one:
-            level, lift = part.spread(level), part.spread(lift)
+            level, lift = spread(level, part.counts), spread(lift, part.counts)
         n = [np.asarray(sign * axis[face]) for axis in raster.axes]
         owner = owner + surfaces.sphere_count
     return Group(
