@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
@@ -39,6 +40,26 @@ def test_buffers_of_large_objects_stay_small() -> None:
     (buffer,) = light_buffer_finder(occluders_of(view, light)).buffers
     assert buffer.resolution < _SIDE_FEW
     assert 3000 < buffer.listed.size < _PAIRS
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize(
+    ("far", "ground"),
+    [*((10.0**k, 1.0) for k in (7, 9, 11, 13, 20, 40)), (1e9, 6.4e6), (1.5e11, 6.4e6)],
+)
+def test_buffers_around_suns_list_little(far: float, ground: float) -> None:
+    """However far away the light, it sees small objects beside each other."""
+    rng = np.random.default_rng(1)
+    center = rng.uniform(-1, 1, (1000, 3))
+    radius = np.full(1000, 0.02)
+    center[0], radius[0] = (0, -ground - 1, 0), ground
+    surfaces = Surfaces(
+        center=center, radius=radius, sphere_shader=np.zeros(1000, int), shaders=[WHITE]
+    )
+    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces, split=False)
+    lights = np.outer([1e3, far], [0.3, 0.8, 0.5])
+    near, sun = light_buffer_finder(occluders_of(view, lights)).buffers
+    assert sun.listed.size < 2 * near.listed.size
 
 
 @np.errstate(all="ignore")

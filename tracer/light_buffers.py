@@ -49,6 +49,14 @@ _FEW_CELLS, _MOST_CELLS = 12, 0.5
 # Bounds in cells are float32, widened by more than that rounds.
 _ROUNDED = 1e-4
 
+# What is seen from a light is rounded, and snapped to planes, by less than this part of its
+# distance: little enough for suns, which see a whole scene under an angle of 1e-9 and less.
+_FROM_LIGHT = 1e-13
+
+# A light farther away than this many times the size of all objects together is taken to be no
+# farther: that turns none of its rays by more than one over it.
+_FAR = 2.0**22
+
 _NONE, _MANY = -1, -2
 
 Bounds: TypeAlias = NDArray[np.float32]
@@ -67,17 +75,28 @@ class _Extents(NamedTuple):
     high: Floats
 
     @classmethod
-    def of(cls, surfaces: Surfaces) -> _Extents:
+    def of(cls, occluders: Occluders) -> _Extents:
         """Gather spheres and boxes."""
+        surfaces, slack = occluders.surfaces, occluders.slack
         center, radius = surfaces.center.T, surfaces.radius
         low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1)
         high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1)
-        slack = SLACK * (np.abs(low) + np.abs(high))
         return cls(low - slack, high + slack)
+
+    def from_near(self, light: Floats) -> tuple[Floats, _Extents]:
+        """Where a light (3,) may be taken to be, and boxes enlarged for that: see `_FAR`."""
+        low, high = self.low.min(axis=1), self.high.max(axis=1)
+        middle, size = low / 2 + high / 2, (high - low).sum()
+        away = light - middle
+        part = _FAR * size / np.abs(away).sum()
+        if not part < 1:
+            return light, self
+        slack = 2 * size / _FAR
+        return middle + part * away, _Extents(self.low - slack, self.high + slack)
 
     def around(self, light: Floats) -> _Extents:
         """The same boxes seen from a light (3,)."""
-        slack = SLACK * np.abs(light).sum()
+        slack = _FROM_LIGHT * np.abs(light).sum()
         return _Extents(self.low - (light + slack)[:, None], self.high - (light - slack)[:, None])
 
     def nearest(self) -> Floats:
@@ -91,6 +110,8 @@ class LightBuffer(NamedTuple):
 
     Attributes
     ----------
+    light : (3,)
+        Where the light is, or is taken to be: see `_FAR`.
     resolution : int
         Cells along each side of an octant.
     scale, shift : (2, 8)
@@ -110,6 +131,7 @@ class LightBuffer(NamedTuple):
         Each object's least distance to the light, in the 1-norm.
     """
 
+    light: Floats
     resolution: int
     scale: Floats
     shift: Floats
@@ -288,6 +310,7 @@ def _buffer_around(
     light: Floats, surfaces: Surfaces, extents: _Extents, seen: Bools
 ) -> LightBuffer:
     """Fill the cells around a light (3,); `seen` (n,): nothing else needs light."""
+    light, extents = extents.from_near(light)
     around = extents.around(light)
     near = around.nearest()
     octants = (_Octant.of(number, around) for number in range(8))
@@ -319,6 +342,7 @@ def _buffer_around(
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[single]]
     return LightBuffer(
+        light=light,
         resolution=side,
         scale=scale,
         shift=shift,
@@ -375,7 +399,7 @@ def _octahedral(low: Triple, high: Triple) -> Floats:
     around = np.isnan(bounds)
     if around.any():
         bounds = np.where(around, whole, bounds)
-    bounds += SLACK * (2 * whole - 1)
+    bounds += _FROM_LIGHT * (2 * whole - 1)
     return bounds
 
 
@@ -500,7 +524,7 @@ class LightBufferFinder(NamedTuple):
         points = hits.points(slice(None))
         for number, buffer in enumerate(self.buffers):
             asked = np.flatnonzero(facing[number])
-            x, y, z = self.occluders.lights[number].tolist()
+            x, y, z = buffer.light.tolist()
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
@@ -550,6 +574,6 @@ def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
 def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     """Fill the cells around all lights."""
     surfaces = occluders.surfaces
-    extents, seen = _Extents.of(surfaces), occluders.seen
+    extents, seen = _Extents.of(occluders), occluders.seen
     buffers = (_buffer_around(light, surfaces, extents, seen) for light in occluders.lights)
     return LightBufferFinder(occluders, tuple(buffers))
