@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
 
-from tracer import Camera, Lambertian, Surfaces
+from tracer import Camera, Lambertian, PointLight, Scene, Surfaces, light_buffers, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.light_buffers import _PAIRS, _SIDE_FEW, LightBuffer, light_buffer_finder
-from tracer.occluders import occluders_of
+from tracer.occluders import Candidates, occluders_of
 from tracer.visibility import view_of
 
 WHITE = Lambertian()
@@ -60,6 +63,37 @@ def test_buffers_around_suns_list_little(far: float, ground: float) -> None:
     lights = np.outer([1e3, far], [0.3, 0.8, 0.5])
     near, sun = light_buffer_finder(occluders_of(view, lights)).buffers
     assert sun.listed.size < 2 * near.listed.size
+
+
+def test_candidates_are_handed_on_some_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A crowd in one cell of the light's: memory is not for all pairs at once."""
+    center = np.random.default_rng(1).uniform(-2, 2, (300, 3))
+    center[0] = (0, -6.4e6 - 2, 0)
+    surfaces = Surfaces(
+        center=center,
+        radius=np.append(6.4e6, np.full(299, 0.2)),
+        sphere_shader=np.zeros(300, int),
+        shaders=[WHITE],
+    )
+    scene = Scene(
+        camera=Camera(view_point=(0, 1, 6)),
+        width=40,
+        height=30,
+        lights=[PointLight(position=(0.6e11, 1.2e11, 0.7e11))],
+        surfaces=surfaces,
+    )
+    whole = render(scene, 16, threads=1)
+    sizes = []
+    by_kind = light_buffers.candidates_by_kind
+
+    def counted(*args: Any, **kwargs: Any) -> Iterator[Candidates]:
+        sizes.append(kwargs["point"].size)
+        return by_kind(*args, **kwargs)
+
+    monkeypatch.setattr(light_buffers, "_HANDED_ON", 1000)
+    monkeypatch.setattr(light_buffers, "candidates_by_kind", counted)
+    np.testing.assert_array_equal(render(scene, 16, threads=1), whole)
+    assert 1000 < max(sizes) < 1000 + (1 << 15) < sum(sizes)
 
 
 @np.errstate(all="ignore")

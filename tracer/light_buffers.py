@@ -42,6 +42,9 @@ _PAIRS = 1 << 21
 # So many pairs are tried at a time.
 _AT_ONCE = 1 << 16
 
+# Once so many candidates are found they are handed on: memory is for these, not for all.
+_HANDED_ON = 1 << 20
+
 # If an object's bounding box touches no more cells than this, or at least this part of all, planes
 # would separate hardly any of them from the object: none is tried.
 _FEW_CELLS, _MOST_CELLS = 12, 0.5
@@ -529,32 +532,37 @@ class LightBufferFinder(NamedTuple):
             to_light = x - p[0], y - p[1], z - p[2]
             if footprint is None:
                 distance, cell, within = buffer.locate(to_light)
-                at, occluder = _listed(buffer, own[asked], cell, distance, within)
-                point = asked[at]
+                ball = np.arange(asked.size)
             else:
                 distance, ball, cell, within = buffer.around(to_light, footprint[asked])
-                at, occluder = _listed(buffer, own[asked[ball]], cell, distance[ball], within)
-                point, occluder = _once(asked[ball[at]], occluder, len(buffer.near))
-            yield from candidates_by_kind(
-                self.occluders,
-                own=own,
-                points=points,
-                point=point,
-                light=number,
-                occluder=occluder,
-                footprint=footprint,
-            )
+                distance = distance[ball]
+            for at, occluder in _listed(buffer, own[asked[ball]], cell, distance, within):
+                point = asked[ball[at]]
+                if footprint is not None:
+                    point, occluder = _once(point, occluder, len(buffer.near))
+                yield from candidates_by_kind(
+                    self.occluders,
+                    own=own,
+                    points=points,
+                    point=point,
+                    light=number,
+                    occluder=occluder,
+                    footprint=footprint,
+                )
 
 
 def _listed(
     buffer: LightBuffer, own: Ints, cell: Ints, distance: Floats, within: Bounds
-) -> tuple[Ints, Ints]:
-    """Pairs of a point (n,) and another object than its own, listed in its cell and near enough."""
+) -> Iterator[tuple[Ints, Ints]]:
+    """Pairs of a point (n,) and another object than its own, listed in its cell and near enough.
+
+    Yields some at a time: see `_HANDED_ON`.
+    """
     # Most cells hold nothing, or the point's own object alone.
     sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
     none = np.zeros(0, dtype=np.intp)
-    points, occluders = [none], [none]
+    points, occluders, found = [none], [none], 0
     for batch in batches(buffer.lengths(cell[asked])):
         some = asked[batch]
         owner, occluder = buffer.objects(cell[some], within.take(some, axis=0))
@@ -562,7 +570,11 @@ def _listed(
         keep = np.flatnonzero((occluder != own[point]) & (buffer.near[occluder] <= distance[point]))
         points.append(point[keep])
         occluders.append(occluder[keep])
-    return np.concatenate(points), np.concatenate(occluders)
+        found += keep.size
+        if found >= _HANDED_ON:
+            yield np.concatenate(points), np.concatenate(occluders)
+            points, occluders, found = [none], [none], 0
+    yield np.concatenate(points), np.concatenate(occluders)
 
 
 def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
