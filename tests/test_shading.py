@@ -10,7 +10,7 @@ import pytest
 from probe import EPS, Vector, colored, radiance_along
 
 from tracer import Box, Lambertian, Phong, PointLight, Sphere
-from tracer.shading import highlight
+from tracer.shading import Materials, highlight
 
 # The top of the floor is y = 0; the eye above the origin looks straight down: n = v = (0, 1, 0).
 FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
@@ -122,6 +122,17 @@ def test_not_clipped() -> None:
 @pytest.mark.parametrize("distance", [0.125, 1, 100, 1e6])
 def test_no_fall_off(distance: float) -> None:
     assert radiance_along(EYE, DOWN, (0, distance, 0), FLOOR).tolist() == [1, 1, 1]
+
+
+def test_shaders_as_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of 100,000 objects each may have its own: none is made anew.
+    shaders = Lambertian(diffuse=(1, 2, 3)), Phong(specular=(0, 0, 4), exponent=5)
+    monkeypatch.setattr(Phong, "__init__", None)
+    materials = Materials.of(shaders)
+    assert materials.diffuse.T.tolist() == [[1, 2, 3], [1, 1, 1]]
+    assert materials.specular.T.tolist() == [[0, 0, 0], [0, 0, 4]]
+    assert materials.exponent.tolist() == [1, 5]
+    assert materials.glossy.tolist() == [False, True]
 
 
 def test_default_shader_is_white() -> None:

@@ -29,6 +29,10 @@ _OPPOSITE = 1e-24
 _SHOWS = 256.0
 
 
+# What of a Lambertian shader is not its own.
+_DULL = Phong()
+
+
 class Materials(NamedTuple):
     """Shaders as arrays.
 
@@ -48,11 +52,10 @@ class Materials(NamedTuple):
     @classmethod
     def of(cls, shaders: tuple[Shader, ...]) -> Materials:
         """The shaders of a scene."""
-        phong = [s if isinstance(s, Phong) else Phong(diffuse=s.diffuse) for s in shaders]
-        diffuse, specular = (
-            np.array([getattr(s, name) for s in phong]).reshape(-1, 3).T
-            for name in ("diffuse", "specular")
-        )
+        # A scene may have as many as objects: to make each a Phong would take longer than to render.
+        phong = [s if isinstance(s, Phong) else _DULL for s in shaders]
+        diffuse = np.array([s.diffuse for s in shaders]).reshape(-1, 3).T
+        specular = np.array([s.specular for s in phong]).reshape(-1, 3).T
         exponent = np.array([s.exponent for s in phong])
         return cls(diffuse, specular, exponent, np.any(specular > 0, axis=0))
 
