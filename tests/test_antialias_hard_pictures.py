@@ -224,6 +224,22 @@ def test_the_eye_on_a_surface(floor: Box | Sphere) -> None:
     no_worse_than_the_uniform_grid(scene)
 
 
+@pytest.mark.parametrize("aside", [0.0, 1e-16, 3e-12])
+def test_the_eye_beside_an_edge_but_for_rounding(aside: float) -> None:
+    """It looks along a face of a box, from so near to its edge that no outline is known there."""
+    room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
+    box = Box(min_pt=(0, -1, -4), max_pt=(4, 1, -aside), shader=RED)
+    camera = Camera(view_dir=(0, -1, 0), view_up=(-0.013, 0.49, 0.87), view_width=0.37)
+    scene = Scene(
+        camera=replace(camera, view_height=0.37),
+        width=24,
+        height=20,
+        lights=[PointLight(position=(-2, 5, -4))],
+        surfaces=[box, room],
+    )
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
+
+
 def test_light_that_falls_off_towards_a_horizon() -> None:
     # On the near side of the horizon's line light falls from nearly all to nothing.
     camera = Camera(

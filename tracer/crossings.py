@@ -12,7 +12,6 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, dot, each, equal_runs, expand, pick
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
-from tracer.outlines import Outlines
 from tracer.visibility import View
 
 __all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
@@ -55,8 +54,9 @@ class Ends(NamedTuple):
         return float(np.nanmin(both)), float(np.nanmax(both))
 
 
-def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
+def ends_of(view: View, top: int, height: int) -> Ends:
     """The ends of all objects, in so many rows of pixels from the `top` on."""
+    outlines, surfaces = view.outlines, view.surfaces
     lines = np.arange(top, top + height + 1, dtype=np.float64)
     spheres, boxes = outlines.sphere_spans(lines), outlines.box_spans(lines)
     owner = np.append(spheres.owner, boxes.owner + len(outlines.radius))
@@ -78,6 +78,17 @@ def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
         np.concatenate([right, right, end, end[both]]),
         np.repeat([True, False], [2 * owner.size, at.size + both.size]),
     )
+    # An outline of which an edge is missing, being too uncertain, may cross any pixel.  Flat boxes
+    # have edges of no length, which are none.
+    missing = ~np.any([m != 0 for m in outlines.planes], axis=0)
+    doubtful = np.zeros(len(surfaces), dtype=np.bool_)
+    doubtful[surfaces.sphere_count :] = (
+        missing.any(axis=0)
+        & ~missing.all(axis=0)
+        & np.isinf(outlines.frames.left[surfaces.sphere_count :])
+        & (surfaces.min_pt < surfaces.max_pt).all(axis=1)
+    )
+    found.on_line[doubtful[found.owner]] = False
     inside = np.flatnonzero((found.row >= 0) & (found.row < height))
     fields: Any = (m[inside] for m in found)
     return Ends(*fields)
