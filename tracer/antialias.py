@@ -78,7 +78,7 @@ def antialiased(
     """
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
-    ends = ends_of(lighting.view, top, height)
+    ends = ends_of(lighting.view.outlines, top, height)
     if not ends.owner.size:
         return
     # Nothing is seen to the left and to the right of all objects.

@@ -12,6 +12,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, dot, each, equal_runs, expand, pick
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
+from tracer.outlines import Outlines
 from tracer.visibility import View
 
 __all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
@@ -39,7 +40,7 @@ class Ends(NamedTuple):
     begin, end : (n,)
         In pixels from the picture's left edge; NaN for what is no beginning, or no end.
     on_line : (n,)
-        Whether this is a span.
+        Whether this is a span, and the outline known on its way to the next.
     """
 
     owner: Ints
@@ -54,15 +55,15 @@ class Ends(NamedTuple):
         return float(np.nanmin(both)), float(np.nanmax(both))
 
 
-def ends_of(view: View, top: int, height: int) -> Ends:
+def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
     """The ends of all objects, in so many rows of pixels from the `top` on."""
-    outlines, surfaces = view.outlines, view.surfaces
     lines = np.arange(top, top + height + 1, dtype=np.float64)
     spheres, boxes = outlines.sphere_spans(lines), outlines.box_spans(lines)
     owner = np.append(spheres.owner, boxes.owner + len(outlines.radius))
     line, left, right = (
         np.append(getattr(spheres, name), getattr(boxes, name)) for name in ("row", "left", "right")
     )
+    known = np.append(np.ones(spheres.owner.size, dtype=np.bool_), ~outlines.broken[boxes.owner])
     turned, x, y, begins, ends = outlines.turns
     y = y - top
     at = np.flatnonzero((y > -1) & (y < height + 1))
@@ -76,19 +77,8 @@ def ends_of(view: View, top: int, height: int) -> Ends:
         np.concatenate([line - 1, line, row, above[both]]),
         np.concatenate([left, left, begin, begin[both]]),
         np.concatenate([right, right, end, end[both]]),
-        np.repeat([True, False], [2 * owner.size, at.size + both.size]),
+        np.append(np.tile(known, 2), np.zeros(at.size + both.size, dtype=np.bool_)),
     )
-    # An outline of which an edge is missing, being too uncertain, may cross any pixel.  Flat boxes
-    # have edges of no length, which are none.
-    missing = ~np.any([m != 0 for m in outlines.planes], axis=0)
-    doubtful = np.zeros(len(surfaces), dtype=np.bool_)
-    doubtful[surfaces.sphere_count :] = (
-        missing.any(axis=0)
-        & ~missing.all(axis=0)
-        & np.isinf(outlines.frames.left[surfaces.sphere_count :])
-        & (surfaces.min_pt < surfaces.max_pt).all(axis=1)
-    )
-    found.on_line[doubtful[found.owner]] = False
     inside = np.flatnonzero((found.row >= 0) & (found.row < height))
     fields: Any = (m[inside] for m in found)
     return Ends(*fields)
@@ -99,7 +89,8 @@ def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
 
     An outline crosses the pixels from the leftmost to the rightmost beginning of its object in a
     row, and likewise of the ends.  If the object misses the line above or below, its outline closes
-    in between: then it may cross any pixel in which the object is.
+    in between: then it may cross any pixel in which the object is.  So may an outline that is not
+    wholly known.
     """
     if not found.owner.size:
         return found.owner, found.owner, found.owner

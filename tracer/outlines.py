@@ -14,9 +14,8 @@ from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Ints, Triple, cross, dot, each, expand, pick
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, expand, pick
 from tracer.camera import Raster
 from tracer.intersection import disc_in_row, power_of
 from tracer.scene import Surfaces
@@ -72,7 +71,7 @@ class Frames(NamedTuple):
     left: Floats
     right: Floats
 
-    def take(self, index: slice | NDArray[np.bool_]) -> Frames:
+    def take(self, index: slice | Bools) -> Frames:
         """Some of them."""
         return Frames(*(m[index] for m in self))
 
@@ -93,8 +92,8 @@ class Turns(NamedTuple):
     owner: Ints
     x: Floats
     y: Floats
-    begins: NDArray[np.bool_]
-    ends: NDArray[np.bool_]
+    begins: Bools
+    ends: Bools
 
     @classmethod
     def joined(cls, turns: Iterable[Turns]) -> Turns:
@@ -124,6 +123,9 @@ class Outlines(NamedTuple):
         where they extend without end.  Known only if pixels are split.
     turns : Turns
         Of all objects; none unless pixels are split.
+    broken : (b,)
+        Boxes of whose outline a part is unknown, as the eye is too near an edge; none unless pixels
+        are split.
     """
 
     raster: Raster
@@ -135,6 +137,7 @@ class Outlines(NamedTuple):
     leftmost: Floats
     rightmost: Floats
     turns: Turns
+    broken: Bools
 
     def sphere_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows that begin at `rows` (ascending, pixels from the top).
@@ -201,13 +204,11 @@ class Outlines(NamedTuple):
         right = np.minimum(frames.right[owner], self.raster.column(high))
         return self._clip(owner, row, left, right, pad)
 
-    def in_picture(self) -> NDArray[np.bool_]:
+    def in_picture(self) -> Bools:
         """Which objects, spheres first, may be seen if nothing hides them."""
         top, bottom, left, right = self.frames
         width, height = self.raster.width, self.raster.height
-        seen: NDArray[np.bool_] = (
-            (top <= height + 1) & (bottom >= -1) & (left <= width + 1) & (right >= -1)
-        )
+        seen: Bools = (top <= height + 1) & (bottom >= -1) & (left <= width + 1) & (right >= -1)
         return seen
 
     def window(self) -> tuple[slice, slice]:
@@ -265,7 +266,7 @@ class Outlines(NamedTuple):
 def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     """Project all surfaces onto the picture.
 
-    Turns, and where spheres are widest, are left out unless pixels are `split`.
+    Turns, broken outlines, and where spheres are widest, are left out unless pixels are `split`.
     """
     u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
@@ -282,10 +283,12 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
     planes, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
     leftmost = rightmost = np.zeros(0)
     turns: list[Turns] = []
+    broken = np.zeros(len(surfaces.min_pt), dtype=np.bool_)
     if split:
         leftmost, rightmost = _widest(raster, (u, v, w), radius, of_spheres)
         turns.extend(_turns_of_spheres(raster, (u, v, w), radius, of_spheres, leftmost, rightmost))
         turns.extend(_turns_of_boxes(raster, surfaces))
+        broken = _broken(planes, of_boxes, surfaces)
     frames = Frames(*map(np.append, of_spheres, of_boxes))
     return Outlines(
         raster=raster,
@@ -297,6 +300,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         leftmost=leftmost,
         rightmost=rightmost,
         turns=Turns.joined(turns),
+        broken=broken,
     )
 
 
@@ -402,7 +406,7 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     return np.where(miss, np.inf, low), np.where(miss, -np.inf, high)
 
 
-def _silhouette_table() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _silhouette_table() -> tuple[Ints, Ints]:
     """Corner pairs (27, 6) of the silhouette edges, by where the eye is.
 
     The eye is below, between or above the two planes of each axis: 27 regions
@@ -463,7 +467,7 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     return sign * normal[0], sign * normal[1], sign * normal[2]
 
 
-def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> NDArray[np.bool_]:
+def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> Bools:
     """Which boxes (n,) hold a point (3,), inside or on a face."""
     around = np.ones(len(min_pt), dtype=np.bool_)
     for k, place in enumerate(point.tolist()):
@@ -476,6 +480,14 @@ def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
     ends = (min_pt - apex).T, (max_pt - apex).T
     x, y, z = (np.array([ends[i >> k & 1][k] for i in range(8)]) for k in range(3))
     return x, y, z
+
+
+def _broken(planes: Triple, frames: Frames, surfaces: Surfaces) -> Bools:
+    """`Outlines.broken`: boxes beside the eye, some of whose edges have no plane."""
+    missing = ~np.any([m != 0 for m in planes], axis=0)
+    # Flat boxes have edges of no length, which are none.
+    solid = (surfaces.min_pt < surfaces.max_pt).all(axis=1)
+    return missing.any(axis=0) & ~missing.all(axis=0) & np.isinf(frames.left) & solid
 
 
 def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:

@@ -29,7 +29,7 @@ _OPPOSITE = 1e-24
 _SHOWS = 256.0
 
 
-# What of a Lambertian shader is not its own.
+# Has what a Lambertian shader lacks.
 _DULL = Phong()
 
 
@@ -52,7 +52,7 @@ class Materials(NamedTuple):
     @classmethod
     def of(cls, shaders: tuple[Shader, ...]) -> Materials:
         """The shaders of a scene."""
-        # A scene may have as many as objects: to make each a Phong would take longer than to render.
+        # There may be as many as objects: making each a Phong would take longer than the picture.
         phong = [s if isinstance(s, Phong) else _DULL for s in shaders]
         diffuse = np.array([s.diffuse for s in shaders]).reshape(-1, 3).T
         specular = np.array([s.specular for s in phong]).reshape(-1, 3).T
