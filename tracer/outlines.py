@@ -487,7 +487,8 @@ def _broken(planes: Triple, frames: Frames, surfaces: Surfaces) -> Bools:
     missing = ~np.any([m != 0 for m in planes], axis=0)
     # Flat boxes have edges of no length, which are none.
     solid = (surfaces.min_pt < surfaces.max_pt).all(axis=1)
-    return missing.any(axis=0) & ~missing.all(axis=0) & np.isinf(frames.left) & solid
+    broken: Bools = missing.any(axis=0) & ~missing.all(axis=0) & np.isinf(frames.left) & solid
+    return broken
 
 
 def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
