@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from converters.visible import window_point
 from reference.command import built
 from tracer.arrays import Floats
 from tracer.camera import raster_of
@@ -59,7 +60,7 @@ class Minimal:
     def __init__(self, scene: Scene) -> None:
         surfaces = scene.surfaces
         raster = raster_of(scene.camera, scene.width, scene.height)
-        u, v, w = raster.axes
+        u, v, _ = raster.axes
         shader = surfaces.shader_index
         # Kept alive: the pointers below point into these arrays.
         self._arrays = {
@@ -75,11 +76,7 @@ class Minimal:
         }
         self._scene = _Scene(
             eye=tuple(raster.eye),
-            corner=tuple(
-                (raster.shift_u - scene.width / 2 * raster.step_u) * u
-                + (raster.shift_v - scene.height / 2 * raster.step_v) * v
-                + raster.depth * w
-            ),
+            corner=tuple(window_point(raster, 0, 0)),
             right=tuple(raster.step_u * u),
             down=tuple(raster.step_v * v),
             width=scene.width,

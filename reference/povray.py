@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from converters.visible import window_point
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.scene import Phong, Scene, Shader
@@ -32,8 +33,8 @@ def _texture(shader: Shader) -> str:
 def to_pov(scene: Scene, exposure: float = 1.0) -> str:
     """The scene description that POV-Ray 3.7 reads, its lights times `exposure`."""
     raster = raster_of(scene.camera, scene.width, scene.height)
-    u, v, w = raster.axes
-    ahead = raster.shift_u * u + raster.shift_v * v + raster.depth * w
+    u, v, _ = raster.axes
+    ahead = window_point(raster, scene.width / 2, scene.height / 2)
     lines = [
         "#version 3.7;",
         "global_settings { assumed_gamma 1 }",
