@@ -9,7 +9,6 @@ brightest pixel's where that is more than 1.
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from converters.flavours import exact, normalisation, square_height, stock
-from converters.variant import LLVM, use
+from converters.variant import LLVM, ensure, mi, use
 from converters.visible import bounds
 from reference.compare import Figures, figures
 from reference.oracle import Oracle
@@ -229,8 +228,8 @@ def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -
 def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
     """Load a converted scene into Mitsuba; each call of what is returned renders it."""
     chosen = use(variant).variant
-    mi = importlib.import_module("mitsuba")
-    importlib.import_module("converters.plugins")
+    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+
     # Otherwise every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
     loaded = mi.load_string(text)
@@ -383,9 +382,7 @@ def _asked(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
     """Write a linear picture (h, w, 3) as float32 EXR."""
-    mi = importlib.import_module("mitsuba")
-    if mi.variant() is None:
-        use()
+    ensure()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
     with whole_file(path, _EXR) as file:

@@ -34,10 +34,9 @@ import sys
 import drjit as dr
 import mitsuba as mi
 
-from converters.variant import use
+from converters.variant import ensure
 
-if mi.variant() is None:
-    use()
+ensure()
 
 # Film coordinates are float32: across 1000 pixels, a centre comes back off by up to 1e-4 pixels.
 _CENTER_SLACK = 1e-3

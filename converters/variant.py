@@ -20,7 +20,7 @@ try:
 except NameError as error:  # so drjit ends where a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
-__all__ = ["LLVM", "SCALAR", "Choice", "choose", "mi", "use"]
+__all__ = ["LLVM", "SCALAR", "Choice", "choose", "ensure", "mi", "use"]
 
 LLVM = "llvm_ad_rgb"
 SCALAR = "scalar_rgb"
@@ -103,3 +103,9 @@ def use(variant: str | None = None) -> Choice:
         choice = Choice(variant, "asked for")
     mi.set_variant(choice.variant)
     return choice
+
+
+def ensure() -> None:
+    """Make the fastest variant that works Mitsuba's current one, unless there is one already."""
+    if mi.variant() is None:
+        use()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib
 import json
 import platform
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from converters.check import render_mitsuba, stock_ssim, write_exr
-from converters.variant import use
+from converters.variant import ensure, mi, use
 from reference.command import HERE, need_scenes, own_scenes, run
 from tracer.arrays import Floats
 from tracer.reader import load_scene
@@ -35,7 +34,6 @@ WIDTH = 160
 
 # Stored radiance is rounded to steps of 1e-6: below every tolerance, and the files compress better.
 _STEP = 2.0**-20
-
 
 # Samples a pixel when the two flavours are compared: enough against the noise of picking lights.
 _STOCK_SAMPLES = 36
@@ -75,9 +73,7 @@ def stored(name: str, folder: Path = FOLDER) -> Floats:
     path = folder / f"{name}.exr"
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; python -m reference.regenerate makes it")
-    mi = importlib.import_module("mitsuba")
-    if mi.variant() is None:
-        use()
+    ensure()
     return np.array(mi.Bitmap(str(path)), dtype=np.float64)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from converters.flavours import exact, normalisation, stock
-from converters.variant import mi, use
+from converters.variant import ensure, mi
 from reference.command import built
 from reference.povray import to_pov
 from tracer.arrays import Floats
@@ -95,8 +95,7 @@ def mitsuba_exact(scene: Scene, samplers: Sequence[str] = ()) -> Any:
 
 def mitsuba_stock(scene: Scene, samples: int = 1) -> Any:
     """A similar picture from Mitsuba's own plugins, which are compiled."""
-    if mi.variant() is None:
-        use()
+    ensure()
     return mi.load_string(stock(scene, samples))
 
 
