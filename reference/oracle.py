@@ -33,7 +33,7 @@ from typing import TypeAlias
 
 from tracer.scene import Box, Phong, Scene, Shader, Sphere
 
-__all__ = ["Oracle", "Verdict", "radiance"]
+__all__ = ["Oracle", "Verdict"]
 
 Vector: TypeAlias = tuple[Decimal, Decimal, Decimal]
 
@@ -87,11 +87,6 @@ class _Miss:
     clear: Decimal
 
 
-def radiance(scene: Scene, x: float, y: float) -> tuple[float, float, float]:
-    """Linear RGB at (x, y) pixels from the upper left corner; centres are at + 0.5."""
-    return Oracle(scene).judge(x, y).radiance
-
-
 class Oracle:
     """The judge of one scene."""
 
@@ -113,7 +108,7 @@ class Oracle:
             self._eye_inside = [_side(surface, self._eye) <= 0 for surface in self._surfaces]
 
     def judge(self, x: float, y: float) -> Verdict:
-        """What is seen at (x, y) pixels from the upper left corner."""
+        """What is seen at (x, y) pixels from the upper left corner; centres are at + 0.5."""
         with decimal.localcontext(_CONTEXT):
             across = Decimal(x) / self._width - _HALF
             upward = _HALF - Decimal(y) / self._height

@@ -25,7 +25,7 @@ class Table:
         """As GitHub shows it."""
         lines = [f"## {self.title}", "", self.note, "", "| " + " | ".join(self.header) + " |"]
         lines.append("|---" * len(self.header) + "|")
-        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in self.rows]
+        lines += ["| " + " | ".join(map(str, row)) + " |" for row in self.rows]
         return "\n".join(lines) + "\n"
 
     def records(self) -> Iterator[tuple[object, ...]]:
@@ -36,10 +36,6 @@ class Table:
                     yield self.title, row[0], name, cell.median, cell.low, cell.high
                 else:
                     yield self.title, row[0], name, cell, "", ""
-
-
-def _cell(value: object) -> str:
-    return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
 def times(ratio: float) -> str:

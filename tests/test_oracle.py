@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_scenes import KINDS, random_scene
 
-from reference.oracle import Oracle, Verdict, radiance
+from reference.oracle import Oracle, Verdict
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 
 # Far more than the tracer's rounding, of a few hundred epsilon in the same
@@ -178,4 +178,4 @@ def test_radiance_between_pixels() -> None:
         lights=(PointLight(position=(0, 0, 9)),),
         surfaces=Surfaces.of([Sphere(shader=shader)]),
     )
-    assert radiance(scene, 1, 1) == (0.5, 0.25, 1)
+    assert Oracle(scene).judge(1, 1).radiance == (0.5, 0.25, 1)
