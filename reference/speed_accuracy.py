@@ -173,7 +173,7 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
 
 
 def _mitsuba(loaded: Any, samples: int, sensor: int = 0) -> Task:
-    return lambda _: np.array(mi.render(loaded, sensor=sensor, spp=samples), dtype=np.float64)
+    return lambda _: np.array(mi.render(loaded, sensor=sensor, spp=samples))
 
 
 def _scalar_tasks(loaded: Any, k: int) -> dict[Curve, Task]:
