@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from probe import EPS, Surface, Vector, colored, moved, radiance_along
+from random_objects import vector
 from random_scenes import KINDS, random_scene
 
 from tracer import (
@@ -307,6 +308,25 @@ def test_22b_room_listed_twice(room: Surface) -> None:
     once = render(scene(room))
     assert (once > 0).all()
     assert np.array_equal(render(scene(room, room)), once)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("axis", range(3))
+def test_22c_eye_on_a_wall(axis: int, side: int) -> None:
+    # Inwards every ray meets a wall that the light in the middle reaches, outwards none, and along
+    # the wall those of one half of the picture.
+    outwards = np.roll([side, 0, 0], axis)
+    for direction, share in ((-outwards, 1.0), (outwards, 0.0), (np.roll(outwards, 1), 0.5)):
+        scene = Scene(
+            camera=Camera(
+                view_point=vector(outwards), view_dir=vector(direction), view_up=(1, 2, 4)
+            ),
+            width=16,
+            height=16,
+            lights=(PointLight(position=(0, 0, 0)),),
+            surfaces=Surfaces.of([CUBE]),
+        )
+        assert (render(scene) > 0).mean() == share
 
 
 @pytest.mark.parametrize(
