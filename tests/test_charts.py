@@ -18,14 +18,24 @@ import pytest
 from messages import told
 
 from converters.variant import LLVM, use
-from reference import ablation, alternatives, benchmark, command, minimal, speed_accuracy, stability
+from reference import (
+    ablation,
+    alternatives,
+    benchmark,
+    charts,
+    command,
+    minimal,
+    rivals,
+    speed_accuracy,
+    stability,
+)
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
 from reference.benchmark import growth_exponent
 from reference.povray import to_pov
 from reference.rivals import povray_trace
 from reference.speed_accuracy import Lead, Point, Truth
 from reference.tables import Table, quote
-from reference.timing import Task, Timing, interleaved
+from reference.timing import Task, Timing, interleaved, on_copies
 from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
@@ -181,10 +191,21 @@ def test_interleaved_runs_in_turns() -> None:
     assert all(0 <= t.low <= t.median <= t.high for t in timings.values())
 
 
+def test_each_round_has_a_scene_of_its_own() -> None:
+    scene = _small("one-sphere", 4, 4)
+    task = on_copies(lambda copy: copy, scene, 3)
+    copies = [task(k) for k in (-1, 0, 1, 2)]
+    assert copies[1] == scene
+    for number, copy in enumerate(copies):
+        assert isinstance(copy, Scene)
+        assert copy is not scene
+        assert copy not in copies[:number]
+
+
 def test_only_short_tasks_go_on() -> None:
     rounds: list[int] = []
     tasks: dict[str, Task] = {"long": lambda _: sleep(0.02), "short": rounds.append}
-    timings = interleaved(tasks, 1, most=4, seconds=0.01)
+    timings = interleaved(tasks, 1, most=4, seconds=0.015)
     assert timings["long"].low == timings["long"].high
     assert rounds == [0, 1, 2, 3]
 
@@ -262,6 +283,17 @@ def test_ablation_of_small_pictures(
     assert len(lines) == 5 * (1 + len(ablation.ONE_SAMPLE)) + 8 * (1 + len(ablation.ANTIALIASING))
 
 
+def test_a_part_is_shown_by_its_fastest_round_over_that_of_all() -> None:
+    rows: list[tuple[object, ...]] = [
+        ("all as it is", Timing.of([0.04, 0.05, 0.09]), 0.25),
+        ("no looks", Timing.of([0.06, 0.2, 0.4]), 1e-6),
+    ]
+    shown = ablation._shown(Table("Title", "", ("change", "room", "room: RMSE"), rows))
+    assert shown.header == ("change", "room", "RMSE")
+    lines = shown.markdown().splitlines()[-2:]
+    assert lines == ["| all as it is | 40.0 | 0.250000 |", "| no looks | 1.5× | 0.000001 |"]
+
+
 def test_a_page_quotes_tables_between_its_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     marks = "<!-- x:begin -->\n", "<!-- x:end -->\n"
@@ -296,6 +328,10 @@ def test_memory_is_that_of_the_child() -> None:
     # A bare interpreter takes about ten, this process with Mitsuba hundreds.
     assert here < 40
     assert more - here == pytest.approx(50, abs=10)
+    # And that of all its workers together, while they are there.
+    script = "import os, time; os.fork(); x = bytearray(50_000_000); time.sleep(0.5)"
+    both = benchmark.peak(sys.executable, "-c", script)
+    assert both - here == pytest.approx(100, abs=20)
 
 
 def test_supersampling_in_parts_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -366,11 +402,26 @@ def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
     assert Lead.of([*ours, *numpy]) is None
 
 
+def test_what_is_expected_to_take_too_long() -> None:
+    # Four times the samples take four times as long, but for starting up; POV-Ray has thresholds.
+    assert speed_accuracy._next("Mitsuba scalar", []) == 0
+    assert speed_accuracy._next("Mitsuba scalar", [1.0]) == 2
+    assert speed_accuracy._next("Mitsuba scalar", [1.0, 1.5]) == 3.5
+    assert speed_accuracy._next("POV-Ray adaptive", [1.0, 1.5]) == 2
+    assert speed_accuracy._next("POV-Ray adaptive", [1.0, 0.5]) == 0.5
+
+
 @pytest.mark.parametrize(("said", "seconds"), [("0.000", 0.0005), ("1.250", 1.25)])
 def test_time_of_povray(said: str, seconds: float) -> None:
     # No time at all has no place on a logarithmic axis.
     script = f"import sys; sys.stderr.write('Trace Time: 0 hours 0 minutes ({said} seconds)')"
     assert povray_trace([sys.executable, "-c", script]) == seconds
+
+
+def test_names_of_curves_keep_apart_and_move_no_farther_than_they_must() -> None:
+    assert charts._spread([0, 5], 1) == [0, 5]
+    assert charts._spread([0, 0.5, 5], 1) == [-0.25, 0.75, 5]
+    assert charts._spread([0, 0, 1.2], 1) == pytest.approx([-0.6, 0.4, 1.4])
 
 
 def test_the_chart_says_what_was_measured() -> None:
@@ -392,10 +443,9 @@ def test_speed_accuracy_of_a_small_picture(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(command, "BUILD", tmp_path)
-    monkeypatch.setattr(
-        speed_accuracy, "_scenes", lambda quick: {"small": _small("four-spheres", 32, 18)}
-    )
-    monkeypatch.setattr(speed_accuracy, "_ENOUGH", 0.0)
+    scene = _small("four-spheres", 32, 18)
+    monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
+    monkeypatch.setattr(speed_accuracy, "_ROUNDS", 2)
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
     if use().variant != LLVM:
         with pytest.raises(SystemExit, match="1"):
@@ -403,8 +453,8 @@ def test_speed_accuracy_of_a_small_picture(
         assert LLVM in capsys.readouterr().err
         return
     speed_accuracy.main()
-    charts = tmp_path.glob("speed_accuracy.*")
-    assert {path.suffix for path in charts} == {".svg", ".png", ".csv"}
+    drawn = tmp_path.glob("speed_accuracy.*")
+    assert {path.suffix for path in drawn} == {".svg", ".png", ".csv"}
     rows = [
         line.split(",") for line in (tmp_path / "speed_accuracy.csv").read_text().splitlines()[2:]
     ]
@@ -412,12 +462,31 @@ def test_speed_accuracy_of_a_small_picture(
     ours = {int(row[2]): float(row[4]) for row in alone}
     assert sorted(ours) == [1, 4, 9, 16, 36, 144]
     assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
+    # The error is that of the scene as it is, not of a copy that a later round has drawn.
+    truth = Truth.of(scene, speed_accuracy.truth_side(quick=True))
+    assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
     chart = tmp_path / "speed_accuracy.svg"
     chart.unlink()
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick", "--redraw"])
     monkeypatch.delattr(speed_accuracy, "measure")
     speed_accuracy.main()
     assert chart.exists()
+
+
+def test_what_the_stability_chart_shows_by_hand() -> None:
+    exact = np.array([[[0.5] * 3, [0.0] * 3], [[0.25] * 3, [1.0] * 3]])
+    off = exact + np.array([[[0.0], [0.125]], [[-0.25], [0.0]]])
+    assert stability.largest_error(off, exact) == 0.25
+    assert stability.wrong_share(off, exact) == 50
+    lost = exact.copy()
+    lost[0, 0, 1] = np.nan
+    assert stability.largest_error(lost, exact) == 1
+    assert stability.wrong_share(lost, exact) == 25
+    # Of the scenes near a point the worst counts.
+    panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
+    dark = {"this tracer": lambda scene: render(scene) * (scene.camera.proj_distance < 25)}
+    found = stability.measure(panel, dark, [10.0])["this tracer"]
+    assert found > 0.5
 
 
 def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -432,12 +501,35 @@ def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert all(table.count(f",{name},") >= 5 for name in names)
 
 
+@pytest.mark.skipif(not rivals.povray_installed(), reason="there is no POV-Ray here")
+@pytest.mark.parametrize("name", ["sticks-shifted", "non-square-pixels", "sunflower"])
+def test_povray_draws_the_same_picture(name: str, tmp_path: Path) -> None:
+    scene, png = _small(name), tmp_path / "picture.png"
+    povray_trace(rivals.povray_linear(scene, png))
+    # Its numbers end at 4, in steps of 16 bits; at this size no edge runs through a pixel's centre.
+    np.testing.assert_allclose(rivals.povray_picture(png), render(scene), rtol=0, atol=3 / 65535)
+
+
 def test_pov_scene_names_every_object_and_light() -> None:
     scene = _small("sticks-perspective")
     text = to_pov(scene)
     assert text.count("sphere {") == len(scene.surfaces.radius)
     assert text.count("box {") == len(scene.surfaces.min_pt)
     assert text.count("light_source {") == len(scene.lights)
+
+
+def test_the_merged_mesh_is_closed_around_every_object() -> None:
+    surfaces = (scene := crowd(12)).surfaces
+    vertices, faces = rivals._triangles(scene)
+    edges = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    _, sides = np.unique(edges, axis=0, return_counts=True)
+    assert (sides == 2).all()
+    balls, boxes = np.split(vertices[faces], [20 * surfaces.sphere_count])
+    away = balls.reshape(-1, 60, 3) - surfaces.center[:, None]
+    np.testing.assert_allclose(np.linalg.norm(away, axis=2).T, [surfaces.radius] * 60)
+    corners = boxes.reshape(-1, 36, 3)
+    np.testing.assert_allclose(corners.min(axis=1), surfaces.min_pt)
+    np.testing.assert_allclose(corners.max(axis=1), surfaces.max_pt)
 
 
 def test_mitsuba_stays_usable_after_a_chart_has_switched_variants() -> None:
