@@ -571,6 +571,16 @@ def test_a_large_ground_is_not_speckled_in_the_stock_flavour() -> None:
     assert figures(image, render(scene, samples=16)).ssim > 0.85
 
 
+def test_a_planet_does_not_shrink_the_stock_scene_to_nothing() -> None:
+    """Shadow rays start 1e-4 above surfaces, however small these are."""
+    planet = Sphere(center=(0, -1e9, 0), radius=1e9 - 1)
+    root = ET.fromstring(stock(scene_of(planet, Sphere())))
+    radii = sorted(
+        float(m.get("value", "")) for m in root.iter("float") if m.get("name") == "radius"
+    )
+    assert radii == pytest.approx([1e-4, 1e5], rel=1e-6)
+
+
 def test_a_light_may_be_as_far_away_as_the_sun() -> None:
     far = PointLight(position=(3e20, 5e20, 4e20))
     scene = replace(scene_of(Sphere()), lights=(far,))
@@ -678,11 +688,53 @@ def test_of_pixels_that_differ_the_oracle_says_who_is_right() -> None:
     assert f"asked about {result.asked} of the 800 pixels that differ" in result.report()
 
 
+def test_the_oracle_is_not_asked_about_pixels_that_are_masked() -> None:
+    scene = load_small(ROOT / "scenes" / "four-spheres.xml")
+    image = render(scene)
+    edges = edge_mask(scene, image)
+    assert edges.any()
+    other = image + edges[:, :, None]
+    result = compare(scene, "edges", Rendering(other, "scalar_rgb", 0.0))
+    assert np.array_equal(result.mask, edges)
+    assert (result.differing, result.asked, result.remark) == (0, 0, "")
+
+
 def test_limits_are_relative_in_bright_pictures() -> None:
     light = PointLight(position=(3, 4, 5), intensity=(300, 300, 300))
     result = check_scene(replace(scene_of(Sphere()), lights=(light,)), "bright")
     assert result.tracer.max() > 200
     assert result.faults == ()
+
+
+def test_edges_are_as_wide_in_bright_pictures() -> None:
+    dim = load_small(ROOT / "scenes" / "four-spheres.xml")
+    image = render(dim)
+    masks = []
+    # Powers of two, so that nothing is rounded otherwise; both pictures are brighter than 1.
+    for times in (4.0, 1024.0):
+        lights = [replace(m, intensity=[times * c for c in m.intensity]) for m in dim.lights]
+        masks.append(edge_mask(replace(dim, lights=lights), times * image))
+    assert (times * image).max() > 4 * image.max() > 1
+    assert 0 < masks[0].mean() < 0.01
+    assert np.array_equal(*masks)
+
+
+def test_what_is_hard_for_mitsuba_is_named() -> None:
+    box = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 1))
+    flat, above = (
+        replace(box, max_pt=(1, 1, 0)),
+        replace(box, min_pt=(0.5, 0.5, 1), max_pt=(2, 2, 2)),
+    )
+    beside = replace(above, min_pt=(1, 1, 1))
+    ball, ground = Sphere(center=(5, 5, 5)), Sphere(center=(0, -1e6, 0), radius=1e6)
+    for surfaces, reasons in (
+        ((box, beside, ball, Sphere()), ()),
+        ((flat,), ("zero-thickness boxes",)),
+        ((box, above), ("coincident faces of boxes",)),
+        ((ball, ball), ("coincident spheres",)),
+        ((ball, ground), ("surfaces a thousand times larger than what is seen",)),
+    ):
+        assert doubts(scene_of(*surfaces)) == reasons
 
 
 def test_boxes_keep_their_thickness_wherever_they_are() -> None:
