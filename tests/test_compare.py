@@ -424,6 +424,13 @@ def test_figures_by_hand() -> None:
     )
 
 
+@pytest.mark.parametrize(("pixels", "p999"), [(1, 0.0), (4, 0.5)])
+def test_a_thousandth_of_the_pixels_may_differ_more(pixels: int, p999: float) -> None:
+    a, b = np.full((40, 50, 3), 0.25), np.full((40, 50, 3), 0.25)
+    a[0, :pixels] += 0.5
+    assert figures(a, b).p999 == p999
+
+
 def test_figures_refuse() -> None:
     a = np.zeros((8, 8, 3))
     with pytest.raises(ValueError, match="shapes differ"):
@@ -435,10 +442,14 @@ def test_figures_refuse() -> None:
 
 
 def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
-    """300 pixels wide, so not enlarged: A brighter by 0.04 at left, darker by 0.02 at right."""
+    """300 pixels wide, so not enlarged: A brighter by 0.04 at left, darker by 0.02 at right.
+
+    One pixel that differs more does not fade the others.
+    """
     a, b = np.full((20, 300, 3), 0.5), np.full((20, 300, 3), 0.5)
     a[:, :100] += 0.04
     a[:, 200:] -= 0.02
+    a[19, 150] += 0.4
     path = tmp_path / "out.png"
     write_comparison(path, a, b, ("A", "B"))
     shown = read_picture(path) / 255
@@ -446,6 +457,7 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
     difference = shown[8 + 24 : 8 + 24 + 20, 3 * 8 + 2 * 300 : 3 * 8 + 3 * 300]
     # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
     np.testing.assert_allclose(difference[10, 50], [0.8, 0.8 * 0.62, 0], atol=1 / 255)
+    np.testing.assert_allclose(difference[19, 150], [1, 0.62, 0], atol=1 / 255)
     assert not difference[10, 150].any()
     np.testing.assert_allclose(
         difference[10, 250], [0.4 * 0.34, 0.4 * 0.71, 0.4 * 0.91], atol=1 / 255

@@ -660,6 +660,15 @@ def test_odd_scenes_agree(surfaces: tuple[Sphere | Box, ...]) -> None:
     assert result.faults == ()
 
 
+def test_a_narrow_highlight_keeps_its_digits_in_float32() -> None:
+    shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=1e5)
+    floor = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0), shader=shader)
+    light = PointLight(position=(0.02, 0.01, 5))
+    result = check_scene(replace(scene_of(floor), lights=(light,), width=200, height=200), "narrow")
+    assert (result.tracer > 0.1).sum() > 100
+    assert result.faults == ()
+
+
 def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
     """A red plate lies on the face of a white box: float32 cannot tell which is seen."""
     red = Lambertian(diffuse=(1, 0, 0))
@@ -864,6 +873,11 @@ def test_normalised_scene_is_centred_and_ten_units_large() -> None:
 def test_bounds_hold_every_surface() -> None:
     scene = scene_of(Sphere(center=(1, 0, 0), radius=2), Box(min_pt=(0, -5, 0), max_pt=(1, 1, 0.5)))
     np.testing.assert_array_equal(bounds(scene.surfaces), [[-1, -5, -2], [3, 2, 2]])
+
+
+def test_visible_points_are_many_of_what_is_small() -> None:
+    for radius in (0.02, 0.03, 0.1):
+        assert len(visible_points(scene_of(Sphere(radius=radius)))) >= 12
 
 
 def test_visible_points_lie_on_the_nearest_surface() -> None:

@@ -81,6 +81,14 @@ def test_the_probe_does_not_wait_for_ever() -> None:
     )
 
 
+def test_the_probe_finds_no_kernels_at_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".drjit").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert choose("import os; assert not os.listdir(os.path.expanduser('~'))").variant == LLVM
+
+
 def test_the_probe_runs_once_a_process() -> None:
     assert use() is use()
 
