@@ -34,7 +34,7 @@ def sphere_and_capsule(
 
     A sphere that does not meet a capsule blocks no segment between the balls
     around its ends.  One that cuts it blocks all of them: somewhere it holds the
-    capsule's full cross-section, and both balls are outside it.
+    capsule's full cross-section, and the ball around its start is outside it.
     """
     d = each(np.subtract, end, start)
     to_center = each(np.subtract, center, start)
@@ -47,7 +47,7 @@ def sphere_and_capsule(
     before, behind = along < 0, along > length2
     # Where the segment is a point, `aside2` is NaN: the sphere meets it and does not cut it.
     meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind))
-    cuts = from_start & from_end & ~(before | behind) & (aside2 + error < inner)
+    cuts = from_start & ~(before | behind) & (aside2 + error < inner)
     return meets, cuts
 
 
