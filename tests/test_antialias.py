@@ -27,6 +27,7 @@ from tracer import (
     antialias,
     load_scene,
     render,
+    rendering,
 )
 from tracer.rendering import render_bands
 from tracer.sampling import Lattice
@@ -76,6 +77,18 @@ def test_pictures_full_of_outlines_are_lattices() -> None:
         offsets = zip(sign * x, y, strict=True)
         mean = np.mean([render(scene, offset=offset, threads=1) for offset in offsets], axis=0)
         assert np.abs(image - mean)[first::2].max() <= 1e-12
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_an_offset_of_whole_pixels_moves_the_picture(
+    dense: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rendering, "dense", lambda *_: dense)
+    scene = crowd(30, width=48, height=27)
+    image, moved = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
+    assert image.std() > 0.05
+    # The rays are the same but for rounding, which decides next to nothing.
+    assert np.mean(np.abs(moved[:-2, :-3] - image[2:, 3:]) > 1e-9) < 0.01
 
 
 @pytest.mark.parametrize("slope", [0, 1 / 2, 2 / 3, 3 / 4, 1 / 3, 3 / 2])
