@@ -55,9 +55,9 @@ def tracer_command(source: Path, target: Path, samples: int = 1) -> list[str]:
     return [sys.executable, "-m", "tracer", *options, str(source)]
 
 
-def mitsuba_command(source: Path, target: Path) -> list[str]:
-    """Mitsuba from a scene file to a PNG, in the current variant."""
-    return [sys.executable, "-c", _MITSUBA, str(mi.variant()), str(source), str(target)]
+def mitsuba_command(source: Path, target: Path, variant: str | None = None) -> list[str]:
+    """Mitsuba from a scene file to a PNG, in a variant: the current one if absent."""
+    return [sys.executable, "-c", _MITSUBA, str(variant or mi.variant()), str(source), str(target)]
 
 
 def mitsuba_text(scene: Scene, samples: int = 1, samplers: Sequence[str] = ()) -> str:
