@@ -50,8 +50,8 @@ _NEVER, _ALWAYS = -1, 1 << 40
 
 _SAMPLES = 64
 
-# Rounds for all; short times are measured up to `_MOST` times, until they add up to these seconds.
-_ROUNDS, _MOST, _ENOUGH = 3, 9, 1.0
+# As many for all: the fastest of more rounds would be faster.
+_ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ def _one_sample(quick: bool) -> Table:
     found = [_timed(scene, parts, 1, quick) for scene in scenes.values()]
     return Table(
         "One sample a pixel",
-        f"Milliseconds with all parts, in the fastest of up to {_MOST} rounds; then how many times"
+        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times"
         f" as long it takes with a change. {wide[0]}×{wide[1]}, the small objects at 640×360.",
         ("change", *scenes),
         [(part.name, *(spent[part.name] for spent in found)) for part in parts],
@@ -189,7 +189,7 @@ def _antialiased(quick: bool) -> Table:
             row += [spent[part.name], truth.error(_render(scene, part, _SAMPLES))]
     return Table(
         f"{_SAMPLES} samples a pixel",
-        f"Milliseconds with all parts, in the fastest of up to {_MOST} rounds, then how many times"
+        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds, then how many times"
         " as long; and the error of each. 320×180.",
         tuple(header),
         [tuple(row) for row in rows],
@@ -199,14 +199,12 @@ def _antialiased(quick: bool) -> Table:
 def _timed(scene: Scene, parts: Sequence[Part], samples: int, quick: bool) -> dict[str, Timing]:
     """Time pictures without each of the parts, in turns."""
     tasks: dict[str, Task] = {
-        part.name: on_copies(partial(_render, part=part, samples=samples), scene, _MOST)
+        part.name: on_copies(partial(_render, part=part, samples=samples), scene, _ROUNDS)
         for part in parts
     }
     for task in tasks.values():
         task(-1)
-    if quick:
-        return interleaved(tasks, 1)
-    return interleaved(tasks, _ROUNDS, most=_MOST, seconds=_ENOUGH)
+    return interleaved(tasks, 1 if quick else _ROUNDS)
 
 
 def _render(scene: Scene, part: Part, samples: int) -> Floats:
