@@ -68,6 +68,14 @@ def test_random_scenes(kind: str, width: int, height: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_light_buffers_of_a_part_of_the_field(kind: str) -> None:
+    for seed in range(4):
+        scene = random_scene(kind, seed, 60, 44)
+        with patch("tracer.light_buffers._CROWDED", 0.9):
+            assert_same(scene)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_light_buffers_of_large_cells(kind: str) -> None:
     for pairs in (1, 40, 1000):
         scene = random_scene(kind, pairs, 60, 44)

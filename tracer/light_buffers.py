@@ -60,6 +60,10 @@ _FROM_LIGHT = 1e-13
 # farther: that turns none of its rays by more than one over it.
 _FAR = 2.0**22
 
+# If all but the largest objects of a field lie in so small a part of it, along either side, cells
+# divide that part: beside a planet all else would lie in one.  What is beyond is listed at the rim.
+_CROWDED = 1 / 32
+
 _NONE, _MANY = -1, -2
 
 Bounds: TypeAlias = NDArray[np.float32]
@@ -241,14 +245,14 @@ class _Octant(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """The part of an octant in which there is something to light, and what may shade it.
+    """The part of an octant that is divided into cells, and what may shade something there.
 
     Attributes
     ----------
     number : int
         The octant's.
     origin, size : (2,)
-        In octahedral coordinates.
+        In octahedral coordinates: around what is to be lit, or less, see `_crowded`.
     objects, bounds : (n,), (4, n)
         As those of `_Octant`.
     """
@@ -277,15 +281,36 @@ class _Field(NamedTuple):
         )
         if not may.size:
             return None
-        return cls(octant.number, low, high - low, octant.objects[may], octant.bounds[:, may])
+        bounds = octant.bounds[:, may]
+        low, high = _crowded(bounds, low, high)
+        return cls(octant.number, low, high - low, octant.objects[may], bounds)
 
     def covered(self) -> float:
         """How much of the field its objects cover, all together: more than 1 where they overlap."""
         u0, u1, v0, v1 = self.bounds
         (left, top), (right, bottom) = self.origin, self.origin + self.size
-        wide = np.minimum(u1, right) - np.maximum(u0, left)
-        tall = np.minimum(v1, bottom) - np.maximum(v0, top)
+        wide = np.maximum(np.minimum(u1, right) - np.maximum(u0, left), 0)
+        tall = np.maximum(np.minimum(v1, bottom) - np.maximum(v0, top), 0)
         return float((wide * tall).sum() / self.size.prod())
+
+
+def _crowded(bounds: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """The part of a field, from `low` to `high` (2,), in which all but its largest objects lie.
+
+    It is the whole field if that part is more than `_CROWDED`.  `bounds`: as those of `_Octant`.
+    """
+    wide, tall = bounds[1] - bounds[0], bounds[3] - bounds[2]
+    while True:
+        size = high - low
+        u0, u1, v0, v1 = bounds[:, (wide < size[0] / 2) & (tall < size[1] / 2)]
+        if not u0.size:
+            return low, high
+        inner = np.maximum(low, (u0.min(), v0.min()))
+        outer = np.minimum(high, (u1.max(), v1.max()))
+        part = (outer - inner) / size
+        if part.min() <= 0 or part.min() > _CROWDED:
+            return low, high
+        low, high = inner, outer
 
 
 class _Listing(NamedTuple):
@@ -384,7 +409,9 @@ def _listing(field: _Field, side: int, light: Floats, surfaces: Surfaces) -> _Li
     for start in range(0, large.size, _AT_ONCE):
         some = large[start : start + _AT_ONCE]
         column, row = np.divmod(cell[some], side)
-        kept[some] = ~_apart(grid, column, row, field.objects[place[some]], light, surfaces)
+        # Cells at the rim stand for all that lies beyond: no plane bounds them.
+        rim = (np.minimum(column, row) == 0) | (np.maximum(column, row) == side - 1)
+        kept[some] = rim | ~_apart(grid, column, row, field.objects[place[some]], light, surfaces)
     bounds = _object_bounds(*extent)
     return _Listing(scale, shift, field.objects, bounds, cell[kept], place[kept])
 
