@@ -23,7 +23,7 @@ from reference.command import HERE, SCENES, need_scenes, parser, result, run
 from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Table, quote, times, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
-from reference.workloads import crowd, resized
+from reference.workloads import crowd, resized, rods
 from tracer import (
     Scene,
     antialias,
@@ -162,12 +162,13 @@ def _one_sample(quick: bool) -> Table:
     names = "four-spheres", "sticks-perspective", "sunflower", "many-objects"
     scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), *wide) for name in names}
     scenes["1,000 small objects"] = crowd(1000)
+    scenes["2,000 rods"] = rods(2000)
     parts = [Part(_ALL, []), *ONE_SAMPLE]
     found = [_timed(scene, parts, 1, quick) for scene in scenes.values()]
     return Table(
         "One sample a pixel",
         f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times"
-        f" as long it takes with a change. {wide[0]}×{wide[1]}, the small objects at 640×360.",
+        f" as long it takes with a change. {wide[0]}×{wide[1]}, the last two at 640×360.",
         ("change", *scenes),
         [(part.name, *(spent[part.name] for spent in found)) for part in parts],
     )

@@ -1,4 +1,4 @@
-"""Scenes made to measure: N small objects, spread out or crowded, and copies of a scene."""
+"""Scenes made to measure: N objects, small ones or long rods, and copies of a scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 from tracer.arrays import Floats
 
-__all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "to_xml"]
+__all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "rods", "to_xml"]
 
 Crowd: TypeAlias = Literal["spread", "corner", "cone", "eye amid", "light amid"]
 
@@ -75,6 +75,35 @@ def crowd(count: int, kind: Crowd = "spread", *, width: int = 640, height: int =
             min_pt=np.vstack([center[spheres:] - half, [(-50.0, -3.0, -50.0)]]),
             max_pt=np.vstack([center[spheres:] + half, [(50.0, -2.5, 50.0)]]),
             box_shader=np.arange(n - spheres + 1) % len(_SHADERS),
+            shaders=_SHADERS,
+        ),
+    )
+
+
+def rods(count: int, *, width: int = 640, height: int = 360) -> Scene:
+    """A floor and `count` long thin boxes, along all three axes, under two lights."""
+    rng = np.random.default_rng(count)
+    center = rng.uniform(-3, 3, (count, 3))
+    half = np.full((count, 3), 0.01)
+    half[np.arange(count), rng.integers(0, 3, count)] = rng.uniform(0.3, 1, count)
+    return Scene(
+        camera=Camera(
+            view_point=(0.0, 2.0, 12.0),
+            view_dir=(0.0, -0.2, -1.0),
+            proj_distance=12.0,
+            view_width=14.4,
+            view_height=8.1,
+        ),
+        width=width,
+        height=height,
+        lights=tuple(
+            PointLight(position=at, intensity=(0.6, 0.6, 0.6))
+            for at in ((5.0, 8.0, 9.0), (-6.0, 7.0, 3.0))
+        ),
+        surfaces=Surfaces(
+            min_pt=np.vstack([center - half, [(-10.0, -4.0, -10.0)]]),
+            max_pt=np.vstack([center + half, [(10.0, -3.5, 10.0)]]),
+            box_shader=np.arange(count + 1) % len(_SHADERS),
             shaders=_SHADERS,
         ),
     )

@@ -42,8 +42,8 @@ _PAIRS = 1 << 21
 # So many pairs are tried at a time.
 _AT_ONCE = 1 << 16
 
-# Once so many candidates are found they are handed on: memory is for these, not for all.
-_HANDED_ON = 1 << 20
+# Once so many candidates are found they are handed on: they are still in cache then.
+_HANDED_ON = 1 << 17
 
 # If an object's bounding box touches no more cells than this, or at least this part of all, planes
 # would separate hardly any of them from the object: none is tried.
