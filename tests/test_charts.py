@@ -36,7 +36,7 @@ from reference.rivals import povray_trace
 from reference.speed_accuracy import Lead, Point, Truth
 from reference.tables import Table, quote
 from reference.timing import Task, Timing, interleaved, on_copies
-from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, to_xml
+from reference.workloads import CROWDS, Crowd, afresh, crowd, lit_by, resized, rods, to_xml
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 
@@ -274,13 +274,14 @@ def test_ablation_of_small_pictures(
         ablation, "resized", lambda scene, width, height: resized(scene, width // 10, height // 10)
     )
     monkeypatch.setattr(ablation, "crowd", lambda count, **_: crowd(50, width=32, height=18))
+    monkeypatch.setattr(ablation, "rods", lambda count: rods(70, width=32, height=18))
     monkeypatch.setattr(sys, "argv", ["ablation", "--quick"])
     ablation.main()
     shown = capsys.readouterr().out
     parts = [*ablation.ONE_SAMPLE, *ablation.ANTIALIASING]
     assert all(shown.count(f"| {part.name} |") == 1 for part in parts)
     lines = (tmp_path / "ablation.csv").read_text().splitlines()[2:]
-    assert len(lines) == 5 * (1 + len(ablation.ONE_SAMPLE)) + 8 * (1 + len(ablation.ANTIALIASING))
+    assert len(lines) == 6 * (1 + len(ablation.ONE_SAMPLE)) + 8 * (1 + len(ablation.ANTIALIASING))
 
 
 def test_a_part_is_shown_by_its_fastest_round_over_that_of_all() -> None:
