@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
+from typing import Any, NamedTuple, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,8 +44,6 @@ __all__ = [
 ]
 
 Vector: TypeAlias = tuple[float, float, float]
-
-_Part = TypeVar("_Part")
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
@@ -86,6 +84,23 @@ class SceneError(ValueError):
     def __reduce__(self) -> tuple[Any, ...]:
         # By default an exception is copied as cls(*args), and `args` holds only the message.
         return type(self), (self.faults,), self.__dict__
+
+
+# From a value as given to the one to keep; told the parameter's name, it adds to the faults.
+_Check: TypeAlias = Callable[[Any, str, list[Fault]], Any]
+
+
+def _checked(made: object, **checks: _Check) -> list[Fault]:
+    """Set fields of a frozen dataclass to what their checks make of them; return all faults."""
+    faults: list[Fault] = []
+    for name, check in checks.items():
+        object.__setattr__(made, name, check(getattr(made, name), name, faults))
+    return faults
+
+
+def _raise_any(faults: Sequence[Fault]) -> None:
+    if faults:
+        raise SceneError(faults)
 
 
 _NUMPY = np.ndarray, np.generic
@@ -150,7 +165,6 @@ def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
     vector = _vector(value, name, faults)
     if vector == (0.0, 0.0, 0.0):
         faults.append(Fault(name, "must not be the zero vector"))
-        return (0.0, 0.0, 1.0)
     return vector
 
 
@@ -173,34 +187,45 @@ def _number(value: float, name: str, faults: list[Fault]) -> float:
 
 def _positive(value: float, name: str, faults: list[Fault]) -> float:
     value = _number(value, name, faults)
-    if not (0 < value < np.inf):
+    if 0 < value < np.inf:
+        faults += _size_faults(name, np.array([[value]]), _ALONE)
+    else:
         faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
-        return 1.0
-    faults += _size_faults(name, np.array([[value]]), _ALONE)
     return value
 
 
-def _check_types(
-    values: Iterable[object], types: tuple[type, ...], name: str, faults: list[Fault]
-) -> None:
-    for kind in dict.fromkeys(map(type, values)):
-        if not issubclass(kind, types):
+def _not_negative(value: float, name: str, faults: list[Fault]) -> float:
+    value = _number(value, name, faults)
+    if not (0 <= value < np.inf):
+        faults.append(Fault(name, f"must be finite and not negative, is {number(value)}"))
+    return value
+
+
+def _one_of(*types: type) -> _Check:
+    def check(value: object, name: str, faults: list[Fault]) -> object:
+        if not isinstance(value, types):
             right = " or ".join(each.__name__ for each in types)
-            faults.append(Fault(name, f"must be of type {right}, is of type {kind.__name__}"))
+            wrong = f"must be of type {right}, is of type {type(value).__name__}"
+            faults.append(Fault(name, wrong))
+        return value
+
+    return check
 
 
-def _listed(
-    values: Iterable[_Part], types: tuple[type, ...], name: str, faults: list[Fault]
-) -> tuple[_Part, ...]:
-    """All of some values; none after a fault."""
-    try:
-        parts = tuple(values)
-    except TypeError:
-        faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
-        return ()
-    before = len(faults)
-    _check_types(parts, types, name, faults)
-    return parts if len(faults) == before else ()
+def _list_of(*types: type) -> _Check:
+    check_one = _one_of(*types)
+
+    def check(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
+        try:
+            parts = tuple(values)
+        except TypeError:
+            faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
+            return ()
+        for part in {type(part): part for part in parts}.values():
+            check_one(part, name, faults)
+        return parts
+
+    return check
 
 
 def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
@@ -242,14 +267,6 @@ def _size(value: int, name: str, faults: list[Fault]) -> int:
     elif size > MAX_PIXELS:
         faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
     return size
-
-
-def _settle(made: object, faults: list[Fault], **values: object) -> None:
-    """Set fields of a frozen dataclass to what was read from them; raise all `faults`, if any."""
-    for name, value in values.items():
-        object.__setattr__(made, name, value)
-    if faults:
-        raise SceneError(faults)
 
 
 @np.errstate(under="ignore")
@@ -299,15 +316,12 @@ class Camera:
 
     @np.errstate(under="ignore")
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        put = object.__setattr__
-        put(self, "view_point", _point(self.view_point, "view_point", faults))
-        for name in ("view_dir", "view_up"):
-            put(self, name, _direction(getattr(self, name), name, faults))
+        faults = _checked(self, view_point=_point, view_dir=_direction, view_up=_direction)
         if self.proj_normal is not None:
-            put(self, "proj_normal", _direction(self.proj_normal, "proj_normal", faults))
-        for name in ("proj_distance", "view_width", "view_height"):
-            put(self, name, _positive(getattr(self, name), name, faults))
+            faults += _checked(self, proj_normal=_direction)
+        faults += _checked(
+            self, proj_distance=_positive, view_width=_positive, view_height=_positive
+        )
         if not faults:
             normal = unit(self.normal)
             sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
@@ -318,8 +332,7 @@ class Camera:
             if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
                 wrong = "must not be perpendicular to view_dir: no ray would meet it"
                 faults.append(Fault("proj_normal", wrong))
-        if faults:
-            raise SceneError(faults)
+        _raise_any(faults)
 
     @property
     def normal(self) -> Vector:
@@ -348,10 +361,7 @@ class PointLight:
     intensity: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        position = _point(self.position, "position", faults)
-        intensity = _color(self.intensity, "intensity", faults)
-        _settle(self, faults, position=position, intensity=intensity)
+        _raise_any(_checked(self, position=_point, intensity=_color))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -374,8 +384,7 @@ class Lambertian:
     diffuse: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        _settle(self, faults, diffuse=_color(self.diffuse, "diffuse", faults))
+        _raise_any(_checked(self, diffuse=_color))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -404,15 +413,7 @@ class Phong:
     exponent: float = 1.0
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        diffuse = _color(self.diffuse, "diffuse", faults)
-        specular = _color(self.specular, "specular", faults)
-        exponent = _number(self.exponent, "exponent", faults)
-        if not (0 <= exponent < np.inf):
-            faults.append(
-                Fault("exponent", f"must be finite and not negative, is {number(exponent)}")
-            )
-        _settle(self, faults, diffuse=diffuse, specular=specular, exponent=exponent)
+        _raise_any(_checked(self, diffuse=_color, specular=_color, exponent=_not_negative))
 
 
 Shader: TypeAlias = Lambertian | Phong
@@ -440,11 +441,8 @@ class Sphere:
     shader: Shader = field(default_factory=Lambertian)
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        center = _point(self.center, "center", faults)
-        radius = _positive(self.radius, "radius", faults)
-        _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
-        _settle(self, faults, center=center, radius=radius)
+        shader = _one_of(Lambertian, Phong)
+        _raise_any(_checked(self, center=_point, radius=_positive, shader=shader))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -469,12 +467,11 @@ class Box:
     shader: Shader = field(default_factory=Lambertian)
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        low, high = _point(self.min_pt, "min_pt", faults), _point(self.max_pt, "max_pt", faults)
+        faults = _checked(self, min_pt=_point, max_pt=_point)
         if not faults:
-            faults += _order_faults(np.array([low]), np.array([high]), _ALONE)
-        _check_types((self.shader,), (Lambertian, Phong), "shader", faults)
-        _settle(self, faults, min_pt=low, max_pt=high)
+            low, high = np.array([self.min_pt]), np.array([self.max_pt])
+            faults += _order_faults(low, high, _ALONE)
+        _raise_any(faults + _checked(self, shader=_one_of(Lambertian, Phong)))
 
 
 def _sphere_faults(center: Floats, radius: Floats, index: Ints) -> Iterable[Fault]:
@@ -571,14 +568,13 @@ class Surfaces(Sequence[Sphere | Box]):
             box_index = np.arange(spheres, spheres + boxes)
         self.sphere_index = _integers(sphere_index, "sphere_index", faults)
         self.box_index = _integers(box_index, "box_index", faults)
-        self.shaders = _listed(shaders, (Lambertian, Phong), "shaders", faults)
+        self.shaders = _list_of(Lambertian, Phong)(shaders, "shaders", faults)
         # What does not fit together cannot be checked further.
         faults = faults or self._misfits()
         if not faults:
             faults += _sphere_faults(self.center, self.radius, self.sphere_index)
             faults += _box_faults(self.min_pt, self.max_pt, self.box_index)
-        if faults:
-            raise SceneError(sorted(faults, key=lambda fault: fault.surface or 0))
+        _raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
         self._protect()
 
     def _misfits(self) -> list[Fault]:
@@ -630,9 +626,8 @@ class Surfaces(Sequence[Sphere | Box]):
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
         faults: list[Fault] = []
-        items = _listed(surfaces, (Sphere, Box), "surfaces", faults)
-        if faults:
-            raise SceneError(faults)
+        items: tuple[Sphere | Box, ...] = _list_of(Sphere, Box)(surfaces, "surfaces", faults)
+        _raise_any(faults)
         # By identity: objects that share a shader keep sharing it.
         place = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(place)}
@@ -719,6 +714,16 @@ class Surfaces(Sequence[Sphere | Box]):
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
 
 
+def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
+    if isinstance(value, Surfaces):
+        return value
+    try:
+        return Surfaces.of(value)
+    except SceneError as error:
+        faults += error.faults
+        return Surfaces()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """What is seen (`surfaces`), by what light, through which camera.
@@ -745,23 +750,19 @@ class Scene:
     surfaces: Surfaces = field(default_factory=Surfaces)
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
-        _check_types((self.camera,), (Camera,), "camera", faults)
-        lights = _listed(self.lights, (PointLight,), "lights", faults)
-        surfaces = self.surfaces
-        if not isinstance(surfaces, Surfaces):
-            try:
-                surfaces = Surfaces.of(surfaces)
-            except SceneError as error:
-                faults += error.faults
-        width, height = _size(self.width, "width", faults), _size(self.height, "height", faults)
-        if not faults and width * height > MAX_PIXELS:
-            gib = width * height * 24 / 2**30
-            faults.append(
-                Fault(
-                    "width, height",
-                    f"{width} x {height} pixels are too many: the picture would take"
-                    f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed",
-                )
+        faults = _checked(
+            self,
+            camera=_one_of(Camera),
+            lights=_list_of(PointLight),
+            surfaces=_surfaces,
+            width=_size,
+            height=_size,
+        )
+        if not faults and self.width * self.height > MAX_PIXELS:
+            gib = self.width * self.height * 24 / 2**30
+            wrong = (
+                f"{self.width} x {self.height} pixels are too many: the picture would take"
+                f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed"
             )
-        _settle(self, faults, width=width, height=height, lights=lights, surfaces=surfaces)
+            faults.append(Fault("width, height", wrong))
+        _raise_any(faults)
