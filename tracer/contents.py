@@ -143,8 +143,17 @@ def _is_decimal(word: str) -> bool:
     return _is_plain(word)
 
 
+def _mended(text: str, count: int) -> str | None:
+    """`count` decimal numbers, if replacing commas and what is `_COPIED` makes them of `text`."""
+    for comma in " .":
+        words = _words(text.translate(_COPIED).replace(",", comma))
+        if len(words) == count and all(map(_is_decimal, words)):
+            return " ".join(words)
+    return None
+
+
 def _odd(text: str) -> str:
-    """In words, the commas in `text`, and what `_COPIED` replaces; empty if there is none."""
+    """In words, what `_mended` replaces in `text`."""
     found = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
     if found == [","]:
         return "commas"
@@ -467,21 +476,15 @@ class Contents:
         self.no_attributes(element)
         self.no_children(element)
         text = element.text or ""
-        odd = _odd(text)
-        for comma in " .":
-            words = _words(text.translate(_COPIED).replace(",", comma))
-            if odd and len(words) == count and all(map(_is_decimal, words)):
-                right = quoted(" ".join(words))
-                self.fault(element, f"{element.tag}: has {odd}; write it as {right}")
-                return [_NAN] * count
-        words = _words(text)
+        words, right = _words(text), _mended(text, count)
         wrong = [word for word in words if not _is_decimal(word)]
-        for word in wrong:
-            self.fault(
-                element,
-                f"{element.tag}: {quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3",
-            )
-        if len(words) != count and len(element) == 0 and not wrong:
+        if wrong and right:
+            self.fault(element, f"{element.tag}: has {_odd(text)}; write it as {quoted(right)}")
+        elif wrong:
+            remedy = "write it as 2, -.5 or 1e-3"
+            for word in wrong:
+                self.fault(element, f"{element.tag}: {quoted(word)} is no decimal number; {remedy}")
+        elif len(words) != count and len(element) == 0:
             self.fault(
                 element,
                 f"{element.tag}: needs {count} number{'s' * (count > 1)}, has {len(words)}",
