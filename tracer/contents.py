@@ -14,8 +14,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
-import numpy as np
-
 from tracer.messages import quoted, short
 from tracer.scene import (
     MAX_PIXELS,
@@ -600,21 +598,21 @@ class Contents:
         min_pt, max_pt = boxes.columns.values()
         try:
             return Surfaces(
-                center=np.asarray(center.numbers),
-                radius=np.asarray(radius.numbers),
-                sphere_shader=np.asarray(spheres.shader),
-                sphere_index=np.asarray(spheres.index),
-                min_pt=np.asarray(min_pt.numbers),
-                max_pt=np.asarray(max_pt.numbers),
-                box_shader=np.asarray(boxes.shader),
-                box_index=np.asarray(boxes.index),
+                center=center.numbers,
+                radius=radius.numbers,
+                sphere_shader=spheres.shader,
+                sphere_index=spheres.index,
+                min_pt=min_pt.numbers,
+                max_pt=max_pt.numbers,
+                box_shader=boxes.shader,
+                box_index=boxes.index,
                 shaders=tuple(shader or Lambertian() for shader in self.shaders),
             )
         except SceneError as error:
             for fault in error.faults:
                 rows = spheres if fault.field in spheres.columns else boxes
-                column, count = rows.columns[fault.field], dict(rows.fields.values())[fault.field]
-                row = bisect_left(rows.index, fault.surface or 0)
+                column = rows.columns[fault.field]
+                row, count = bisect_left(rows.index, fault.surface or 0), len(column.default)
                 if not _unread(column.numbers[row * count : (row + 1) * count]):
                     line = column.lines[row] if self.faults.lined else 0
                     self.fault(line, _in_tags(fault))
