@@ -115,9 +115,9 @@ def whole_process(rounds: int, quick: bool) -> Table:
             if rivals.povray_installed():
                 commands["POV-Ray"] = rivals.povray_command(scene, png)
             found = _processes(commands, rounds)
-            _, ours, exactly, *stocks = [*found.values()][:5]
+            ours, stocks = found["tracer"], (found["Mitsuba stock"], found["the same, scalar"])
             least = min(stocks, key=lambda spent: spent.median)
-            speedups = _speedup(ours, exactly), _speedup(ours, least)
+            speedups = _speedup(ours, found["Mitsuba exact"]), _speedup(ours, least)
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
     return Table(
         "Whole process: from XML to PNG",
