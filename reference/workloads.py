@@ -9,6 +9,7 @@ import numpy as np
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 from tracer.arrays import Floats
+from tracer.scene import Vector
 
 __all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "rods", "to_xml"]
 
@@ -27,6 +28,10 @@ _SHADERS = (
     Lambertian(diffuse=(0.3, 0.6, 0.9)),
     Phong(diffuse=(0.2, 0.7, 0.3), specular=(0.6, 0.6, 0.6), exponent=40.0),
 )
+
+
+def _lights(*positions: Vector) -> tuple[PointLight, ...]:
+    return tuple(PointLight(position=at, intensity=(0.6, 0.6, 0.6)) for at in positions)
 
 
 def crowd(count: int, kind: Crowd = "spread", *, width: int = 640, height: int = 360) -> Scene:
@@ -67,7 +72,7 @@ def crowd(count: int, kind: Crowd = "spread", *, width: int = 640, height: int =
         ),
         width=width,
         height=height,
-        lights=tuple(PointLight(position=at, intensity=(0.6, 0.6, 0.6)) for at in lights),
+        lights=_lights(*lights),
         surfaces=Surfaces(
             center=center[:spheres],
             radius=size[:spheres],
@@ -96,10 +101,7 @@ def rods(count: int, *, width: int = 640, height: int = 360) -> Scene:
         ),
         width=width,
         height=height,
-        lights=tuple(
-            PointLight(position=at, intensity=(0.6, 0.6, 0.6))
-            for at in ((5.0, 8.0, 9.0), (-6.0, 7.0, 3.0))
-        ),
+        lights=_lights((5.0, 8.0, 9.0), (-6.0, 7.0, 3.0)),
         surfaces=Surfaces(
             min_pt=np.vstack([center - half, [(-10.0, -4.0, -10.0)]]),
             max_pt=np.vstack([center + half, [(10.0, -3.5, 10.0)]]),
