@@ -133,22 +133,13 @@ def lit_by(scene: Scene, count: int) -> Scene:
 
 def afresh(scene: Scene, k: int) -> Scene:
     """A copy that shares no array with `scene`; its eye is moved by k 1e-5 window widths."""
-    camera, s = scene.camera, scene.surfaces
+    camera, surfaces = scene.camera, scene.surfaces
     x, y, z = camera.view_point
     return replace(
         scene,
         camera=replace(camera, view_point=(x + k * 1e-5 * camera.view_width, y, z)),
-        surfaces=Surfaces(
-            center=s.center.copy(),
-            radius=s.radius.copy(),
-            sphere_shader=s.sphere_shader.copy(),
-            sphere_index=s.sphere_index.copy(),
-            min_pt=s.min_pt.copy(),
-            max_pt=s.max_pt.copy(),
-            box_shader=s.box_shader.copy(),
-            box_index=s.box_index.copy(),
-            shaders=s.shaders,
-        ),
+        # These copy what they are given.
+        surfaces=Surfaces(**{name: getattr(surfaces, name) for name in Surfaces.__slots__}),
     )
 
 
