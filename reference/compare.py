@@ -236,7 +236,7 @@ def _note(name: str, path: Path) -> str:
             return f"{name} is a {image.format}, which may change levels: save it as PNG."
         if image.mode in ("P", "PA"):
             return f"{name} has a palette, of 256 colours at most: save it as RGB."
-        if (np.asarray(image.convert("RGBA"))[:, :, 3] < 255).any():
+        if image.convert("RGBA").getchannel("A").getextrema() != (255, 255):
             return f"{name} is transparent in places, which counts as black: save it as RGB."
         return ""
 
