@@ -21,7 +21,7 @@ import numpy as np
 from reference import machine
 from reference.command import HERE, SCENES, need_scenes, parser, result, run
 from reference.speed_accuracy import Truth, truth_side
-from reference.tables import Table, quote, times, write_records
+from reference.tables import Ratio, Table, quote, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
 from reference.workloads import crowd, resized, rods
 from tracer import (
@@ -224,7 +224,7 @@ def _shown(table: Table) -> Table:
         if isinstance(value, float):
             return f"{value:.6f}"
         if isinstance(value, Timing) and isinstance(whole, Timing):
-            return Timing.of([value.low]) if value is whole else times(value.low / whole.low)
+            return Timing.of([value.low]) if value is whole else Ratio(value.low / whole.low)
         return value
 
     header = tuple(name.rpartition(": ")[2] for name in table.header)

@@ -29,7 +29,7 @@ from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import machine, minimal, rivals
 from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result, run
-from reference.tables import Table, quote, times, write_records
+from reference.tables import Ratio, Table, quote, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
@@ -86,8 +86,8 @@ def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Ti
     return ours, theirs
 
 
-def _speedup(of: Timing, over: Timing) -> str:
-    return times(over.median / of.median)
+def _speedup(of: Timing, over: Timing) -> Ratio:
+    return Ratio(over.median / of.median)
 
 
 # --- The tables --------------------------------------------------------------------------
@@ -163,28 +163,23 @@ def warm(rounds: int, quick: bool) -> Table:
 
 def compact(table: Table) -> Table:
     """`warm` with a row for each scene: over the exact flavour, and the mean over the stock one."""
-    columns: dict[str, dict[str, tuple[Timing, Timing]]] = {}
-    over_stock: dict[str, list[float]] = {}
-    for place, ours, theirs, _, _, over in table.rows:
-        name, size = str(place).rsplit(" ", 1)
-        assert isinstance(ours, Timing)
-        assert isinstance(theirs, Timing)
-        columns.setdefault(size, {})[name] = ours, theirs
-        over_stock.setdefault(size, []).append(float(str(over).rstrip("×")))
+    columns: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in table.rows:
+        cells = dict(zip(table.header, row, strict=True))
+        name, size = str(cells["scene"]).rsplit(" ", 1)
+        columns.setdefault(size, {})[name] = cells
     rows: list[tuple[object, ...]] = []
     for name in next(iter(columns.values())):
-        pairs = [found[name] for found in columns.values()]
-        cells = [(Timing.of([ours.median]), _speedup(ours, theirs)) for ours, theirs in pairs]
-        rows.append((name, *chain(*cells)))
-    means = [
-        geometric_mean([theirs.median / ours.median for ours, theirs in found.values()])
-        for found in columns.values()
-    ]
-    for what, each in (
-        ("geometric mean", means),
-        ("the same over stock plugins", map(geometric_mean, over_stock.values())),
-    ):
-        rows.append((what, *chain(*(("", times(mean)) for mean in each))))
+        found = [column[name] for column in columns.values()]
+        medians = [(Timing.of([cells["tracer"].median]), cells[_SPEEDUPS[0]]) for cells in found]
+        rows.append((name, *chain(*medians)))
+    whats = "geometric mean", "the same over stock plugins"
+    for what, over in zip(whats, _SPEEDUPS, strict=True):
+        means = [
+            Ratio(geometric_mean([cells[over] for cells in column.values()]))
+            for column in columns.values()
+        ]
+        rows.append((what, *chain(*(("", mean) for mean in means))))
     return Table(
         table.title,
         "The tracer's milliseconds in process, one sample a pixel, and its speedup over Mitsuba"
@@ -314,7 +309,7 @@ def loading(rounds: int, quick: bool) -> Table:
         {"tracer": lambda _: load_scene(path), "etree": lambda _: ET.parse(path)}, rounds
     )
     gc.unfreeze()
-    ratio = f"{found['tracer'].median / found['etree'].median:.2g}×"
+    ratio = Ratio(found["tracer"].median / found["etree"].median)
     return Table(
         "Loading",
         "Milliseconds to read and validate a scene file, and for `xml.etree` only to parse it.",
@@ -400,7 +395,7 @@ def limit(rounds: int, quick: bool) -> Table:
                 "shade": lambda _, loops=loops: loops.shade(),  # type: ignore[misc]
             }
             found = _warm(tasks, rounds)
-            ratio = f"{found['tracer'].median / found['shade'].median:.2g}×"
+            ratio = Ratio(found["tracer"].median / found["shade"].median)
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), ratio))
     return Table(
         "How near the limit",

@@ -9,12 +9,12 @@ from pathlib import Path
 from reference.charts import write_csv
 from reference.timing import Timing
 
-__all__ = ["Table", "quote", "times", "write_records"]
+__all__ = ["Ratio", "Table", "quote", "write_records"]
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table of a report; cells that are timings go to the CSV in full."""
+    """One table of a report; cells that are timings or ratios go to the CSV in full."""
 
     title: str
     note: str
@@ -38,10 +38,12 @@ class Table:
                     yield self.title, row[0], name, cell, "", ""
 
 
-def times(ratio: float) -> str:
-    """With two digits at least: 0.50×, 3.0×, 42×."""
-    places = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
-    return f"{ratio:.{places}f}×"
+class Ratio(float):
+    """Shown with two digits at least: 0.50×, 3.0×, 42×."""
+
+    def __str__(self) -> str:
+        places = 2 if self < 0.995 else 1 if self < 9.95 else 0
+        return f"{self:.{places}f}×"
 
 
 def quote(page: Path, mark: str, made: str, found: Sequence[Table]) -> None:
