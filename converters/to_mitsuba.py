@@ -14,6 +14,7 @@ Converting needs no Mitsuba. --render and --check need it ("pip install .[refere
 """
 
 # What imports NumPy or Mitsuba is imported where it is used, so that `run` heeds signals before.
+# Nothing else in this package knows of `reference`, which compares, and which imports it.
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.variant is not None and not (options.render or options.check):
         parser.error("--variant is for --render and --check; converting needs no Mitsuba")
     try:
-        if (options.render or options.check) and not _ready(options.variant):
+        if (options.render or options.check) and not _ready(options):
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
@@ -71,14 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(done) else 1
 
 
-def _ready(variant: str | None) -> bool:
+def _ready(options: argparse.Namespace) -> bool:
     """Choose Mitsuba's variant; say which it is, or why there is none."""
     try:
-        import_module("converters.check")  # and all that it needs
+        # And all that these need.
+        import_module("reference.check" if options.check else "converters.rendering")
         from converters.variant import use
 
         begin()
-        choice = use(variant)
+        choice = use(options.variant)
     except (ImportError, OSError) as error:
         missing = isinstance(error, ModuleNotFoundError)
         remedy = "; install it with pip install -e '.[reference]'" if missing else ""
@@ -182,7 +184,7 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
-    from converters.check import render_mitsuba, write_exr
+    from converters.rendering import render_mitsuba, write_exr
     from tracer.image import write_png
     from tracer.reader import load_scene
 
@@ -200,7 +202,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
 
 def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
-    from converters.check import check
+    from reference.check import check
     from reference.compare import write_comparison
 
     result = check(path, options.variant)

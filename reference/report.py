@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
-from converters.check import MAX_DIFFERENCE, CheckResult, check
 from converters.trouble import TROUBLE, told
 from converters.variant import use
+from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe

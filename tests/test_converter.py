@@ -19,11 +19,12 @@ from messages import told
 from PIL import Image
 from scene_files import ONE_SPHERE, overflowing, small_one
 
-from converters.check import Rendering, check_scene, compare, doubts, edge_mask, render_mitsuba
 from converters.flavours import WRITTEN, exact, normalisation, square_height, stock
+from converters.rendering import Rendering, render_mitsuba
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
+from reference.check import check_scene, compare, doubts, edge_mask
 from reference.command import own_scenes
 from reference.compare import figures
 from reference.regenerate import load_small
@@ -389,7 +390,7 @@ def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
 def test_check_ends_with_status_1_where_a_tolerance_is_broken(
     small: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("converters.check.MAX_DIFFERENCE", 1e-12)
+    monkeypatch.setattr("reference.check.MAX_DIFFERENCE", 1e-12)
     assert main(["--check", str(small)]) == 1
     told = capsys.readouterr().out
     assert "small: DIFFERS" in told
@@ -429,7 +430,7 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(
     def fail(*_arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("converters.check.check", fail)
+    monkeypatch.setattr("reference.check.check", fail)
     assert main(["--check", str(small)]) == 1
     assert capsys.readouterr().err == f"{small}: {line}\n"
 

@@ -14,19 +14,18 @@ import numpy as np
 import pytest
 from random_scenes import random_scene
 
-from converters.check import (
+from converters.rendering import Rendering, render_mitsuba
+from converters.variant import SCALAR, use
+from reference.check import (
     EDGE_CHANGE,
     EDGE_SHIFT,
     MAX_MASKED,
     CheckResult,
-    Rendering,
     check_scene,
     compare,
     edge_mask,
     faults,
-    render_mitsuba,
 )
-from converters.variant import SCALAR, use
 from reference.command import SCENES, own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import (

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from converters.check import MAX_DIFFERENCE, MIN_SSIM, edge_mask, faults
+from reference.check import MAX_DIFFERENCE, MIN_SSIM, edge_mask, faults
 from reference.command import SCENES
 from reference.compare import figures
 from reference.regenerate import load_small, stored

@@ -8,9 +8,11 @@ import pkgutil
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
+import converters
 import tracer
 
 
@@ -49,3 +51,11 @@ def test_constants_and_types_are_public_or_not_by_their_name(name):
         for target in getattr(node, "targets", [getattr(node, "target", None)]):
             if isinstance(target, ast.Name) and not target.id.startswith("_"):
                 assert target.id in module.__all__
+
+
+def test_converters_import_nothing_that_imports_them():
+    """Only one command does, where it is told to compare."""
+    for path in Path(converters.__path__[0]).glob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                assert "reference" not in ast.unparse(node), path

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scene_files import overflowing, small_one
 
-from converters.check import CheckResult
+from reference.check import CheckResult
 from reference.compare import figures
 from reference.diagnosis import linear
 from reference.report import main, page

@@ -18,7 +18,7 @@ LIBRARIES = sorted(Path("/usr/lib").glob("*/libLLVM*.so.*"))
 
 _RENDER = """
 import sys
-from converters.check import render_mitsuba
+from converters.rendering import render_mitsuba
 from converters.variant import use
 from tracer import load_scene
 from dataclasses import replace

@@ -10,23 +10,21 @@ brightest pixel's where that is more than 1.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
-from math import isqrt
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.flavours import exact, normalisation, square_height, stock
-from converters.variant import LLVM, ensure, mi, use
+from converters.flavours import exact, normalisation
+from converters.rendering import Rendering, load
+from converters.variant import LLVM
 from converters.visible import bounds
 from reference.compare import Figures, figures
 from reference.oracle import Oracle
 from tracer.arrays import Bools, Floats
-from tracer.image import whole_file
 from tracer.messages import printable
 from tracer.reader import load_scene
 from tracer.rendering import render
@@ -40,19 +38,13 @@ __all__ = [
     "MAX_MEDIAN",
     "MIN_SSIM",
     "CheckResult",
-    "Rendering",
     "check",
     "check_scene",
     "compare",
     "doubts",
     "edge_mask",
     "faults",
-    "render_mitsuba",
-    "stock_ssim",
-    "write_exr",
 ]
-
-_EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
 
 EDGE_SHIFT = 0.003
 """How far a sample moves, in pixels and both ways, to see whether an edge is near."""
@@ -73,18 +65,6 @@ _LARGEST = 1e4
 # The oracle, being slow, judges at most this many pixels.  If more differ, or if nothing is known
 # to be hard for Mitsuba, that stays the judge, and the oracle is asked about some of them.
 _MOST_JUDGED, _MOST_ASKED = 20_000, 200
-
-# More samples in a picture than Mitsuba counts, in 32 bits, would end in a riddle.
-_MOST_SAMPLES = 2**32 - 1
-
-
-@dataclass(frozen=True, slots=True)
-class Rendering:
-    """A picture by Mitsuba: (h, w, 3) float64, linear; by which variant, in how many seconds."""
-
-    image: Floats
-    variant: str
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,63 +173,6 @@ def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
     return tuple(fault for within, fault in limits if not within)
 
 
-def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -> Floats:
-    """Render a scene with Mitsuba, in the exact flavour.
-
-    Parameters
-    ----------
-    scene : Scene
-    samples : int
-        Samples a pixel: 1 takes the centre, more are stratified.
-    variant : str, optional
-        Mitsuba's variant; the fastest that works here if absent.
-
-    Returns
-    -------
-    image : (h, w, 3) float64
-        Linear RGB.
-
-    Raises
-    ------
-    ImportError
-        If the given variant does not work here.
-    ValueError
-        If the samples are more than Mitsuba can count, or a number is beyond those of float32.
-    """
-    every = scene.width * scene.height * (isqrt(samples - 1) + 1) ** 2
-    if every > _MOST_SAMPLES:
-        raise ValueError(
-            f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
-            " use fewer a pixel"
-        )
-    return _loaded(exact(scene, samples), variant)().image
-
-
-def _loaded(text: str, variant: str | None) -> Callable[[], Rendering]:
-    """Load a converted scene into Mitsuba; each call of what is returned renders it."""
-    chosen = use(variant).variant
-    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-
-    # Otherwise every run would warn that Python plugins are slow in scalar variants.
-    mi.set_log_level(mi.LogLevel.Error)
-    loaded = mi.load_string(text)
-
-    def rendered() -> Rendering:
-        start = perf_counter()
-        image = np.array(mi.render(loaded), dtype=np.float64)
-        return Rendering(image, chosen, perf_counter() - start)
-
-    return rendered
-
-
-def stock_ssim(scene: Scene, samples: int = 64, variant: str | None = None) -> float:
-    """SSIM of the stock flavour's picture against the exact one's, in square pixels."""
-    square = replace(scene, height=square_height(scene))
-    approximate = _loaded(stock(square, samples), variant)().image
-    # The exact flavour has no noise from lights picked at random: few samples are enough.
-    return figures(approximate, render_mitsuba(square, min(samples, 4), variant)).ssim
-
-
 def edge_mask(scene: Scene, image: Floats) -> Bools:
     """Pixels (h, w) near an edge: moving the sample a little changes them.
 
@@ -318,7 +241,7 @@ def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResu
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Render a scene with the tracer and with Mitsuba, and compare."""
-    rendered = _loaded(exact(scene), variant)
+    rendered = load(exact(scene), variant)
     rendering = rendered()
     if rendering.variant == LLVM:
         # The first time compiles the kernel.
@@ -344,10 +267,10 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     seconds = perf_counter() - start
     reference, unit = rendering.image.copy(), _unit(image)
     differs = np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit
-    mask = differs & edge_mask(scene, image) if differs.any() else differs.copy()
+    mask = differs & edge_mask(scene, image) if differs.any() else differs
     reasons = doubts(scene) if differs.any() else ()
     if not reasons:
-        differs &= ~mask
+        differs = differs & ~mask
     differing = np.argwhere(differs)
     trusted = not reasons or len(differing) > _MOST_JUDGED
     pixels = differing[:: 1 + len(differing) // _MOST_ASKED] if trusted else differing
@@ -378,12 +301,3 @@ def _asked(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
     oracle = Oracle(scene)
     found = [oracle.judge(column + 0.5, row + 0.5).radiance for row, column in pixels.tolist()]
     return np.array(found).reshape(-1, 3)
-
-
-def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
-    """Write a linear picture (h, w, 3) as float32 EXR."""
-    ensure()
-    stream = mi.MemoryStream()
-    mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    with whole_file(path, _EXR) as file:
-        file.write(stream.raw_buffer())
