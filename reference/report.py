@@ -140,9 +140,9 @@ def _scene(result: CheckResult, number: int, comment: str) -> str:
         "tracer\u2019s time": _time(result.tracer_seconds),
         f"Mitsuba\u2019s ({result.variant})": _time(result.mitsuba_seconds),
     }
-    notes = [f"Out of tolerance: {fault}." for fault in result.faults]
+    notes = [("bad", f"Out of tolerance: {fault}.") for fault in result.faults]
     if result.remark:
-        notes.append(f"{result.remark[0].upper()}{result.remark[1:]}.")
+        notes.append(("soft", f"{result.remark[0].upper()}{result.remark[1:]}."))
     shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return f"""
 <section class="scene" id="scene-{number}" data-width="{width}" data-height="{height}">
@@ -177,8 +177,7 @@ def _scene(result: CheckResult, number: int, comment: str) -> str:
 <span class="readout" role="status"></span>
 </div>
 <dl>{"".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in values.items())}</dl>
-{"".join(f'<p class="bad">{html.escape(note)}</p>' for note in notes[: len(result.faults)])}
-{"".join(f'<p class="soft">{html.escape(note)}</p>' for note in notes[len(result.faults) :])}
+{"".join(f'<p class="{look}">{html.escape(note)}</p>' for look, note in notes)}
 </section>"""
 
 
