@@ -28,15 +28,7 @@ from reference.check import (
 )
 from reference.command import SCENES, own_scenes
 from reference.compare import figures, write_comparison
-from reference.regenerate import (
-    FOLDER,
-    WIDTH,
-    load_small,
-    main,
-    manifest,
-    scene_hash,
-    stored,
-)
+from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
 from tracer import Scene, load_scene
 from tracer.rendering import render
 

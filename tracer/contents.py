@@ -33,14 +33,7 @@ from tracer.scene import (
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = [
-    "CONTAINERS",
-    "MAX_FAULTS",
-    "Contents",
-    "Faults",
-    "GiveUp",
-    "LineElement",
-]
+__all__ = ["CONTAINERS", "MAX_FAULTS", "Contents", "Faults", "GiveUp", "LineElement"]
 
 MAX_FAULTS = 1_000
 """How many faults are told before the reader gives up on a file."""

@@ -20,13 +20,7 @@ from collections.abc import Iterable
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 from xml.parsers import expat
 
-from tracer.contents import (
-    CONTAINERS,
-    Contents,
-    Faults,
-    GiveUp,
-    LineElement,
-)
+from tracer.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
 from tracer.messages import printable, quoted, short
 from tracer.scene import Scene
 
@@ -320,11 +314,8 @@ def _without_lines(file: IO[bytes]) -> Scene | None:
 
 def _parse(file: IO[bytes], contents: Contents) -> None:
     """Take in a file to its end; raise `_Unclear` as soon as it may have a fault."""
-    from xml.etree.ElementTree import (  # takes some milliseconds
-        ParseError,
-        TreeBuilder,
-        XMLParser,
-    )
+    # Takes some milliseconds.
+    from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
 
     builder = TreeBuilder()
     document = builder.start("", {})
