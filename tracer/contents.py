@@ -309,7 +309,9 @@ class Contents:
             if tag == "surface":
                 self.surface(element)
             elif tag == "shader":
-                self.shader(element, nested=False)
+                self.shader(element)
+                if "name" not in element.attrib:
+                    self.fault(element, 'shader: has no name; add one, as in name="white"')
             elif tag == "light":
                 self.light(element)
             elif tag in ("camera", "image"):
@@ -350,30 +352,14 @@ class Contents:
         if light is not None:
             self.lights.append(light)
 
-    def shader(self, element: _Element, *, nested: bool) -> int:
-        """Take in a shader or a reference to one; return its place."""
-        attributes = element.attrib
-        if nested and "ref" in attributes:
-            if len(attributes) > 1:
-                self.no_attributes(element, ("ref",))
-            if len(element):
-                self.no_children(element)
-            place = self.place(attributes["ref"])
-            if self.faults.lined:
-                self.references.setdefault(place, array("q")).append(_line(element))
-            return place
-        name = attributes.get("name")
-        if nested and name is not None and "type" not in attributes and not len(element):
-            message = "shader: has a name, but no type; to refer to a shader, write"
-            self.fault(element, f'{message} ref="{short(name)}"')
-            return self.place(name)
+    def shader(self, element: _Element) -> int:
+        """Take in a shader; return its place."""
         kind = self.type_of(element, _SHADERS, ("type", "name"))
         shader: Shader | None = None
         if kind in _SHADERS:
             shader = self.made(_SHADERS[kind][0], element, _SHADERS[kind][1])
+        name = element.attrib.get("name")
         if name is None:
-            if not nested:
-                self.fault(element, 'shader: has no name; add one, as in name="white"')
             self.shaders.append(shader)
             return len(self.shaders) - 1
         place = self.place(name)
@@ -387,6 +373,25 @@ class Contents:
             self.definitions[name] = _line(element)
             self.shaders[place] = shader
         return place
+
+    def shader_or_ref(self, element: _Element) -> int:
+        """Take in a surface's shader, or a reference to one; return its place."""
+        attributes = element.attrib
+        if "ref" in attributes:
+            if len(attributes) > 1:
+                self.no_attributes(element, ("ref",))
+            if len(element):
+                self.no_children(element)
+            place = self.place(attributes["ref"])
+            if self.faults.lined:
+                self.references.setdefault(place, array("q")).append(_line(element))
+            return place
+        name = attributes.get("name")
+        if name is not None and "type" not in attributes and not len(element):
+            message = "shader: has a name, but no type; to refer to a shader, write"
+            self.fault(element, f'{message} ref="{short(name)}"')
+            return self.place(name)
+        return self.shader(element)
 
     def place(self, name: str) -> int:
         """Where the shader of this name is, or will be, among `shaders`."""
@@ -403,7 +408,7 @@ class Contents:
         if rows is None:  # what else it holds cannot be judged, but shaders may be defined there
             for child in element:
                 if child.tag == "shader":
-                    self.shader(child, nested=True)
+                    self.shader_or_ref(child)
             return
         parts = self.parts(element, rows.fields, rows.required)
         for parameter, column in rows.columns.items():
@@ -412,7 +417,7 @@ class Contents:
         self.surface_count += 1
         shader = parts.get("shader")
         if shader is not None:
-            rows.shader.append(self.shader(shader, nested=True))
+            rows.shader.append(self.shader_or_ref(shader))
         else:
             if self.white is None:
                 self.white = len(self.shaders)
