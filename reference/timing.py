@@ -12,7 +12,7 @@ from typing import TypeAlias, TypeVar
 from reference.workloads import afresh
 from tracer import Scene
 
-__all__ = ["Task", "Timing", "interleaved", "on_copies", "process", "run"]
+__all__ = ["Task", "Timing", "interleaved", "on_copies", "process"]
 
 Task: TypeAlias = Callable[[int], object]
 """Work to be timed, told which round it is."""
@@ -75,11 +75,6 @@ def on_copies(picture: Callable[[Scene], object], scene: Scene, rounds: int) -> 
     return lambda k: picture(copies[k])
 
 
-def run(*command: str) -> None:
-    """Run a process, in silence; raises if it fails."""
-    subprocess.run(command, check=True, capture_output=True)
-
-
 def process(command: Sequence[str]) -> Task:
-    """Run a process, whatever the round."""
-    return lambda _: run(*command)
+    """Run a process in silence, whatever the round; raises if it fails."""
+    return lambda _: subprocess.run(command, check=True, capture_output=True)
