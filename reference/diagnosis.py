@@ -388,10 +388,8 @@ def _sharpness(a: Codes, b: Codes, differs: Bools, size: Floats) -> float:
     for axis in (0, 1):
         step = [np.abs(np.diff(image, axis=axis)).max(axis=2) <= _EDGE for image in (a, b)]
         ends = np.diff(differs, axis=axis) & (step[0] | step[1])
-        front, back = (slice(None, -1), slice(1, None))
-        first = size[front] if axis == 0 else size[:, front]
-        second = size[back] if axis == 0 else size[:, back]
-        inner.append(np.maximum(first, second)[ends])
+        pairs = np.lib.stride_tricks.sliding_window_view(size, 2, axis=axis)
+        inner.append(pairs.max(axis=2)[ends])
     values = np.concatenate(inner)
     if not values.size:
         return 1.0
