@@ -406,8 +406,8 @@ def measure(panel: Panel, methods: dict[str, Method], at: Iterable[float]) -> di
 
 def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[str, Floats]) -> None:
     error = panel.judge is largest_error
-    pixels = panel.scene(float(at[0])).width * panel.scene(float(at[0])).height
-    floor = _DIGITS if error else 25.0 / pixels
+    first = panel.scene(float(at[0]))
+    floor = _DIGITS if error else 25.0 / (first.width * first.height)
     top = 1.0 if error else 100.0
     axes.set(
         xlabel=panel.axis,
@@ -417,10 +417,6 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
         ylim=(floor / 1.6, 1.6 * top),
     )
     axes.set_title(panel.title, pad=_ROOM if error else 10)
-    if not error:
-        # Nothing is named above these, so they may be taller.
-        box, more = axes.get_position(), (_ROOM - 10) / 72 / axes.figure.get_figheight()
-        axes.set_position((box.x0, box.y0, box.width, box.height + more))
     if error:
         axes.axhspan(_VISIBLE, 1.6, color="#fbe8dd", lw=0, zorder=0)
         axes.text(
@@ -429,6 +425,9 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
         )  # fmt: skip
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
+        # Nothing is named above these, so they may be taller.
+        box, more = axes.get_position(), (_ROOM - 10) / 72 / axes.figure.get_figheight()
+        axes.set_position((box.x0, box.y0, box.width, box.height + more))
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
     for name, power, side in panel.guides:
