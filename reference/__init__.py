@@ -9,7 +9,7 @@ __all__: list[str] = []
 
 
 def _told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Show an uncaught exception, and end with status 1; in a line, and 2, if a package lacks."""
+    """Show an uncaught exception, and end with 1; in a line, with 2, if a package is missing."""
     if not issubclass(kind, ImportError):
         sys.__excepthook__(kind, error, trace)
         return

@@ -99,9 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     need_scenes(parser)
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
-    paths = own_scenes()
     scenes = {}
-    for path in paths:
+    for path in own_scenes():
         scene = load_small(path)
         image = render_mitsuba(scene, variant=choice.variant)
         write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
@@ -110,10 +109,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "stock_ssim": round(_stock_ssim(scene, choice.variant), 3),
         }
         print(f"{path.stem}.exr")
-    for old in set(options.output.glob("*.exr")) - {
-        options.output / f"{path.stem}.exr" for path in paths
-    }:
-        old.unlink()
+    for path in options.output.glob("*.exr"):
+        if path.stem not in scenes:
+            path.unlink()
     made = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),
