@@ -11,7 +11,7 @@ import re
 from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from itertools import islice
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
 from tracer.messages import quoted, short
@@ -293,13 +293,12 @@ class Contents:
 
     def root(self, element: _Element) -> None:
         """Check the root's tag and attributes; its children may be still to come."""
+        self.root_line = _line(element)
         if element.tag != "scene":
-            message = f"{short(element.tag)}: the root must be <scene>"
-            self.faults.give_up(_line(element), message)
+            self.faults.give_up(self.root_line, f"{short(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
-            self.faults.give_up(_line(element), message)
-        self.root_line = _line(element)
+            self.faults.give_up(self.root_line, message)
         self.no_attributes(element)
 
     def take(self, elements: Iterable[_Element]) -> None:
@@ -428,20 +427,15 @@ class Contents:
         """Read the numbers of the surfaces taken in since the last call."""
         for rows in self.rows.values():
             for column in rows.columns.values():
-                default, unread = column.default, column.unread
-                numbers = _numbers(unread, len(default))
+                default, count, unread = column.default, len(column.default), column.unread
+                numbers = _numbers(unread, count)
                 if numbers is None:  # one by one
-                    numbers = [
-                        number
-                        for child in unread
-                        for number in (
-                            default if child is None else self.numbers(child, len(default))
-                        )
-                    ]
+                    each = (default if e is None else self.numbers(e, count) for e in unread)
+                    numbers = [*chain.from_iterable(each)]
                 column.numbers.fromlist(numbers)
                 if self.faults.lined:
                     # For faults found when all surfaces are checked at once, in `all_surfaces`.
-                    column.lines.extend(0 if child is None else _line(child) for child in unread)
+                    column.lines.extend(0 if e is None else _line(e) for e in unread)
                 unread.clear()
 
     # What elements have in common
