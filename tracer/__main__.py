@@ -67,13 +67,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     beside = [f"{scene}.png" for scene in arguments.scenes]
     outputs = targets(parser, arguments.scenes, arguments.output, beside)
     try:
-        failures = 0
+        status = 0
         for scene, output in zip(arguments.scenes, outputs, strict=True):
             fault = _render(scene, output, arguments)
             if fault is not None:
                 say(sys.stderr, fault)
-                failures += 1
-        return min(failures, 1)
+                status = 1
+        return status
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         say(sys.stderr, f"{error}; install it with python -m pip install {package}")
