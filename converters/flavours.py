@@ -66,20 +66,14 @@ def normalisation(scene: Scene) -> Normalisation:
 
 def _stock_place(scene: Scene) -> Normalisation:
     """The file's own coordinates, unless float32 would spoil the picture in them."""
-    place = _own_or_normalised(scene)
-    largest = place.scale * float(scene.surfaces.radius.max(initial=0))
-    if largest <= _LARGEST_RADIUS:
-        return place
-    return replace(place, scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
-
-
-def _own_or_normalised(scene: Scene) -> Normalisation:
-    """The file's own coordinates, if what is seen is of a usual size and near the origin."""
     place = normalisation(scene)
     least, most = _OWN_EXTENT
     near = np.abs(place.center).max() * place.scale <= _OWN_OFFSET * _EXTENT
     if near and least <= _EXTENT / place.scale <= most:
-        return Normalisation(np.zeros(3), 1.0)
+        place = Normalisation(np.zeros(3), 1.0)
+    largest = place.scale * float(scene.surfaces.radius.max(initial=0))
+    if largest > _LARGEST_RADIUS:
+        place = replace(place, scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
     return place
 
 
