@@ -99,11 +99,10 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not kept.any():
         raise ValueError("every pixel is masked")
-    short = [max(_WINDOW - size, 0) for size in a.shape[:2]]
-    shown = [
-        np.pad(_displayed(image), ((0, short[0]), (0, short[1]), (0, 0)), mode="edge")
-        for image in (a, b)
-    ]
+    rows, columns = (max(_WINDOW - size, 0) for size in a.shape[:2])
+    missing = (0, rows), (0, columns), (0, 0)
+    # What a screen is given, in 0 ... 1.
+    shown = [np.pad(np.clip(image, 0, 1) ** (1 / GAMMA), missing, mode="edge") for image in (a, b)]
     ssim = structural_similarity(*shown, win_size=_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixels = difference.max(axis=1)
@@ -195,12 +194,6 @@ def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
     gain = max(k * power for k in (1, 2, 5) if k * power * full <= 1)
     bright, dark = np.clip(gain * signed, 0, 1), np.clip(-gain * signed, 0, 1)
     return bright * _BRIGHTER + dark * _DARKER, gain
-
-
-def _displayed(image: Floats) -> Floats:
-    """What a screen is given, in 0 ... 1."""
-    shown: Floats = np.clip(image, 0, 1) ** (1 / GAMMA)
-    return shown
 
 
 def read_picture(path: str | Path) -> NDArray[np.uint8]:
