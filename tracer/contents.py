@@ -199,8 +199,8 @@ def _unread(values: Iterable[float]) -> bool:
     return any(value != value for value in values)
 
 
-class GiveUp(Exception):  # noqa: N818 - not an error: the faults are noted already
-    """The rest of the file is not worth reading."""
+class GiveUp(Exception):  # noqa: N818 - not an error: what is to be told is noted already
+    """The rest of the file is not worth reading, or not in this way."""
 
 
 class Faults:
@@ -211,17 +211,18 @@ class Faults:
     told : list of (int or None, str)
         The line, if there is one, and what is wrong there.
     lined : bool
-        Whether elements know their lines.
+        Whether elements know their lines; without these, any fault is one too many.
     """
 
-    lined = True
-
-    def __init__(self) -> None:
+    def __init__(self, *, lined: bool = True) -> None:
+        self.lined = lined
         self.told: list[tuple[int | None, str]] = []
 
     def note(self, at: _Element | int, message: str) -> None:
-        """Note a fault, of an element or in a line; at the `MAX_FAULTS`-th raise `GiveUp`."""
+        """Note a fault, of an element or in a line; raise `GiveUp` if it is one too many."""
         line = at if isinstance(at, int) else _line(at)
+        if not self.lined:
+            raise GiveUp
         self.told.append((line, message))
         if len(self.told) == MAX_FAULTS:
             self.give_up(line, f"{MAX_FAULTS} faults so far; mend these first")

@@ -17,7 +17,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable
-from typing import IO, TYPE_CHECKING, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from tracer.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
@@ -280,22 +280,6 @@ _PLAIN = (
 )
 
 
-class _Unclear(Exception):  # noqa: N818 - not an error: the other reader tells what it is
-    """The file may have a fault: it has to be read with line numbers."""
-
-
-class _AnyFault(Faults):
-    """Raises `_Unclear` at the first fault."""
-
-    lined = False
-
-    def note(self, at: object, message: str) -> None:
-        raise _Unclear
-
-    def give_up(self, line: int | None, message: str) -> NoReturn:
-        raise _Unclear
-
-
 def _without_lines(file: IO[bytes]) -> Scene | None:
     """The scene of a large file without faults; or None, with the file at its start again.
 
@@ -304,16 +288,16 @@ def _without_lines(file: IO[bytes]) -> Scene | None:
     if os.fstat(file.fileno()).st_size < _LARGE:
         return None
     try:
-        contents = Contents(_AnyFault())
+        contents = Contents(Faults(lined=False))
         _parse(file, contents)
         return contents.scene()
-    except _Unclear:
+    except GiveUp:
         file.seek(0)
         return None
 
 
 def _parse(file: IO[bytes], contents: Contents) -> None:
-    """Take in a file to its end; raise `_Unclear` as soon as it may have a fault."""
+    """Take in a file to its end; raise `GiveUp` as soon as it may have a fault."""
     # Takes some milliseconds.
     from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
 
@@ -325,24 +309,24 @@ def _parse(file: IO[bytes], contents: Contents) -> None:
         while chunk := file.read(_CHUNK):
             # A DOCTYPE stands before the root, and this parser would obey its declarations.
             if not given and (not re.match(_PLAIN, chunk) or b"<!DOCTYPE" in chunk):
-                raise _Unclear
+                raise GiveUp
             # This parser swallows attributes of this name, which are a fault.
             if b"xmlns" in end + chunk:
-                raise _Unclear
+                raise GiveUp
             end = chunk[-8:]
             given += len(chunk)
             parser.feed(chunk)
             if not len(document):
-                raise _Unclear
+                raise GiveUp
             # The last child may not have ended, nor the text after it.
             if _take_children(contents, document[0], len(document[0]) - 1):
                 taken = given
             if given - taken > MAX_TOKEN:
-                raise _Unclear
+                raise GiveUp
         parser.close()
         _take_children(contents, document[0], len(document[0]))
     except (ParseError, LookupError, ValueError):
-        raise _Unclear from None
+        raise GiveUp from None
 
 
 def _take_children(contents: Contents, scene: Element, count: int) -> bool:
@@ -352,7 +336,7 @@ def _take_children(contents: Contents, scene: Element, count: int) -> bool:
     for tag in CONTAINERS:
         texts.update([element.text for element in scene.iter(tag)])
     if any(text and not text.isspace() for text in texts):
-        raise _Unclear
+        raise GiveUp
     contents.take(scene[:count])
     del scene[:count]
     return count > 0
