@@ -139,7 +139,7 @@ def afresh(scene: Scene, k: int) -> Scene:
         scene,
         camera=replace(camera, view_point=(x + k * 1e-5 * camera.view_width, y, z)),
         # These copy what they are given.
-        surfaces=Surfaces(**{name: getattr(surfaces, name) for name in Surfaces.__slots__}),
+        surfaces=Surfaces(**vars(surfaces)),
     )
 
 

@@ -529,18 +529,6 @@ class Surfaces(Sequence[Sphere | Box]):
         `max_pt`, or a number that is not finite or out of range (`LARGEST`).
     """
 
-    __slots__ = (
-        "box_index",
-        "box_shader",
-        "center",
-        "max_pt",
-        "min_pt",
-        "radius",
-        "shaders",
-        "sphere_index",
-        "sphere_shader",
-    )
-
     def __init__(
         self,
         *,
@@ -606,13 +594,9 @@ class Surfaces(Sequence[Sphere | Box]):
         return faults
 
     def _protect(self) -> None:
-        for name in self.__slots__:
-            if name != "shaders":
-                getattr(self, name).setflags(write=False)
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Without this method, a class with slots has no pickle of protocols 0 and 1.
-        return {name: getattr(self, name) for name in self.__slots__}
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
