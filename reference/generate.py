@@ -10,13 +10,11 @@ import colorsys
 import math
 import random
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TypeAlias
 
 from reference.command import SCENES, need_scenes, parser, run
+from tracer.scene import Vector
 
 __all__ = ["main", "many_objects", "sunflower"]
-
-_Vector: TypeAlias = tuple[float, float, float]
 
 
 def many_objects(count: int = 500, seed: int = 1) -> str:
@@ -91,7 +89,7 @@ def sunflower(count: int = 233) -> str:
     return "\n".join([*lines, "</scene>", ""])
 
 
-def _head(comment: str, eye: _Vector, direction: _Vector, window: _Vector) -> Iterator[str]:
+def _head(comment: str, eye: Vector, direction: Vector, window: Vector) -> Iterator[str]:
     distance, width, height = window
     yield f"<!-- {comment} -->"
     yield "<scene>"
@@ -105,14 +103,14 @@ def _head(comment: str, eye: _Vector, direction: _Vector, window: _Vector) -> It
     yield "    <image>320 180</image>"
 
 
-def _light(position: _Vector, intensity: _Vector) -> Iterator[str]:
+def _light(position: Vector, intensity: Vector) -> Iterator[str]:
     yield (
         f"    <light><position>{_text(position)}</position>"
         f"<intensity>{_text(intensity)}</intensity></light>"
     )
 
 
-def _phong(name: str, diffuse: _Vector, specular: float, exponent: float) -> Iterator[str]:
+def _phong(name: str, diffuse: Vector, specular: float, exponent: float) -> Iterator[str]:
     yield (
         f'    <shader name="{name}" type="Phong"><diffuseColor>{_text(diffuse)}</diffuseColor>'
         f"<specularColor>{_text([specular] * 3)}</specularColor>"
@@ -120,14 +118,14 @@ def _phong(name: str, diffuse: _Vector, specular: float, exponent: float) -> Ite
     )
 
 
-def _sphere(shader: str, center: _Vector, radius: float) -> Iterator[str]:
+def _sphere(shader: str, center: Vector, radius: float) -> Iterator[str]:
     yield (
         f'    <surface type="Sphere"><shader ref="{shader}"/>'
         f"<center>{_text(center)}</center><radius>{radius:.3f}</radius></surface>"
     )
 
 
-def _box(shader: str, center: _Vector, half: Sequence[float]) -> Iterator[str]:
+def _box(shader: str, center: Vector, half: Sequence[float]) -> Iterator[str]:
     low = [c - h for c, h in zip(center, half, strict=True)]
     high = [c + h for c, h in zip(center, half, strict=True)]
     yield (
