@@ -33,7 +33,7 @@ def visible_points(scene: Scene) -> Floats:
     """What rays spread evenly over the picture hit: points (n, 3), a dozen or more if they can."""
     points = np.zeros((0, 3))
     for grid in _GRIDS:
-        view = view_of(raster_of(scene.camera, grid, grid), scene.surfaces, split=False)
+        view = view_of(raster_of(scene.camera, grid, grid), scene.surfaces)
         hits = visible(view, CENTRES.samples(slice(0, grid), slice(0, grid)))
         points = np.stack(hits.points(slice(None)), axis=1)
         if len(points) >= _GRIDS[0]:

@@ -16,9 +16,11 @@ from tracer.outlines import Outlines, Spans, outlines_of
 WIDTH, HEIGHT = 24, 20
 
 
-def marked(outlines: Outlines, top: int, height: int) -> set[tuple[int, int, int]]:
+def marked(
+    outlines: Outlines, surfaces: Surfaces, top: int, height: int
+) -> set[tuple[int, int, int]]:
     """Row, column and object, of the whole width."""
-    found = crossed(ends_of(outlines, top, height), slice(0, WIDTH))
+    found = crossed(ends_of(outlines, surfaces, top, height), slice(0, WIDTH))
     row, column, owner = (m.tolist() for m in found)
     return {(top + r, c, o) for r, c, o in zip(row, column, owner, strict=True)}
 
@@ -59,17 +61,18 @@ def test_every_end_of_an_object_is_found(seed: int) -> None:
     )
     kinds = [a_bar, a_box, a_sphere]
     surfaces = Surfaces.of([make(rng) for make in kinds for _ in range(5)])
-    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), surfaces, split=True)
-    found = marked(outlines, 0, HEIGHT)
+    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), surfaces)
+    found = marked(outlines, surfaces, 0, HEIGHT)
     assert ends_in_fine_rows(outlines, 64) <= found
     # Whatever the bands.
-    assert marked(outlines, 0, 7) | marked(outlines, 7, HEIGHT - 7) == found
+    parts = (marked(outlines, surfaces, *rows) for rows in ((0, 7), (7, HEIGHT - 7)))
+    assert set.union(*parts) == found
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.003, -0.02])
 def test_a_bar_between_two_rows_of_samples(roll: float) -> None:
-    bar = Box(min_pt=(-0.2, 0.0101, -1.01), max_pt=(0.3, 0.0102, -1))
+    bar = Surfaces.of([Box(min_pt=(-0.2, 0.0101, -1.01), max_pt=(0.3, 0.0102, -1))])
     camera = Camera(view_up=(roll, 1, 0))
-    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), Surfaces.of([bar]), split=True)
-    columns = {column for _, column, _ in marked(outlines, 0, HEIGHT)}
+    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), bar)
+    columns = {column for _, column, _ in marked(outlines, bar, 0, HEIGHT)}
     assert columns == set(range(7, 20))

@@ -52,7 +52,7 @@ def scattered(scene: Scene) -> Floats:
     times = math.gcd(scene.width, scene.height, 8)
     width, height = scene.width // times, scene.height // times
     coarse = replace(scene, width=width, height=height)
-    view = view_of(raster_of(coarse.camera, width, height), coarse.surfaces, split=True)
+    view = view_of(raster_of(coarse.camera, width, height), coarse.surfaces)
     x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
     samples, order = Scattered.of(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
@@ -165,7 +165,7 @@ def test_nothing_is_seen_outside_the_window(kind: str) -> None:
     for seed in range(2 if kind == "crowd" else 12):
         scene = random_scene(kind, seed, 40, 30)
         raster = raster_of(scene.camera, scene.width, scene.height)
-        lines = outlines_of(raster, scene.surfaces, split=False)
+        lines = outlines_of(raster, scene.surfaces)
         image = brute_force(scene)
         assert not image[lines.in_rows() == 0].any()
         image[lines.window()] = 0
@@ -178,7 +178,7 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     # All that is seen is lit.
     alone = scene(surface, light=CAMERA.view_point)
     raster = raster_of(alone.camera, alone.width, alone.height)
-    lines = outlines_of(raster, alone.surfaces, split=False)
+    lines = outlines_of(raster, alone.surfaces)
     seen = render(alone).any(axis=2)
     for window, axis in zip(lines.window(), (1, 0), strict=True):
         first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()

@@ -27,7 +27,7 @@ def a_buffer(rng: np.random.Generator) -> tuple[Floats, LightBuffer]:
     camera = Camera(view_point=vector(a_point(rng)), view_dir=vector(unit_vectors(rng, 1)[0]))
     raster = raster_of(camera, 32, 32)
     light = a_point(rng)
-    occluders = occluders_of(view_of(raster, surfaces, split=False), light[None, :])
+    occluders = occluders_of(view_of(raster, surfaces), light[None, :])
     return light, light_buffer_finder(occluders).buffers[0]
 
 
@@ -39,7 +39,7 @@ def test_buffers_of_large_objects_stay_small() -> None:
     surfaces = Surfaces(
         center=center, radius=np.ones(3000), sphere_shader=np.zeros(3000, int), shaders=[WHITE]
     )
-    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces, split=False)
+    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces)
     (buffer,) = light_buffer_finder(occluders_of(view, light)).buffers
     assert buffer.resolution < _SIDE_FEW
     assert 3000 < buffer.listed.size < _PAIRS
@@ -59,7 +59,7 @@ def test_buffers_around_suns_list_little(far: float, ground: float) -> None:
     surfaces = Surfaces(
         center=center, radius=radius, sphere_shader=np.zeros(1000, int), shaders=[WHITE]
     )
-    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces, split=False)
+    view = view_of(raster_of(Camera(view_point=(0, 0, 9)), 32, 32), surfaces)
     lights = np.outer([1e3, far], [0.3, 0.8, 0.5])
     near, sun = light_buffer_finder(occluders_of(view, lights)).buffers
     assert sun.listed.size < 5 * near.listed.size

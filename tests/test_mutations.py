@@ -90,7 +90,7 @@ def boxes_out(scene: Scene) -> Floats:
 def visible(scene: Scene) -> tuple[Floats, Floats]:
     """What is seen: points (h, w, 3) and the places of their surfaces (h, w); NaN for nothing."""
     height, width = scene.height, scene.width
-    view = view_of(raster_of(scene.camera, width, height), scene.surfaces, split=False)
+    view = view_of(raster_of(scene.camera, width, height), scene.surfaces)
     with np.errstate(all="ignore"):
         hits = hits_of(view, CENTRES.samples(slice(0, height), slice(0, width)))
     points, owner = np.full((height * width, 3), np.nan), np.full(height * width, np.nan)

@@ -78,7 +78,8 @@ def antialiased(
     """
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
-    ends = ends_of(lighting.view.outlines, top, height)
+    view = lighting.view
+    ends = ends_of(view.outlines, view.surfaces, top, height)
     if not ends.owner.size:
         return
     # Nothing is seen to the left and to the right of all objects.

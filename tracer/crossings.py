@@ -13,6 +13,7 @@ from tracer.arrays import Bools, Floats, Ints, dot, each, equal_runs, expand, pi
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
+from tracer.scene import Surfaces
 from tracer.visibility import View
 
 __all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
@@ -55,7 +56,7 @@ class Ends(NamedTuple):
         return float(np.nanmin(both)), float(np.nanmax(both))
 
 
-def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
+def ends_of(outlines: Outlines, surfaces: Surfaces, top: int, height: int) -> Ends:
     """The ends of all objects, in so many rows of pixels from the `top` on."""
     lines = np.arange(top, top + height + 1, dtype=np.float64)
     spheres, boxes = outlines.sphere_spans(lines), outlines.box_spans(lines)
@@ -63,10 +64,11 @@ def ends_of(outlines: Outlines, top: int, height: int) -> Ends:
     line, left, right = (
         np.append(getattr(spheres, name), getattr(boxes, name)) for name in ("row", "left", "right")
     )
-    known = np.append(np.ones(spheres.owner.size, dtype=np.bool_), ~outlines.broken[boxes.owner])
-    turned, x, y, begins, ends = outlines.turns
+    broken = outlines.broken(surfaces)
+    known = np.append(np.ones(spheres.owner.size, dtype=np.bool_), ~broken[boxes.owner])
+    turned, x, y, begins, ends = outlines.turns(surfaces)
     y = y - top
-    at = np.flatnonzero((y > -1) & (y < height + 1))
+    at = np.flatnonzero((y > -1) & (y < height + 1) & np.isfinite(x))
     x, y, turned = np.clip(x[at], -1.0, outlines.raster.width + 1.0), y[at], turned[at]
     begin, end = np.where(begins[at], x, np.nan), np.where(ends[at], x, np.nan)
     # A line is the lower end of one row and the upper of the next; so is what lies on it.

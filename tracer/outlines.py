@@ -8,10 +8,9 @@ silhouette edges for a box.  What lies outside them is never looked at again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from itertools import product
 from math import ceil
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,7 +83,7 @@ class Turns(NamedTuple):
     owner : (n,)
         The object, of all, spheres first.
     x, y : (n,)
-        In pixels from the picture's upper left corner.
+        In pixels from the picture's upper left corner; not finite for what is not before the eye.
     begins, ends : (n,)
         Whether the object may begin there in a row of pixels, and whether it may end.
     """
@@ -94,15 +93,6 @@ class Turns(NamedTuple):
     y: Floats
     begins: Bools
     ends: Bools
-
-    @classmethod
-    def joined(cls, turns: Iterable[Turns]) -> Turns:
-        """All that are before the eye: the others have places that are not finite."""
-        none, no = np.zeros(0), np.zeros(0, dtype=np.bool_)
-        parts = [cls(np.zeros(0, dtype=np.intp), none, none, no, no), *turns]
-        every: Any = [np.concatenate(m) for m in zip(*parts, strict=True)]
-        there = np.flatnonzero(np.isfinite(every[1]) & np.isfinite(every[2]))
-        return cls(*(m[there] for m in every))
 
 
 class Outlines(NamedTuple):
@@ -118,14 +108,6 @@ class Outlines(NamedTuple):
         Of boxes, the planes of their silhouettes, as `_silhouettes` says.
     frames : Frames
         Of all objects, spheres first.
-    leftmost, rightmost : (s,)
-        The height, in pixels from the top, at which spheres extend farthest to either side; NaN
-        where they extend without end.  Known only if pixels are split.
-    turns : Turns
-        Of all objects; none unless pixels are split.
-    broken : (b,)
-        Boxes of whose outline a part is unknown, as the eye is too near an edge; none unless pixels
-        are split.
     """
 
     raster: Raster
@@ -134,10 +116,6 @@ class Outlines(NamedTuple):
     power: Floats
     planes: Triple
     frames: Frames
-    leftmost: Floats
-    rightmost: Floats
-    turns: Turns
-    broken: Bools
 
     def sphere_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows that begin at `rows` (ascending, pixels from the top).
@@ -152,10 +130,8 @@ class Outlines(NamedTuple):
             # right: except where that point is, one of a row's two lines is the limit.
             left_below, right_below = self._sphere_ends(owner, rows[row] + height)
             left, right = np.minimum(left, left_below), np.maximum(right, right_below)
-            for end, frame, place in (
-                (left, frames.left, self.leftmost),
-                (right, frames.right, self.rightmost),
-            ):
+            widest = zip((left, right), (frames.left, frames.right), self.widest(), strict=True)
+            for end, frame, place in widest:
                 down = place[owner] - rows[row]
                 # NaN, the place of what extends without end, is outside of no row.
                 at = np.flatnonzero(~((down < -_NEARBY) | (down > height + _NEARBY)))
@@ -203,6 +179,60 @@ class Outlines(NamedTuple):
         left = np.maximum(frames.left[owner], self.raster.column(low))
         right = np.minimum(frames.right[owner], self.raster.column(high))
         return self._clip(owner, row, left, right, pad)
+
+    def widest(self) -> tuple[Floats, Floats]:
+        """The heights (s,) at which spheres extend farthest to the left, and to the right.
+
+        In pixels from the top; NaN where they extend without end.
+        """
+        raster, (_, v, _) = self.raster, self.center
+        left, right = (raster.across(m[: v.size]) for m in self.frames[2:])
+        return raster.row(v / self._ahead(left, 1)), raster.row(v / self._ahead(right, -1))
+
+    def _ahead(self, slope: Floats, side: int) -> Floats:
+        """How many times as far ahead as the window a plane touches spheres.
+
+        A plane through the eye that touches a sphere, and is parallel to an axis of the camera,
+        does so where the centre is along that axis.  `slope`: where it cuts the window along the
+        other axis; `side`: 1 if the sphere lies beyond, else -1.
+        """
+        depth = self.raster.depth
+        found = self.center[2] + side * self.radius * slope / np.sqrt(slope * slope + depth**2)
+        return np.where(found > 0, found, np.nan) / depth
+
+    def turns(self, surfaces: Surfaces) -> Turns:
+        """Where the outlines of all objects turn.
+
+        Corners to the left of their box's middle are taken for beginnings, the others for ends.  If
+        that is wrong, what lies between a corner and the true beginnings counts as crossed as well.
+        """
+        raster, spheres = self.raster, np.arange(self.radius.size)
+        boxes = np.arange(len(surfaces.min_pt)) + spheres.size
+        top, bottom, left, right = (m[: spheres.size] for m in self.frames)
+        highest, lowest = (
+            raster.column(self.center[0] / self._ahead(raster.down(y), side))
+            for y, side in ((top, 1), (bottom, -1))
+        )
+        u, v, w = _local_corners(raster, surfaces.min_pt, surfaces.max_pt)
+        ahead = np.where(w > 0, w, np.nan) / raster.depth
+        x, y = raster.column(u / ahead), raster.row(v / ahead)
+        before = x < x.mean(axis=0)
+        return Turns(
+            np.append(np.tile(spheres, 4), np.tile(boxes, 8)),
+            np.append([left, right, highest, lowest], x),
+            np.append([*self.widest(), top, bottom], y),
+            np.append(np.repeat([True, False, True, True], spheres.size), before),
+            np.append(np.repeat([False, True, True, True], spheres.size), ~before),
+        )
+
+    def broken(self, surfaces: Surfaces) -> Bools:
+        """Boxes (b,) of whose outline a part is unknown, as the eye is too near an edge."""
+        missing = ~np.any([m != 0 for m in self.planes], axis=0)
+        # Flat boxes have edges of no length, which are none.
+        solid = (surfaces.min_pt < surfaces.max_pt).all(axis=1)
+        beside = np.isinf(self.frames.left[self.radius.size :])
+        broken: Bools = missing.any(axis=0) & ~missing.all(axis=0) & beside & solid
+        return broken
 
     def in_picture(self) -> Bools:
         """Which objects, spheres first, may be seen if nothing hides them."""
@@ -263,11 +293,8 @@ class Outlines(NamedTuple):
         return Spans(owner[keep], row[keep], left, right)
 
 
-def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
-    """Project all surfaces onto the picture.
-
-    Turns, broken outlines, and where spheres are widest, are left out unless pixels are `split`.
-    """
+def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
+    """Project all surfaces onto the picture."""
     u, v, w = raster.to_camera(surfaces.center)
     radius = surfaces.radius
     distance = np.sqrt(u * u + v * v + w * w)
@@ -281,14 +308,6 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         raster.column(right * raster.depth),
     )
     planes, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
-    leftmost = rightmost = np.zeros(0)
-    turns: list[Turns] = []
-    broken = np.zeros(len(surfaces.min_pt), dtype=np.bool_)
-    if split:
-        leftmost, rightmost = _widest(raster, (u, v, w), radius, of_spheres)
-        turns.extend(_turns_of_spheres(raster, (u, v, w), radius, of_spheres, leftmost, rightmost))
-        turns.extend(_turns_of_boxes(raster, surfaces))
-        broken = _broken(planes, of_boxes, surfaces)
     frames = Frames(*map(np.append, of_spheres, of_boxes))
     return Outlines(
         raster=raster,
@@ -297,66 +316,7 @@ def outlines_of(raster: Raster, surfaces: Surfaces, split: bool) -> Outlines:
         power=power,
         planes=planes,
         frames=frames,
-        leftmost=leftmost,
-        rightmost=rightmost,
-        turns=Turns.joined(turns),
-        broken=broken,
     )
-
-
-def _ahead(raster: Raster, w: Floats, radius: Floats, slope: Floats, side: int) -> Floats:
-    """How many times as far ahead as the window a plane touches spheres.
-
-    A plane through the eye that touches a sphere, and is parallel to an axis of the camera, does so
-    where the centre is along that axis.  `slope`: where it cuts the window along the other axis;
-    `side`: 1 if the sphere lies beyond, else -1.
-    """
-    found = w + side * radius * slope / np.sqrt(slope * slope + raster.depth**2)
-    return np.where(found > 0, found, np.nan) / raster.depth
-
-
-def _widest(
-    raster: Raster, center: Triple, radius: Floats, frames: Frames
-) -> tuple[Floats, Floats]:
-    """`Outlines.leftmost` and `Outlines.rightmost`."""
-    _, v, w = center
-    left = raster.row(v / _ahead(raster, w, radius, raster.across(frames.left), 1))
-    right = raster.row(v / _ahead(raster, w, radius, raster.across(frames.right), -1))
-    return left, right
-
-
-def _turns_of_spheres(
-    raster: Raster,
-    center: Triple,
-    radius: Floats,
-    frames: Frames,
-    leftmost: Floats,
-    rightmost: Floats,
-) -> Iterator[Turns]:
-    """The leftmost, rightmost, uppermost and lowest points."""
-    u, _, w = center
-    every = np.arange(radius.size)
-    yes, no = np.repeat([[True], [False]], radius.size, axis=1)
-    yield Turns(every, frames.left, leftmost, yes, no)
-    yield Turns(every, frames.right, rightmost, no, yes)
-    for y, side in ((frames.top, 1), (frames.bottom, -1)):
-        x = raster.column(u / _ahead(raster, w, radius, raster.down(y), side))
-        yield Turns(every, x, y, yes, yes)
-
-
-def _turns_of_boxes(raster: Raster, surfaces: Surfaces) -> Iterator[Turns]:
-    """All corners, whether on the outline or not.
-
-    Those to the left of their box's middle are taken for beginnings, the others for ends.  If that
-    is wrong, what lies between a corner and the true beginnings counts as crossed as well.
-    """
-    u, v, w = _local_corners(raster, surfaces.min_pt, surfaces.max_pt)
-    ahead = np.where(w > 0, w, np.nan) / raster.depth
-    x, y = raster.column(u / ahead), raster.row(v / ahead)
-    left = x < x.mean(axis=0)
-    every = np.arange(len(surfaces.min_pt)) + surfaces.sphere_count
-    for corner in zip(x, y, left, ~left, strict=True):
-        yield Turns(every, *corner)
 
 
 def _rows_in_frames(
@@ -480,15 +440,6 @@ def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
     ends = (min_pt - apex).T, (max_pt - apex).T
     x, y, z = (np.array([ends[i >> k & 1][k] for i in range(8)]) for k in range(3))
     return x, y, z
-
-
-def _broken(planes: Triple, frames: Frames, surfaces: Surfaces) -> Bools:
-    """`Outlines.broken`: boxes beside the eye, some of whose edges have no plane."""
-    missing = ~np.any([m != 0 for m in planes], axis=0)
-    # Flat boxes have edges of no length, which are none.
-    solid = (surfaces.min_pt < surfaces.max_pt).all(axis=1)
-    broken: Bools = missing.any(axis=0) & ~missing.all(axis=0) & np.isinf(frames.left) & solid
-    return broken
 
 
 def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:

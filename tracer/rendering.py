@@ -212,7 +212,7 @@ class _Picture(NamedTuple):
         per_side = isqrt(samples - 1) + 1
         centres = cls(scene, offset, CENTRES, per_side)
         if per_side > 1:
-            outlines = outlines_of(centres.raster(), scene.surfaces, split=False)
+            outlines = outlines_of(centres.raster(), scene.surfaces)
             if dense(outlines, per_side):
                 return cls(scene, offset, Lattice.of(per_side), 1)
         return centres
@@ -236,7 +236,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """`_Bands.tops` of a number of bands, for about as many outlines in each."""
-        total = np.cumsum(outlines_of(self.raster(), self.scene.surfaces, split=False).in_rows())
+        total = np.cumsum(outlines_of(self.raster(), self.scene.surfaces).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -321,7 +321,7 @@ class _Renderer(NamedTuple):
         """Prepare a scene."""
         keep_heap()
         picture = bands.picture
-        view = view_of(picture.raster(), picture.scene.surfaces, picture.split)
+        view = view_of(picture.raster(), picture.scene.surfaces)
         lighting = lighting_of(picture.scene, view, picture.split)
         sides = picture.lattice.rows, picture.lattice.columns
         rows, columns = (

@@ -80,9 +80,9 @@ class View(NamedTuple):
         return max(1, int(samples * min(1.0, _LAYERS / max(self.layers, 1.0))))
 
 
-def view_of(raster: Raster, surfaces: Surfaces, split: bool) -> View:
-    """Prepare surfaces to be seen from a raster's eye; `split`: whether pixels may be split."""
-    outlines, eye = outlines_of(raster, surfaces, split), raster.eye
+def view_of(raster: Raster, surfaces: Surfaces) -> View:
+    """Prepare surfaces to be seen from a raster's eye."""
+    outlines, eye = outlines_of(raster, surfaces), raster.eye
     in_box = boxes_around(eye, surfaces.min_pt, surfaces.max_pt)
     eye_inside = np.concatenate([outlines.power <= 0, in_box])
     return View(
