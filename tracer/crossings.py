@@ -5,7 +5,7 @@ So objects are found as well that the samples in the middles of pixels miss.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -82,8 +82,7 @@ def ends_of(outlines: Outlines, surfaces: Surfaces, top: int, height: int) -> En
         np.append(np.tile(known, 2), np.zeros(at.size + both.size, dtype=np.bool_)),
     )
     inside = np.flatnonzero((found.row >= 0) & (found.row < height))
-    fields: Any = (m[inside] for m in found)
-    return Ends(*fields)
+    return Ends._make(m[inside] for m in found)
 
 
 def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,8 +75,7 @@ class Lines(NamedTuple):
 
     def take(self, index: Ints) -> Lines:
         """Some of them."""
-        fields: Any = (m[index] for m in self)
-        return Lines(*fields)
+        return Lines._make(m[index] for m in self)
 
     def crosses(self) -> Bools:
         """Whether each passes through its cell."""
@@ -200,8 +199,7 @@ def joined(lines: Iterable[Lines]) -> Lines:
     """All of them as one `Lines`."""
     none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
     parts = [Lines(none, none, nothing, nothing, nothing), *lines]
-    fields: Any = map(np.concatenate, zip(*parts, strict=True))
-    return Lines(*fields)
+    return Lines._make(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:

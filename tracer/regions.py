@@ -9,7 +9,7 @@ one in truth ends within, two regions are told apart that are one, which does no
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,13 +45,11 @@ class Points(NamedTuple):
 
     def take(self, index: Ints) -> Points:
         """Some of them."""
-        fields: Any = (m[index] for m in self)
-        return Points(*fields)
+        return Points._make(m[index] for m in self)
 
     def joined(self, other: Points) -> Points:
         """These, then others."""
-        fields: Any = map(np.append, self, other)
-        return Points(*fields)
+        return Points._make(map(np.append, self, other))
 
 
 def sides_of(lines: Lines) -> Points:
@@ -144,7 +142,7 @@ class _Polygons(NamedTuple):
 
     def take(self, index: Ints) -> _Polygons:
         """Some of them."""
-        return _Polygons(self.cell[index], self.code[index], self.x[index], self.y[index])
+        return _Polygons._make(m[index] for m in self)
 
     def divided(self, lines: Lines, line: Ints, crossed: Bools, number: int) -> _Polygons:
         """The parts on either side of one line in each cell, where `crossed`; the others whole.
@@ -159,8 +157,7 @@ class _Polygons(NamedTuple):
         # Whole polygons get one vertex more, as their clipped fellows have.
         x, y = (np.append(m, m[:, -1:], axis=1) for m in (rest.x, rest.y))
         parts.append(rest._replace(x=x, y=y))
-        fields: Any = map(np.concatenate, zip(*parts, strict=True))
-        return _Polygons(*fields)
+        return _Polygons._make(map(np.concatenate, zip(*parts, strict=True)))
 
     def clipped(self, z: Floats) -> _Polygons:
         """What is left where a linear z, given at the vertices (n, vertices), is above zero.
