@@ -34,9 +34,10 @@ from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Surfaces
+from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import Group, Hits
 
-__all__ = ["Patches", "footprint_of", "intersections", "near_lights"]
+__all__ = ["Patches", "footprints_of", "intersections", "near_lights"]
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
@@ -53,24 +54,29 @@ def _half_angle(raster: Raster, size: float) -> float:
     return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
 
 
-def footprint_of(hits: Hits, group: Group, n_dot_v: Floats, radius: Floats, size: float) -> Floats:
-    """Footprints (n,): radii, around the points of a group, of what cells of a size see.
+def footprints_of(hits: Hits, radius: Floats, size: float) -> Floats:
+    """Footprints (n,): radii, around all points, of what cells of a size see.
 
-    `n_dot_v` (n,): the cosine between the normal and the way to the eye; `radius`: of all spheres.
+    `radius`: of all spheres.
     """
     angle = _half_angle(hits.raster, size)
-    half = hits.p[2, group.part] * angle
-    if group.flat:
-        # The far end of the cell sees the face at a smaller cosine: by up to the angle.
-        n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
-        return half / n_dot_v / np.maximum(1 - angle / n_dot_v, _NEARLY)
-    footprint = half / n_dot_v
-    # However small the cosine, from the limb a width of `half` covers no more of the sphere than
-    # sqrt(2 half radius): a bound that only the few points next to the limb need.
-    of_sphere = group.of(radius)
-    at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
-    footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
-    return footprint
+    halves = hits.p[2] * angle
+    footprints = np.empty(halves.size)
+    for group in hits.groups:
+        half, footprint = halves[group.part], footprints[group.part]
+        _, n_dot_v = hits.distance_and_cosine(group)
+        if group.flat:
+            # The far end of the cell sees the face at a smaller cosine: by up to the angle.
+            n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
+            footprint[:] = half / n_dot_v / np.maximum(1 - angle / n_dot_v, _NEARLY)
+            continue
+        footprint[:] = half / n_dot_v
+        # However small the cosine, from the limb a width of `half` covers no more of the sphere
+        # than sqrt(2 half radius): a bound that only the few points next to the limb need.
+        of_sphere = group.of(radius)
+        at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
+        footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
+    return footprints
 
 
 def near_lights(incoming: Incoming, footprint: Floats) -> Ints:
@@ -135,7 +141,7 @@ class Patches(NamedTuple):
     cell : (n,)
         The cell of each point.
     footprint : (n,)
-        See `footprint_of`.
+        See `footprints_of`.
     size : float
         Width of the cells, in pixels.
     """
@@ -191,11 +197,20 @@ class Patches(NamedTuple):
         p = self.hits.points(self.group.part.start + at)
         return p[0] - x, p[1] - y, p[2] - z
 
-    def shadows(self, light: Ints, at: Ints, occluder: Ints, unresolved: Bools) -> Lines:
-        """Edges of shadows; marks `unresolved` where they are not straight.
+    def shadows(self, found: ShadowEdges, unresolved: Bools) -> Lines:
+        """Edges of shadows, given what may shade around all hits.
 
-        `light`, `at`, `occluder` (m,): triples of a light, a point and what may shade around it.
+        Marks `unresolved` where they are not straight.
         """
+        part = self.group.part
+        here = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
+        if not here.size:
+            return joined([])
+        light, at, occluder = (
+            found.light[here],
+            found.point[here] - part.start,
+            found.occluder[here],
+        )
         surfaces, lights = self.lighting.view.surfaces, self.lighting.positions
         spheres = surfaces.sphere_count
         rays = self.from_light(light, at)

@@ -218,7 +218,7 @@ class Highlights(NamedTuple):
     glossy, exponent
         Numbers, or (n,).
     distance, n_dot_v : (n,)
-        See `Hits.distance_and_cosine`; perhaps empty without highlights.
+        See `Hits.distance_and_cosine`; empty without highlights.
     """
 
     lighting: Lighting
@@ -231,20 +231,12 @@ class Highlights(NamedTuple):
     n_dot_v: Floats
 
     @classmethod
-    def of(
-        cls,
-        lighting: Lighting,
-        hits: Hits,
-        group: Group,
-        sights: tuple[Floats, Floats] | None = None,
-    ) -> Highlights:
-        """Gather what is needed; `sights`: `Hits.distance_and_cosine`, if computed already."""
+    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> Highlights:
+        """Gather what is needed."""
         materials, shader = lighting.materials, lighting.shader[group.owner]
         glossy = materials.glossy[shader]
         present, nothing = bool(glossy.any()), np.zeros(0)
-        if sights is None:
-            sights = hits.distance_and_cosine(group) if present else (nothing, nothing)
-        distance, n_dot_v = sights
+        distance, n_dot_v = hits.distance_and_cosine(group) if present else (nothing, nothing)
         return cls(
             lighting,
             hits.p[:, group.part],

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints
-from tracer.boundaries import Patches, footprint_of, intersections, near_lights
+from tracer.boundaries import Patches, footprints_of, intersections, near_lights
 from tracer.edges import Lines
 from tracer.lighting import Highlights, Lighting, incoming_at, narrow_highlights, radiance_at, shade
 from tracer.sampling import Samples, Scattered
@@ -177,25 +177,19 @@ def look(
     seen.lines.append(intersections(hits, behind, surfaces, cell, size, seen.unresolved))
     incoming = incoming_at(lighting, hits)
     facing = incoming.n_dot_l > 0
-    sights = [hits.distance_and_cosine(group) for group in hits.groups]
-    footprint = np.empty(facing.shape[1])
-    for group, (_, n_dot_v) in zip(hits.groups, sights, strict=True):
-        footprint[group.part] = footprint_of(hits, group, n_dot_v, surfaces.radius, size)
+    footprint = footprints_of(hits, surfaces.radius, size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
     wide = near_lights(incoming, share * footprint)
-    reach = footprint
-    if wide.size:
-        seen.unresolved[cell[hits.sample[wide]]] = True
-        reach = footprint.copy()
-        reach[wide] = 0
+    seen.unresolved[cell[hits.sample[wide]]] = True
+    reach = footprint.copy()
+    reach[wide] = 0
     blocked, found = lighting.shadows.edges(hits, facing, reach)
     lit = facing & ~blocked
     seen.shadow_edges.append((found, cell))
-    for group, sight in zip(hits.groups, sights, strict=True):
+    for group in hits.groups:
         inside, part = cell[group.sample], group.part
-        patches = Patches(lighting, hits, group, inside, footprint[part], size)
         here, reached = incoming.part(part), lit[:, part]
-        highlights = Highlights.of(lighting, hits, group, sight)
+        highlights = Highlights.of(lighting, hits, group)
         shaded = shade(highlights, here, reached)
         for channel, values in zip(seen.radiance, shaded, strict=True):
             channel[inside] = values
@@ -206,11 +200,8 @@ def look(
         seen.key[inside] = key
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
             seen.unresolved[inside[places]] = True
-        at = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
-        if at.size:
-            places = found.point[at] - part.start
-            lines = patches.shadows(found.light[at], places, found.occluder[at], seen.unresolved)
-            seen.lines.append(lines)
+        patches = Patches(lighting, hits, group, inside, footprint[part], size)
+        seen.lines.append(patches.shadows(found, seen.unresolved))
         if group.flat:
             seen.lines.append(patches.ridges())
         else:
