@@ -233,7 +233,7 @@ class _Fragments(NamedTuple):
     ----------
     sphere : bool
     owner : int, or (spans,)
-        A sphere or a box.
+        A sphere or a box, spheres first.
     row, counts : (spans,)
         See `Covered`.
     sample, s, t : (n,)
@@ -278,8 +278,7 @@ class _Fragments(NamedTuple):
 
     def slope(self, view: View) -> Any:
         """`View.slope`, for each of the samples that see the object."""
-        first = 0 if self.sphere else view.surfaces.sphere_count
-        return spread(view.slope[first + self.owner], self.counts)
+        return spread(view.slope[self.owner], self.counts)
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -350,8 +349,8 @@ def _close_behind(
 def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
     sample = np.concatenate([group.sample for group in groups])
-    of_kind = {True: view.surfaces.sphere_index, False: view.surfaces.box_index}
-    orders = (spread(of_kind[group.sphere][group.owner], group.counts) for group in groups)
+    place = view.surfaces.file_index
+    orders = (spread(place[group.owner], group.counts) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
@@ -418,6 +417,7 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
             _seen_from(eye, surfaces.min_pt[owner], counts),
             _seen_from(eye, surfaces.max_pt[owner], counts),
         )
+        owner = owner + surfaces.sphere_count
         yield _Fragments(False, owner, row, counts, sample, across, t, axis)
 
 
@@ -460,10 +460,11 @@ def _faces(
 
 def _looks_down(view: View, samples: Samples, group: _Fragments, axis: int) -> Bools:
     """Whether the faces of boxes that may be seen across an axis look down: one answer, or (n,)."""
-    raster, owner = view.raster, group.owner
-    inside = view.eye_inside[view.surfaces.sphere_count :][owner]
+    raster, surfaces, owner = view.raster, view.surfaces, group.owner
+    inside = view.eye_inside[owner]
     # From outside, the face that looks towards the eye is seen; from inside, that ahead of the ray.
-    down = spread(raster.eye[axis] < view.surfaces.min_pt[owner, axis], group.counts)
+    low = surfaces.min_pt[owner - surfaces.sphere_count, axis]
+    down = spread(raster.eye[axis] < low, group.counts)
     if inside.any():
         g = raster.down(samples.y)
         u, v, w = raster.axes[:, axis].tolist()
@@ -498,15 +499,15 @@ def _hit(
     else:
         # The same face for all boxes, or one for each sample.
         one = isinstance(face, int)
-        box = owner if one else spread(owner, part.counts)
+        own = owner if one else spread(owner, part.counts)
+        box = own - surfaces.sphere_count
         low, high = entries(surfaces.min_pt, box, face), entries(surfaces.max_pt, box, face)
-        inside = view.eye_inside[surfaces.sphere_count :][box]
+        inside = view.eye_inside[own]
         level = np.where(inside == (sign > 0), low, high)
         lift = sign * (raster.eye[face] - level)
         if one:
             level, lift = spread(level, part.counts), spread(lift, part.counts)
         n = [np.asarray(sign * axis[face]) for axis in raster.axes]
-        owner = owner + surfaces.sphere_count
     return Group(
         part=place,
         sample=part.sample,
