@@ -132,10 +132,11 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    rough = cells.error > cells.tolerance
     outlines, within_limbs = outlines_across(lighting.view, cells, seen)
-    rough[within_limbs] = False
-    lines, unresolved = joined([outlines, *seen.lines]), seen.unresolved | rough
+    unresolved = cells.error > cells.tolerance
+    unresolved[within_limbs] = False
+    unresolved |= seen.unresolved
+    lines = joined([outlines, *seen.lines])
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
     # Each side of a line has samples of its own; what is not divided needs to be known as a whole.
     unknown = np.isnan(cells.error)
@@ -234,9 +235,8 @@ def _sample(
         weights, empty = post_stratified(lines.take(held), part, x, y)
         lone = empty if begin else empty.joined(near)
         inside = np.append(np.repeat(part, lattice.size), lone.cell)
-        every, each_one = cells.places(part, x, y), cells.at(lone.cell, lone.x, lone.y)
-        at_x, at_y = map(np.append, every, each_one)
-        radiance = radiance_in(lighting_in, at_x, at_y, inside)
+        at = np.append(np.tile(x, part.size), lone.x), np.append(np.tile(y, part.size), lone.y)
+        radiance = radiance_in(lighting_in, *cells.at(inside, *at), inside)
         ends = np.cumsum([weights.size, empty.cell.size])
         spread, single, others = np.split(radiance, ends, axis=1)
         mean[:, part] = (spread.reshape(3, *weights.shape) * weights).sum(axis=2)

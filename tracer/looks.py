@@ -53,23 +53,17 @@ class Cells(NamedTuple):
     cell: Ints
     owner: Ints
 
-    def places(self, index: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """The same points, x and y from -1/2 to 1/2, in each of some cells, cell by cell."""
-        return (
-            np.add.outer(self.x[index], self.size * x).ravel(),
-            np.add.outer(self.y[index], self.size * y).ravel(),
-        )
-
     def at(self, cell: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """One point, x and y from -1/2 to 1/2, in each of some cells."""
         return self.x[cell] + self.size * x, self.y[cell] + self.size * y
 
     def split(self, index: Ints) -> Cells:
         """Quarters of some cells, four after four."""
-        quarter = np.array([-0.25, 0.25])
-        x, y = self.places(index, np.tile(quarter, 2), np.repeat(quarter, 2))
+        count, quarter = index.size, np.array([-0.25, 0.25])
+        x, y = np.tile(quarter, 2 * count), np.tile(np.repeat(quarter, 2), count)
+        x, y = self.at(np.repeat(index, 4), x, y)
         place = np.full(self.x.size, -1)
-        place[index] = np.arange(index.size)
+        place[index] = np.arange(count)
         cell = place[self.cell]
         kept = np.flatnonzero(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
