@@ -163,8 +163,7 @@ def _refine(
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)
     if per_side <= _LAST:
-        at_once = lighting.view.at_once(_CHUNK)
-        colors[:, beside] = _sample(lighting_in, cells, lines, rest, per_side, near, at_once, mean)
+        colors[:, beside] = _sample(lighting, lighting_in, cells, lines, rest, per_side, near, mean)
     else:
         _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
         at = cells.at(near.cell, near.x, near.y)
@@ -211,23 +210,23 @@ def _look_beyond(
 
 
 def _sample(
+    lighting: Lighting,
     lighting_in: LightingIn,
     cells: Cells,
     lines: Lines,
     some: Ints,
     per_side: int,
     near: Points,
-    at_once: int,
     mean: Floats,
 ) -> Floats:
     """Replace the mean radiance (3, n) of some cells by that of a lattice of samples in each.
 
     Returned is the radiance at the points `near`: they are sampled together with the first cells,
-    for one long array takes less time than two.  `at_once`: about how many samples that may be.
+    for one long array takes less time than two.
     """
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
-    step = max(1, at_once // lattice.size)
+    step = max(1, lighting.view.at_once(_CHUNK) // lattice.size)
     colors = np.empty((3, near.cell.size))
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
