@@ -93,10 +93,8 @@ def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
     in between: then it may cross any pixel in which the object is.  So may an outline that is not
     wholly known.
     """
-    if not found.owner.size:
-        return found.owner, found.owner, found.owner
     # One number for object and row.
-    key = found.owner * (found.row.max() + 1) + found.row
+    key = found.owner * (found.row.max(initial=0) + 1) + found.row
     order = np.argsort(key, kind="stable")
     owner, row = found.owner[order], found.row[order]
     begin, end = found.begin[order], found.end[order]
