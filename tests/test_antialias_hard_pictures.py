@@ -179,6 +179,38 @@ def test_a_shadow_less_deep_than_its_pixels(
     )
 
 
+@pytest.mark.parametrize(
+    ("height", "ahead", "wide", "ball", "radius", "light"),
+    [
+        (
+            0.4908,
+            (0.2594, -0.063, -0.998),
+            0.222,
+            (2.2266, 1.1065, -8.1563),
+            0.7377,
+            (13.456, 10.215, -9.003),
+        ),
+    ],
+    ids=["its near side"],
+)
+def test_a_shadow_that_leaves_a_pixel_beside_where_it_enters(
+    height: float, ahead: Vector, wide: float, ball: Vector, radius: float, light: Vector
+) -> None:
+    # Pixels see long, narrow parts of the floor, across which a ball's shadow bends back.
+    floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
+    camera = Camera(
+        view_point=(0, height, 0), view_dir=ahead, view_width=wide, view_height=wide * 25 / 37
+    )
+    scene = Scene(
+        camera=camera,
+        width=37,
+        height=25,
+        lights=[PointLight(position=light)],
+        surfaces=[floor, Sphere(center=ball, radius=radius, shader=RED)],
+    )
+    no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
+
+
 @pytest.mark.parametrize(("radius", "height"), [(20, 0.2), (400, 0.2), (2000, 0.5)])
 def test_the_limb_of_the_ball_that_the_eye_is_next_to(radius: float, height: float) -> None:
     ground = Sphere(center=(0, -radius, 0), radius=radius)

@@ -267,18 +267,21 @@ class Pencil(NamedTuple):
         half = 0.5 * (np.sqrt(a * a + turn_a * turn_a) + np.sqrt(b * b + turn_b * turn_b))
         within = ~(np.abs(c) >= half)
         size = np.sqrt(a * a + b * b)
+        # Where the disc's other side reaches into the cell as well there is a second line: the
+        # nearer, the more the steepest way in the cell leads past the disc's centre.
+        aside = a * turn_a + b * turn_b
+        reach = 0.5 * (np.abs(a) + np.abs(b)) * (1 + (aside / (size * size)) ** 2)
+        both = ~((distance + radius) * scale >= reach * np.abs(along))
         # The tangent is taken where the line is nearest to the cell's middle, or at the rim before
         # it: on the way there the arc has turned.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
-        turned = np.clip(-c / (size * size), -most, most) * (a * turn_a + b * turn_b)
+        turned = np.clip(-c / (size * size), -most, most) * aside
         sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
         a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
         c -= turned * turned * curvature / 2
         # On average over the length of a cell, a flat arc lies this far inside its tangent.
         c += np.where(np.abs(sagging) < size, sagging / 24, 0)
         lines = self._lines(a, b, c)
-        # Where the disc's other side reaches into the cell as well there is a second line.
-        both = ~((distance + radius) * scale >= lines.reach() * np.abs(along))
         turned = np.abs(sagging) / size + lines.turn(sagitta_error(out, self.sagitta))
         turn = np.where(both, np.inf, turned)
         return lines, turn, lines.crosses() | (within & (turn > MOST_TURN))
