@@ -190,8 +190,16 @@ def test_a_shadow_less_deep_than_its_pixels(
             0.7377,
             (13.456, 10.215, -9.003),
         ),
+        (
+            1,
+            (0.047, -1.047, -11.276),
+            0.3056,
+            (3.2015, 4.3799, -10.1688),
+            0.7602,
+            (14.979, 20.492, -6.096),
+        ),
     ],
-    ids=["its near side"],
+    ids=["its near side", "its tip"],
 )
 def test_a_shadow_that_leaves_a_pixel_beside_where_it_enters(
     height: float, ahead: Vector, wide: float, ball: Vector, radius: float, light: Vector

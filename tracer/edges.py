@@ -276,9 +276,10 @@ class Pencil(NamedTuple):
         # it: on the way there the arc has turned.
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
         turned = np.clip(-c / (size * size), -most, most) * aside
-        sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
         a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
         c -= turned * turned * curvature / 2
+        size = np.sqrt(a * a + b * b)
+        sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
         # On average over the length of a cell, a flat arc lies this far inside its tangent.
         c += np.where(np.abs(sagging) < size, sagging / 24, 0)
         lines = self._lines(a, b, c)
