@@ -59,3 +59,8 @@ def test_converters_import_nothing_that_imports_them():
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 assert "reference" not in ast.unparse(node), path
+
+
+def test_programs_that_use_the_tracer_can_check_its_types():
+    """Type checkers take the annotations of a package with this file for its interface."""
+    assert (Path(tracer.__file__).parent / "py.typed").exists()
