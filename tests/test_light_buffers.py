@@ -92,10 +92,10 @@ def test_candidates_are_handed_on_some_at_a_time(monkeypatch: pytest.MonkeyPatch
         sizes.append(kwargs["point"].size)
         return by_kind(*args, **kwargs)
 
-    monkeypatch.setattr(light_buffers, "_HANDED_ON", 1000)
+    monkeypatch.setattr(light_buffers, "_AT_ONCE", 1000)
     monkeypatch.setattr(light_buffers, "candidates_by_kind", counted)
     np.testing.assert_array_equal(render(scene, 16, threads=1), whole)
-    assert 1000 < max(sizes) < 1000 + (1 << 15) < sum(sizes)
+    assert 500 < max(sizes) <= 1000 < sum(sizes)
 
 
 @np.errstate(all="ignore")

@@ -128,16 +128,16 @@ def equal_runs(values: Ints) -> tuple[Ints, Ints]:
     return first, np.diff(first, append=values.size)
 
 
-def batches(sizes: Ints) -> Iterator[slice]:
+def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:
     """Slices of consecutive elements, few enough for all their pairs to stay in cache.
 
-    Element i has sizes[i] pairs; a slice has at most `_BATCH`, or is a single element.
+    Element i has sizes[i] pairs; a slice has at most `most`, or is a single element.
     """
     total = np.cumsum(sizes)
     start = 0
     while start < sizes.size:
         before = total[start] - sizes[start]
-        stop = max(start + 1, int(np.searchsorted(total, before + _BATCH, side="right")))
+        stop = max(start + 1, int(np.searchsorted(total, before + most, side="right")))
         yield slice(start, stop)
         start = stop
 

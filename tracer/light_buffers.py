@@ -40,10 +40,7 @@ _SIDE_FEW, _SIDE_MOST = 128, 320
 _PAIRS = 1 << 21
 
 # So many pairs are tried at a time.
-_AT_ONCE = 1 << 16
-
-# Once so many candidates are found they are handed on: they are still in cache then.
-_HANDED_ON = 1 << 17
+_AT_ONCE = 1 << 17
 
 # If an object's bounding box touches no more cells than this, or at least this part of all, planes
 # would separate hardly any of them from the object: none is tried.
@@ -583,25 +580,17 @@ def _listed(
 ) -> Iterator[tuple[Ints, Ints]]:
     """Pairs of a point (n,) and another object than its own, listed in its cell and near enough.
 
-    Yields some at a time: see `_HANDED_ON`.
+    Yields some at a time: they are still in cache then.
     """
     # Most cells hold nothing, or the point's own object alone.
     sole = buffer.sole[cell]
     asked = np.flatnonzero((sole != _NONE) & (sole != own))
-    none = np.zeros(0, dtype=np.intp)
-    points, occluders, found = [none], [none], 0
-    for batch in batches(buffer.lengths(cell[asked])):
+    for batch in batches(buffer.lengths(cell[asked]), _AT_ONCE):
         some = asked[batch]
         owner, occluder = buffer.objects(cell[some], within.take(some, axis=0))
         point = some[owner]
         keep = np.flatnonzero((occluder != own[point]) & (buffer.near[occluder] <= distance[point]))
-        points.append(point[keep])
-        occluders.append(occluder[keep])
-        found += keep.size
-        if found >= _HANDED_ON:
-            yield np.concatenate(points), np.concatenate(occluders)
-            points, occluders, found = [none], [none], 0
-    yield np.concatenate(points), np.concatenate(occluders)
+        yield point[keep], occluder[keep]
 
 
 def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
