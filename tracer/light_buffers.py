@@ -32,11 +32,10 @@ __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 # uncertain.
 _LEAST_ANGLE = 1e-5
 
-# With n objects an octant has 4 sqrt(n) cells along each side, up to the first of these; more
-# objects get 2 sqrt(n), up to the second.  Finer cells list less, and take longer to fill: where
-# objects are so large that their bounds would fill more cells, in all and for one light, than
-# `_PAIRS`, cells are larger.
-_SIDE_FEW, _SIDE_MOST = 128, 320
+# With n objects an octant has 9 cbrt(n) cells along each side, up to `_SIDE_MOST`.  Finer cells
+# list less, and take longer to fill: where objects are so large that their bounds would fill more
+# cells, in all and for one light, than `_PAIRS`, cells are larger.
+_SIDE_MOST = 320
 _PAIRS = 1 << 21
 
 # So many pairs are tried at a time.
@@ -382,8 +381,7 @@ def _buffer_around(
 
 def _side(count: int, covered: float) -> int:
     """How many cells octants have along each side, if objects cover so much of their fields."""
-    root = sqrt(count)
-    wanted = min(4 * root, max(2 * root, _SIDE_FEW), _SIDE_MOST)
+    wanted = min(9 * count ** (1 / 3), _SIDE_MOST)
     return max(1, int(min(wanted, sqrt(_PAIRS / covered)) if covered else wanted))
 
 
