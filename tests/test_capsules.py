@@ -12,12 +12,7 @@ from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vecto
 
 from tracer import Box, Sphere, Surfaces
 from tracer.arrays import Bools, Floats
-from tracer.capsules import (
-    box_and_capsule,
-    box_around_capsule,
-    sphere_and_capsule,
-    sphere_around_capsule,
-)
+from tracer.capsules import box_and_capsule, sphere_and_capsule
 
 SLACK = 1e-9
 """Of all sizes around: so much thicker than their balls capsules are asked for."""
@@ -122,12 +117,10 @@ def capsules(cases: list[Case]) -> tuple[Bools, Bools]:
     thickness = np.array([c.thickness for c in cases])
     surfaces = Surfaces.of([c.surface for c in cases])
     if len(surfaces.radius):
-        sphere = start, end, thickness, triple(surfaces.center), surfaces.radius
-        meets, cuts = sphere_and_capsule(*sphere)
-        return meets & ~sphere_around_capsule(*sphere), cuts
-    box = start, end, thickness, triple(surfaces.min_pt), triple(surfaces.max_pt)
-    meets, cuts = box_and_capsule(*box)
-    return meets & ~box_around_capsule(*box), cuts
+        center = triple(surfaces.center)
+        return sphere_and_capsule(start, end, thickness, center, surfaces.radius)
+    low, high = triple(surfaces.min_pt), triple(surfaces.max_pt)
+    return box_and_capsule(start, end, thickness, low, high)
 
 
 @np.errstate(all="ignore")

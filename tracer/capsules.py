@@ -12,12 +12,7 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Triple, dot, each
 
-__all__ = [
-    "box_and_capsule",
-    "box_around_capsule",
-    "sphere_and_capsule",
-    "sphere_around_capsule",
-]
+__all__ = ["box_and_capsule", "sphere_and_capsule"]
 
 # A squared distance from a line is the difference of two.  This part of the larger is more than
 # rounding, and more than a point on a sphere may be off by `SURFACE_TOLERANCE`.
@@ -33,8 +28,9 @@ def sphere_and_capsule(
     """Whether spheres meet, and whether they cut, the capsules around segments.
 
     A sphere that does not meet a capsule blocks no segment between the balls
-    around its ends.  One that cuts it blocks all of them: somewhere it holds the
-    capsule's full cross-section, and the ball around its start is outside it.
+    around its ends; one that holds all of it inside does not count as meeting it.
+    One that cuts it blocks all of them: somewhere it holds the capsule's full
+    cross-section, and the ball around its start is outside it.
     """
     d = each(np.subtract, end, start)
     to_center = each(np.subtract, center, start)
@@ -45,20 +41,11 @@ def sphere_and_capsule(
     outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
     from_start, from_end = distance2 > outer, to_end2 > outer
     before, behind = along < 0, along > length2
-    # Where the segment is a point, `aside2` is NaN: the sphere meets it and does not cut it.
-    meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind))
+    around = np.maximum(distance2, to_end2) < inner
+    # Where the segment is a point, `aside2` is NaN: the sphere does not cut it.
+    meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind) | around)
     cuts = from_start & ~(before | behind) & (aside2 + error < inner)
     return meets, cuts
-
-
-def sphere_around_capsule(
-    start: Triple, end: Triple, thickness: Floats, center: Triple, radius: Floats
-) -> Bools:
-    """Whether spheres hold whole capsules inside: such spheres block nothing there."""
-    a, b = each(np.subtract, start, center), each(np.subtract, end, center)
-    inner = np.maximum(radius - thickness, 0) ** 2
-    around: Bools = np.maximum(dot(a, a), dot(b, b)) < inner
-    return around
 
 
 def box_and_capsule(
@@ -85,17 +72,7 @@ def box_and_capsule(
         near -= margin
         far += margin
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-    meets = (enter <= leave) & (leave >= 0) & (enter <= 1)
+    around = (enter_inner < 0) & (leave_inner > 1)
+    meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~around
     cuts: Bools = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
     return meets, cuts
-
-
-def box_around_capsule(
-    start: Triple, end: Triple, thickness: Floats, low: Triple, high: Triple
-) -> Bools:
-    """`sphere_around_capsule`, for boxes."""
-    around: Bools = np.ones((), dtype=np.bool_)
-    for a, b, least, most in zip(start, end, low, high, strict=True):
-        around = around & (np.minimum(a, b) - thickness > least)
-        around = around & (np.maximum(a, b) + thickness < most)
-    return around

@@ -10,7 +10,7 @@ a stretch certainly shades all of it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,12 +31,7 @@ from tracer.arrays import (
     ranges,
     rows,
 )
-from tracer.capsules import (
-    box_and_capsule,
-    box_around_capsule,
-    sphere_and_capsule,
-    sphere_around_capsule,
-)
+from tracer.capsules import box_and_capsule, sphere_and_capsule
 from tracer.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.visibility import Hits
 
@@ -56,14 +51,11 @@ class _OccluderLists(NamedTuple):
     Attributes
     ----------
     spheres : bool
-    light_inside : bool
-        Whether a light is inside any of them.
     first, listed : (lights * n + 1,) and (m,)
         For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
     """
 
     spheres: bool
-    light_inside: bool
     first: Ints
     listed: Ints
 
@@ -150,7 +142,7 @@ class _Search(NamedTuple):
     ) -> tuple[Ints, Ints, Ints]:
         """Those of the given lights, tiles and objects whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
-        meets, _ = _near(self.occluders, lists, middle, radius, light, occluder)
+        meets, _ = _near(self.occluders, lists.spheres, middle, radius, light, occluder)
         near = np.flatnonzero(meets)
         return light[near], tile[near], occluder[near]
 
@@ -164,7 +156,9 @@ class _Search(NamedTuple):
         some = np.flatnonzero(entries(self.asked, light, stretch))
         light, stretch, occluder = light[some], stretch[some], occluder[some]
         balls = self.balls.take(stretch)
-        meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
+        meets, cuts = _near(
+            self.occluders, lists.spheres, balls.middle, balls.radius, light, occluder
+        )
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
         near = np.flatnonzero(meets & entries(self.asked, light, stretch))
@@ -175,7 +169,9 @@ class _Search(NamedTuple):
         light, stretch, occluder = light[at], stretch[at], occluder[at]
         balls = _on_chords(self.occluders, self.hits, self.balls.owner[stretch], start, length)
         balls.radius[:] += self.margin[stretch]
-        meets, cuts = _near(self.occluders, lists, balls.middle, balls.radius, light, occluder)
+        meets, cuts = _near(
+            self.occluders, lists.spheres, balls.middle, balls.radius, light, occluder
+        )
         self._darken(light, balls, cuts)
         # A short stretch is marked as a whole, so its first point tells.
         near = np.flatnonzero(meets & ~entries(self.dark, light, start))
@@ -232,39 +228,23 @@ def _is_short(middle: Triple, chord: Triple, center: Triple) -> Bools:
 
 def _near(
     occluders: Occluders,
-    lists: _OccluderLists,
-    middle: Triple,
-    radius: Floats,
-    light: Ints,
-    occluder: Ints,
-) -> tuple[Bools, Bools]:
-    """Whether objects may come between balls and lights, and whether they surely do."""
-    met_or_cut = sphere_and_capsule if lists.spheres else box_and_capsule
-    meets, cuts = met_or_cut(*_capsules(occluders, lists.spheres, middle, radius, light, occluder))
-    if lists.light_inside:
-        at = np.flatnonzero(entries(occluders.light_inside, light, occluder))
-        around = sphere_around_capsule if lists.spheres else box_around_capsule
-        some = pick(middle, at), radius[at], light[at], occluder[at]
-        meets[at] &= ~around(*_capsules(occluders, lists.spheres, *some))
-    return meets, cuts
-
-
-def _capsules(
-    occluders: Occluders,
     spheres: bool,
     middle: Triple,
     radius: Floats,
     light: Ints,
     occluder: Ints,
-) -> tuple[Triple, Triple, Floats, Triple, Any]:
-    """Capsules from balls to lights, and bounds of objects: all spheres, or all boxes."""
-    surfaces = occluders.surfaces
-    end = columns(occluders.lights, light)
+) -> tuple[Bools, Bools]:
+    """Whether objects may come between balls and lights, and whether they surely do.
+
+    The objects are all spheres, or all boxes.
+    """
+    surfaces, end = occluders.surfaces, columns(occluders.lights, light)
     if spheres:
-        return middle, end, radius, columns(surfaces.center, occluder), surfaces.radius[occluder]
+        center = columns(surfaces.center, occluder)
+        return sphere_and_capsule(middle, end, radius, center, surfaces.radius[occluder])
     box = occluder - surfaces.sphere_count
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-    return middle, end, radius, low, high
+    return box_and_capsule(middle, end, radius, low, high)
 
 
 def _around(balls: Balls, key: Ints) -> Balls:
@@ -306,7 +286,6 @@ def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
 def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
     """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
     lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
-    met_or_cut = sphere_and_capsule if spheres else box_and_capsule
     around_light = SLACK * np.abs(lights).sum(axis=1)
     light, own = (m.ravel() for m in np.indices(occluders.light_inside.shape))
     step = max(1, _OBJECT_PAIRS // occluder.size)
@@ -316,13 +295,12 @@ def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
         at, one = light[start : start + step, None], own[start : start + step, None]
         thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
         middle = pick(occluders.middle, one)
-        may, _ = met_or_cut(*_capsules(occluders, spheres, middle, thickness, at, occluder))
+        may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
         may &= (one != occluder) & occluders.seen[one]
         counts.append(np.count_nonzero(may, axis=1))
         listed.append(occluder[np.nonzero(may)[1]])
-    light_inside = bool(occluders.light_inside[:, occluder].any())
     first = np.cumsum(np.concatenate(counts))
-    return _OccluderLists(spheres, light_inside, first, np.concatenate(listed))
+    return _OccluderLists(spheres, first, np.concatenate(listed))
 
 
 def stretch_finder(occluders: Occluders) -> StretchFinder:
