@@ -82,7 +82,7 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bool
     return np.zeros_like(radiance), np.zeros(key.size), np.zeros(key.size, dtype=np.bool_)
 
 
-def _forgotten(_: Seen, lighting: Lighting, __: Ints) -> LightingIn:
+def _forgotten(_: Seen, lighting: Lighting) -> LightingIn:
     """What may shade samples is sought anew, whatever looks have found."""
     return lambda _: lighting
 

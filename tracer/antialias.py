@@ -158,7 +158,7 @@ def _refine(
     kept = np.flatnonzero(~unresolved[sides.cell])
     sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
-    lighting_in = seen.lighting_in(lighting, np.append(rest, sides.cell))
+    lighting_in = seen.lighting_in(lighting)
     # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
     beside = np.flatnonzero(~sides.beyond)
     near = sides.take(beside)

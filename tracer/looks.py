@@ -111,17 +111,15 @@ class Seen(NamedTuple):
                     seen[cell[group.sample]] = found.own[group.part]
         return seen
 
-    def lighting_in(self, lighting: Lighting, some: Ints) -> LightingIn:
-        """The lighting for samples in some cells, with what looks have found of shadows there."""
+    def lighting_in(self, lighting: Lighting) -> LightingIn:
+        """The lighting for samples in cells, with what looks have found of shadows there."""
         if not lighting.shadows.caches:
             return lambda _: lighting
         seen = np.concatenate([cell[found.hits.sample] for found, cell in self.shadow_edges])
         place = np.full(self.key.size, -1)
         place[seen] = np.arange(seen.size)
-        near = np.empty(self.key.size, dtype=np.intp)
-        near[some] = np.arange(some.size)
-        cached = lighting.shadows.cached([found for found, _ in self.shadow_edges], place[some])
-        return lambda cell: lighting._replace(shadows=cached(near[cell]))
+        cached = lighting.shadows.cached([found for found, _ in self.shadow_edges])
+        return lambda cell: lighting._replace(shadows=cached(place[cell]))
 
 
 def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> Floats:

@@ -109,14 +109,13 @@ class Shadows(NamedTuple):
         """Whether it pays to cache shadow edges: not for stretches, which take points together."""
         return isinstance(self.finder, LightBufferFinder)
 
-    def cached(self, found: Sequence[ShadowEdges], place: Ints) -> Callable[[Ints], Shadows]:
+    def cached(self, found: Sequence[ShadowEdges]) -> Callable[[Ints], Shadows]:
         """A function from the point near each sample to `Shadows` that use what is known there.
 
-        `found`: the points' shadow edges; `place` (points,): where each point is among all of
-        these, or -1 where nothing is seen.
+        `found`: the points' shadow edges.  A point is a place among all of these, or -1 for none.
         """
         assert isinstance(self.finder, LightBufferFinder)
-        known = ShadowCache.of(self.finder, found, place)
+        known = ShadowCache.of(self.finder, found)
         return lambda near: self._replace(finder=known._replace(near=near))
 
     def _blocks(

@@ -7,10 +7,11 @@ in the cell, and for its quarters, no other objects need to be tried.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
 from tracer.light_buffers import LightBufferFinder
@@ -55,13 +56,15 @@ class ShadowCache(NamedTuple):
     finder : LightBufferFinder
         For samples of which nothing is known.
     near : (samples,)
-        The point that each sample is near: an index into all that follows.
+        The point that each sample is near: an index into all that follows, the last of which is of
+        no point.
     own, p, footprint : (points,), (3, points), (points,)
         See `ShadowEdges`.
     facing, dark : (lights, points)
         See `ShadowEdges`: of a light that a point does not face, nothing is known near it.
-    first, length : (lights, points)
-        Where the objects that may keep the light away begin in `listed`, and how many they are.
+    first : (lights * points + 1,)
+        For light l and point i, listed[first[l * points + i]:first[l * points + i + 1]] are the
+        objects that may keep the light away.
     listed : (m,)
     """
 
@@ -73,46 +76,33 @@ class ShadowCache(NamedTuple):
     facing: Bools
     dark: Bools
     first: Ints
-    length: Ints
     listed: Ints
 
     @classmethod
-    def of(
-        cls, finder: LightBufferFinder, found: Sequence[ShadowEdges], place: Ints
-    ) -> ShadowCache:
-        """Gather points, given the `place` (points,) of each among all found; -1 for those unseen.
+    def of(cls, finder: LightBufferFinder, found: Sequence[ShadowEdges]) -> ShadowCache:
+        """Gather points.  No samples are given yet: `near` is empty."""
 
-        No samples are given yet: `near` is empty.
-        """
-        shape = len(found[0].dark), place.size
-        known = cls(
+        def joined(parts: Iterable[NDArray[Any]], none: int = 0) -> NDArray[Any]:
+            """Values of all points, and last of no point."""
+            first, *more = parts
+            last = np.full((*first.shape[:-1], 1), none, dtype=first.dtype)
+            return np.concatenate([first, *more, last], axis=-1)
+
+        own, dark = joined((m.own for m in found), -1), joined(m.dark for m in found)
+        start = np.cumsum([0, *(m.own.size for m in found)]).tolist()
+        keys = [m.light * own.size + m.point + s for m, s in zip(found, start, strict=False)]
+        key = np.concatenate(keys)
+        return cls(
             finder=finder,
             near=np.zeros(0, dtype=np.intp),
-            own=np.full(place.size, -1),
-            p=np.zeros((3, place.size)),
-            footprint=np.zeros(place.size),
-            facing=np.zeros(shape, dtype=np.bool_),
-            dark=np.zeros(shape, dtype=np.bool_),
-            first=np.zeros(shape, dtype=np.intp),
-            length=np.zeros(shape, dtype=np.intp),
-            listed=np.zeros(sum(edges.occluder.size for edges in found), dtype=np.intp),
+            own=own,
+            p=joined(m.hits.p for m in found),
+            footprint=joined(m.footprint for m in found),
+            facing=joined(m.facing for m in found),
+            dark=dark,
+            first=np.append(0, np.cumsum(np.bincount(key, minlength=dark.size))),
+            listed=np.concatenate([m.occluder for m in found])[np.argsort(key)],
         )
-        start = before = 0
-        for edges in found:
-            size = edges.own.size
-            at = np.flatnonzero((place >= start) & (place < start + size))
-            point = place[at] - start
-            known.own[at], known.footprint[at] = edges.own[point], edges.footprint[point]
-            known.p[:, at] = rows(edges.hits.p, point)
-            key = edges.light * size + edges.point
-            order = np.argsort(key)
-            known.listed[before : before + key.size] = edges.occluder[order]
-            asked = np.add.outer(np.arange(shape[0]) * size, point)
-            first, end = (np.searchsorted(key, asked, side, order) for side in ("left", "right"))
-            known.first[:, at], known.length[:, at] = first + before, end - first
-            known.facing[:, at], known.dark[:, at] = edges.facing[:, point], edges.dark[:, point]
-            start, before = start + size, before + key.size
-        return known
 
     def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
@@ -127,7 +117,9 @@ class ShadowCache(NamedTuple):
         points = hits.points(slice(None))
         for number, asked in enumerate(facing & known):
             which = np.flatnonzero(asked)
-            first, length = (m[number][near[which]] for m in (self.first, self.length))
+            key = number * self.own.size + near[which]
+            first = self.first[key]
+            length = self.first[key + 1] - first
             for batch in batches(length):
                 at, place = expand(length[batch], first[batch])
                 yield from candidates_by_kind(
