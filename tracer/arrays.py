@@ -36,7 +36,6 @@ __all__ = [
     "entries",
     "equal_runs",
     "expand",
-    "index_where",
     "pick",
     "put",
     "ranges",
@@ -101,12 +100,6 @@ def spread(value: T, counts: Ints | None) -> T:
         repeated: Any = np.repeat(array, counts)
         return repeated  # type: ignore[no-any-return]
     return value
-
-
-def index_where(mask: Bools) -> Ints | slice:
-    """Index of the elements where the mask holds: slice(None) if it holds everywhere."""
-    index = np.flatnonzero(mask)
-    return slice(None) if index.size == mask.size else index
 
 
 def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
