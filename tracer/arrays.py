@@ -74,7 +74,7 @@ def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def select(value: T, index: Index | slice) -> T:
+def select(value: T, index: Index) -> T:
     """Some elements of an array; a single value stays as it is."""
     if np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
@@ -83,7 +83,7 @@ def select(value: T, index: Index | slice) -> T:
     return value
 
 
-def pick(vector: Triple, index: Index | slice) -> Triple:
+def pick(vector: Triple, index: Index) -> Triple:
     """`select`, for each component."""
     return select(vector[0], index), select(vector[1], index), select(vector[2], index)
 
