@@ -203,7 +203,7 @@ def read_picture(path: str | Path) -> NDArray[np.uint8]:
 
     Raises
     ------
-    OSError, ValueError
+    OSError, SyntaxError, ValueError
         If it cannot be read, or has more than 8 bits a channel.
     """
     if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe or a device may block
@@ -295,7 +295,7 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
     for path in (options.a, options.b):
         try:
             codes.append(read_picture(path))
-        except (OSError, ValueError) as error:
+        except (OSError, SyntaxError, ValueError) as error:  # the second is Pillow's, of a PNG
             reason = getattr(error, "strerror", None) or error
             say(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
             return 2

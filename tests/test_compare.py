@@ -636,15 +636,22 @@ def test_sizes_exit_1(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out.startswith("Different sizes")
 
 
-@pytest.mark.parametrize("content", [None, b"", b"no picture", "cut"], ids=str)
+@pytest.mark.parametrize("what", ["missing", "empty", "text", "cut", "wrong length of a chunk"])
 def test_unreadable(
-    tmp_path: Path, right: Image8, content: object, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, right: Image8, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good = save(tmp_path / "b.png", right)
     bad = tmp_path / "a.png"
-    if content is not None:
+    if what != "missing":
         whole = Path(good).read_bytes()
-        bad.write_bytes(content if isinstance(content, bytes) else whole[: len(whole) // 2])
+        before, after = whole.split(b"IDAT", 1)
+        contents = {
+            "empty": b"",
+            "text": b"no picture",
+            "cut": whole[: len(whole) // 2],
+            "wrong length of a chunk": before[:-4] + b"\0\0\0\5IDAT" + after,
+        }
+        bad.write_bytes(contents[what])
     assert main([str(bad), good]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
