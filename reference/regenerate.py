@@ -109,9 +109,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "stock_ssim": round(_stock_ssim(scene, choice.variant), 3),
         }
         print(f"{path.stem}.exr")
-    for path in options.output.glob("*.exr"):
-        if path.stem not in scenes:
-            path.unlink()
     made = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),

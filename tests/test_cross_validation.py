@@ -127,14 +127,14 @@ def test_regenerate_makes_what_is_stored(tmp_path: Path, monkeypatch: pytest.Mon
     scenes = tmp_path / "scenes"
     scenes.mkdir()
     (scenes / "one-box.xml").write_bytes((SCENES / "one-box.xml").read_bytes())
-    (tmp_path / "gone.exr").touch()
+    (tmp_path / "of-another.exr").touch()
     monkeypatch.setattr("reference.command.SCENES", scenes)
     assert main(["-o", str(tmp_path)]) == 0
     made = manifest(tmp_path)["scenes"]
     assert made.keys() == {"one-box"}
     assert made["one-box"]["sha256"] == scene_hash(SCENES / "one-box.xml")
     np.testing.assert_allclose(stored("one-box", tmp_path), stored("one-box"), atol=1e-4)
-    assert not (tmp_path / "gone.exr").exists()
+    assert (tmp_path / "of-another.exr").exists()
 
 
 @pytest.mark.parametrize("name", ["four-spheres", "sticks-axonometric", "touching"])
