@@ -269,7 +269,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
     results, comments, unread = [], {}, []
-    for path in tqdm(paths, unit="scene", disable=None):
+    # None: no bar where there is no terminal.
+    for path in tqdm(paths, unit="scene", disable=sys.stderr is None or None):
         try:
             name = printable(str(path) if alike else path.stem)
             result = replace(check(path, options.variant), name=name)

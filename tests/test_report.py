@@ -189,6 +189,14 @@ def test_bad_scenes_are_told_and_spare_the_others(
     assert text.count("Not compared: ") == 4
 
 
+def test_no_place_for_errors(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a shell closes it: `2>&-`."""
+    output = small.with_name("report.html")
+    monkeypatch.setattr(sys, "stderr", None)
+    assert main([str(small), "--variant", "scalar_rgb", "-o", str(output)]) == 0
+    assert output.exists()
+
+
 def test_scenes_of_one_name_are_told_apart(small: Path) -> None:
     other = small.parent / "other" / small.name
     other.parent.mkdir()
