@@ -180,10 +180,14 @@ def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(_: str) -> int:
         raise OSError("too many open files")
 
-    monkeypatch.setattr(os, "memfd_create", none)
-    assert set(together(0.5)) == {os.getpid()}
-    with helped(8, 1, Job(add, (0,), (AHEAD, 1 << 30, 3)), np.inf) as team:
-        assert not team.workers
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "memfd_create", none)
+        assert set(together(0.5)) == {os.getpid()}
+    too_much = tracer.helpers._SHARED
+    for job in (Job(add, (0,), (AHEAD, too_much)), Job(add, (bytes(too_much),), SHAPE)):
+        with helped(8, 1, job, np.inf) as team:
+            assert not team.workers
+    assert len(set(together(0.5))) == 2
 
 
 @pytest.mark.parametrize("count", range(12))

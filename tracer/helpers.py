@@ -16,8 +16,6 @@ from contextlib import contextmanager
 from math import prod
 from mmap import mmap
 
-import numpy as np
-
 from tracer.memory import keep_heap
 from tracer.workers import (
     POSSIBLE,
@@ -67,8 +65,7 @@ class _Helper(Worker):
 
         with pipes() as (calls_in, results_out, calls_out, results_in):
             super().__init__(calls_out, results_in)
-            file, memory = shared(_SHARED)
-            self._memory = np.frombuffer(memory)
+            file, self._memory = shared(_SHARED)
             path = [_FOLDER, *map(str, sys.path)]
             ends = calls_in, results_out, numbers, file
             try:
@@ -221,4 +218,4 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
 def run_helper(calls: int, results: int, numbers: int, memory: int) -> None:
     """Serve the process that started this one, until that ends; never returns."""
     keep_heap()
-    serve(calls, results, Numbers(numbers), memory=np.frombuffer(mmap(memory, 0)))
+    serve(calls, results, Numbers(numbers), memory=mmap(memory, 0))

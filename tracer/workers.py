@@ -134,36 +134,29 @@ class Job(NamedTuple):
     arguments: tuple[Any, ...]
     shape: tuple[int, ...]
 
-    def slots(self, memory: Floats) -> Floats:
+    def slots(self, memory: mmap) -> Floats:
         """The part of shared memory that its results go into."""
-        return memory[: prod(self.shape)].reshape(self.shape)
+        return np.frombuffer(memory, count=prod(self.shape)).reshape(self.shape)
 
-    def packed(self, round: int, memory: Floats) -> bytes:
+    def packed(self, round: int, memory: mmap) -> bytes:
         """The message that asks for this job in a round.
 
-        Its arrays go into the shared memory, after the results', if they fit: a pipe would take
-        ten times as long for them.
+        The job itself goes into the shared memory, after the results: for many objects a pipe would
+        take ten times as long.
         """
-        arrays: list[pickle.PickleBuffer] = []
-        job = pickle.dumps(self, protocol=5, buffer_callback=arrays.append)
-        ends = np.cumsum([prod(self.shape), *(-(-a.raw().nbytes // 8) for a in arrays)]).tolist()
-        if ends[-1] > memory.size:
-            return pickle.dumps((round, [], pickle.dumps(self)))
-        places = []
-        for array, start in zip(arrays, ends, strict=False):
-            raw = array.raw()
-            memory[start:].view(np.uint8)[: raw.nbytes] = raw
-            places.append((start, raw.nbytes))
-        return pickle.dumps((round, places, job))
+        start = self.slots(memory).nbytes
+        memory.seek(start)
+        pickle.dump(self, memory, protocol=5)
+        return pickle.dumps((round, start, memory.tell()))
 
     @staticmethod
-    def unpacked(message: bytes, memory: Floats, numbers: Numbers) -> Job | None:
+    def unpacked(message: bytes, memory: mmap, numbers: Numbers) -> Job | None:
         """The job that a message asks for; None if nothing of it is left to do."""
-        numbers.round, places, job = pickle.loads(message)
-        arrays = [bytearray(memory[start:].view(np.uint8)[:size]) for start, size in places]
-        # Asked only now that the arrays are copied: when a round is over, the next one's may be
-        # written over them.
-        unpacked: Job | None = pickle.loads(job, buffers=arrays) if numbers.left() else None
+        numbers.round, start, end = pickle.loads(message)
+        job = memory[start:end]
+        # Asked only now that the job is copied: when a round is over, the next one's may be written
+        # over it.
+        unpacked: Job | None = pickle.loads(job) if numbers.left() else None
         return unpacked
 
 
@@ -397,7 +390,7 @@ def serve(
     results: int,
     numbers: Numbers,
     work: Work[Any] | None = None,
-    memory: Floats | None = None,
+    memory: mmap | None = None,
 ) -> NoReturn:
     """Be a worker until the pipe `calls` ends: do `work`, or else the jobs that are sent.
 
