@@ -322,3 +322,8 @@ def test_every_processor_that_is_asked_for(
         Team.results = original  # type: ignore[method-assign]
     assert [len(team.workers) for team in teams] == [others]
     assert np.array_equal(image, render(scene, threads=1))
+
+
+def test_helpers_have_room_for_the_largest_bands() -> None:
+    pixels = tracer.rendering._BAND_SAMPLES * tracer.rendering._SPLIT_BANDS
+    assert AHEAD * pixels * 3 * 8 <= tracer.helpers._SHARED // 2

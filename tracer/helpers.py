@@ -48,7 +48,7 @@ run_helper{ends!r}
 _FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 # Bytes of memory that each helper shares with this process; pages that are not used cost nothing.
-_SHARED = 1 << 25
+_SHARED = 1 << 27
 
 # The load, of all pictures so far together, from which it pays to start helpers.
 _START = 1 << 23
