@@ -16,7 +16,7 @@ from random_scenes import KINDS, random_scene
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, lighting, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.outlines import outlines_of
+from tracer.outlines import frames_of
 from tracer.sampling import Samples, Scattered
 from tracer.visibility import Hits, View, view_of
 
@@ -165,10 +165,10 @@ def test_nothing_is_seen_outside_the_window(kind: str) -> None:
     for seed in range(2 if kind == "crowd" else 12):
         scene = random_scene(kind, seed, 40, 30)
         raster = raster_of(scene.camera, scene.width, scene.height)
-        lines = outlines_of(raster, scene.surfaces)
+        frames = frames_of(raster, scene.surfaces)
         image = brute_force(scene)
-        assert not image[lines.in_rows() == 0].any()
-        image[lines.window()] = 0
+        assert not image[frames.in_rows() == 0].any()
+        image[frames.window()] = 0
         assert not image.any()
 
 
@@ -178,13 +178,13 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     # All that is seen is lit.
     alone = scene(surface, light=CAMERA.view_point)
     raster = raster_of(alone.camera, alone.width, alone.height)
-    lines = outlines_of(raster, alone.surfaces)
+    frames = frames_of(raster, alone.surfaces)
     seen = render(alone).any(axis=2)
-    for window, axis in zip(lines.window(), (1, 0), strict=True):
+    for window, axis in zip(frames.window(), (1, 0), strict=True):
         first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()
         assert first - 3 <= window.start <= first
         assert last < window.stop <= last + 4
-    assert np.array_equal(np.unique(lines.in_rows()), [0, 1])
+    assert np.array_equal(np.unique(frames.in_rows()), [0, 1])
 
 
 def test_a_row_of_rays_along_an_edge() -> None:

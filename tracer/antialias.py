@@ -27,7 +27,7 @@ from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
 from tracer.looks import Cells, LightingIn, Seen, look, look_at, radiance_in
-from tracer.outlines import Outlines
+from tracer.outlines import Frames
 from tracer.regions import Points, post_stratified, sides_of
 from tracer.sampling import CENTRES, Lattice
 
@@ -56,12 +56,12 @@ _DENSE = 0.006
 _LINES = 4
 
 
-def dense(outlines: Outlines, per_side: int) -> bool:
+def dense(frames: Frames, per_side: int) -> bool:
     """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return outlines.pairs_in_pixel() > _DENSE * per_side**2
+    return frames.pairs_in_pixel() > _DENSE * per_side**2
 
 
 def splittings(per_side: int) -> int:

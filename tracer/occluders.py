@@ -230,7 +230,7 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         light_inside=np.concatenate([side == INSIDE, inside], axis=1),
         on_plane=on_plane,
         eye_inside=view.eye_inside,
-        seen=view.outlines.in_picture(),
+        seen=view.outlines.frames.in_picture(),
         middle=columns(middle, slice(None)),
         radius=np.concatenate([radius, half]),
         size=size,

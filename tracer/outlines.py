@@ -20,11 +20,13 @@ from tracer.intersection import disc_in_row, power_of
 from tracer.scene import Surfaces
 
 __all__ = [
+    "Frames",
     "Outlines",
     "Spans",
     "Turns",
     "box_corners",
     "boxes_around",
+    "frames_of",
     "outlines_of",
     "silhouette_planes",
 ]
@@ -63,8 +65,16 @@ class Spans(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Bounding rectangles (n,) in the picture: off it, or upside down, for what is not in view."""
+    """Bounding rectangles in the picture, of all objects: spheres first.
 
+    Attributes
+    ----------
+    raster : Raster
+    top, bottom, left, right : (n,)
+        In pixels; off the picture, or upside down, for what is not in view.
+    """
+
+    raster: Raster
     top: Floats
     bottom: Floats
     left: Floats
@@ -72,7 +82,64 @@ class Frames(NamedTuple):
 
     def take(self, index: slice | Bools) -> Frames:
         """Some of them."""
-        return Frames(*(m[index] for m in self))
+        return Frames(self.raster, *(m[index] for m in self[1:]))
+
+    def in_picture(self) -> Bools:
+        """Which objects, spheres first, may be seen if nothing hides them."""
+        raster, top, bottom, left, right = self
+        seen: Bools = (top <= raster.height + 1) & (bottom >= -1)
+        return seen & (left <= raster.width + 1) & (right >= -1)
+
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the picture outside of which nothing is seen."""
+        seen = self.take(self.in_picture())
+
+        def between(low: Floats, high: Floats, size: int) -> slice:
+            if not low.size:
+                return slice(0, 0)
+            first, last = np.clip([low.min() - 1, high.max() + 1], 0, size)
+            return slice(int(first), ceil(last))
+
+        return (
+            between(seen.top, seen.bottom, self.raster.height),
+            between(seen.left, seen.right, self.raster.width),
+        )
+
+    def in_rows(self) -> Floats:
+        """How many objects may be seen in each row of pixels (height,)."""
+        return self._over_rows(np.ones(self.top.size))
+
+    def layers(self) -> float:
+        """How many objects at most lie behind a pixel, on average over the fullest row."""
+        width = self.raster.width
+        wide = np.clip(self.right + 1, 0, width) - np.clip(self.left - 1, 0, width)
+        return float(self._over_rows(wide).max() / width)
+
+    def _over_rows(self, weight: Floats) -> Floats:
+        """Total weight (height,) of the objects that may be seen in each row of pixels."""
+        height, seen = self.raster.height, self.in_picture()
+        first, last = (
+            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), weight[seen], height + 1)
+            for m in (self.top, self.bottom + 1)
+        )
+        return np.asarray(np.cumsum(first - last)[:height])
+
+    def pairs_in_pixel(self) -> float:
+        """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
+        top, bottom = (np.clip(m, 0, self.raster.height) for m in (self.top, self.bottom))
+        # An outline about as wide as it is high runs through some 4 * height pixels.
+        share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
+        return float(share.sum() ** 2 - (share**2).sum())
+
+    def rows(self, rows: Floats, height: float, pad: float) -> tuple[Ints, Ints]:
+        """Pairs (object, row) with some of the row in the object's frame, if in the picture."""
+        top, bottom = self.top - pad - height, self.bottom + pad
+        beside = (self.left - pad > self.raster.width + 1) | (self.right + pad < -1)
+        at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
+        first = np.searchsorted(rows, top[at])
+        last = np.searchsorted(rows, bottom[at], side="right")
+        which, row = expand(np.maximum(last - first, 0), first)
+        return at[which], row
 
 
 class Turns(NamedTuple):
@@ -123,7 +190,7 @@ class Outlines(NamedTuple):
         `height`: of the rows; 0 for lines.
         """
         frames = self.frames.take(slice(0, self.radius.size))
-        owner, row = _rows_in_frames(frames, rows, height, self.raster.width, pad)
+        owner, row = frames.rows(rows, height, pad)
         left, right = self._sphere_ends(owner, rows[row])
         if height:
             # On the way down an outline goes to the left as far as its leftmost point, then to the
@@ -158,7 +225,7 @@ class Outlines(NamedTuple):
     def box_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
         """Spans of the boxes in rows: see `sphere_spans`."""
         frames = self.frames.take(slice(self.radius.size, None))
-        owner, row = _rows_in_frames(frames, rows, height, self.raster.width, pad)
+        owner, row = frames.rows(rows, height, pad)
         g = self.raster.down(rows)[row]
         low = np.full(g.size, -np.inf)
         high = np.full(g.size, np.inf)
@@ -186,7 +253,7 @@ class Outlines(NamedTuple):
         In pixels from the top; NaN where they extend without end.
         """
         raster, (_, v, _) = self.raster, self.center
-        left, right = (raster.across(m[: v.size]) for m in self.frames[2:])
+        left, right = (raster.across(m[: v.size]) for m in (self.frames.left, self.frames.right))
         return raster.row(v / self._ahead(left, 1)), raster.row(v / self._ahead(right, -1))
 
     def _ahead(self, slope: Floats, side: int) -> Floats:
@@ -208,7 +275,7 @@ class Outlines(NamedTuple):
         """
         raster, spheres = self.raster, np.arange(self.radius.size)
         boxes = np.arange(len(surfaces.min_pt)) + spheres.size
-        top, bottom, left, right = (m[: spheres.size] for m in self.frames)
+        _, top, bottom, left, right = self.frames.take(slice(0, spheres.size))
         highest, lowest = (
             raster.column(self.center[0] / self._ahead(raster.down(y), side))
             for y, side in ((top, 1), (bottom, -1))
@@ -234,54 +301,6 @@ class Outlines(NamedTuple):
         broken: Bools = missing.any(axis=0) & ~missing.all(axis=0) & beside & solid
         return broken
 
-    def in_picture(self) -> Bools:
-        """Which objects, spheres first, may be seen if nothing hides them."""
-        top, bottom, left, right = self.frames
-        width, height = self.raster.width, self.raster.height
-        seen: Bools = (top <= height + 1) & (bottom >= -1) & (left <= width + 1) & (right >= -1)
-        return seen
-
-    def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the picture outside of which nothing is seen."""
-        top, bottom, left, right = self.frames.take(self.in_picture())
-
-        def between(low: Floats, high: Floats, size: int) -> slice:
-            if not low.size:
-                return slice(0, 0)
-            first, last = np.clip([low.min() - 1, high.max() + 1], 0, size)
-            return slice(int(first), ceil(last))
-
-        return (
-            between(top, bottom, self.raster.height),
-            between(left, right, self.raster.width),
-        )
-
-    def in_rows(self) -> Floats:
-        """How many objects may be seen in each row of pixels (height,)."""
-        return self._over_rows(np.ones(self.frames.top.size))
-
-    def layers(self) -> float:
-        """How many objects at most lie behind a pixel, on average over the fullest row."""
-        frames, width = self.frames, self.raster.width
-        wide = np.clip(frames.right + 1, 0, width) - np.clip(frames.left - 1, 0, width)
-        return float(self._over_rows(wide).max() / width)
-
-    def _over_rows(self, weight: Floats) -> Floats:
-        """Total weight (height,) of the objects that may be seen in each row of pixels."""
-        height, seen = self.raster.height, self.in_picture()
-        first, last = (
-            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), weight[seen], height + 1)
-            for m in (self.frames.top, self.frames.bottom + 1)
-        )
-        return np.asarray(np.cumsum(first - last)[:height])
-
-    def pairs_in_pixel(self) -> float:
-        """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
-        top, bottom = (np.clip(m, 0, self.raster.height) for m in self.frames[:2])
-        # An outline about as wide as it is high runs through some 4 * height pixels.
-        share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
-        return float(share.sum() ** 2 - (share**2).sum())
-
     def _clip(self, owner: Ints, row: Ints, left: Floats, right: Floats, pad: float) -> Spans:
         # One column more than the picture has on either side: antialiasing looks there.  An object
         # that is beside the picture in one row may enter it before the next: its span there is
@@ -293,43 +312,42 @@ class Outlines(NamedTuple):
         return Spans(owner[keep], row[keep], left, right)
 
 
+def frames_of(raster: Raster, surfaces: Surfaces) -> Frames:
+    """Where surfaces are in the picture, roughly."""
+    corners = _local_corners(raster, surfaces.min_pt, surfaces.max_pt)
+    return _frames(raster, raster.to_camera(surfaces.center), surfaces.radius, corners)
+
+
 def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
     """Project all surfaces onto the picture."""
-    u, v, w = raster.to_camera(surfaces.center)
-    radius = surfaces.radius
-    distance = np.sqrt(u * u + v * v + w * w)
-    power = power_of(distance, radius)
-    top, bottom = _tangents(v, w, radius * radius, v * v + w * w - radius * radius)
-    left, right = _tangents(u, w, radius * radius, u * u + w * w - radius * radius)
-    of_spheres = Frames(
-        raster.row(top * raster.depth),
-        raster.row(bottom * raster.depth),
-        raster.column(left * raster.depth),
-        raster.column(right * raster.depth),
-    )
-    planes, of_boxes = _silhouettes(raster, surfaces.min_pt, surfaces.max_pt)
-    frames = Frames(*map(np.append, of_spheres, of_boxes))
+    center, radius = raster.to_camera(surfaces.center), surfaces.radius
+    min_pt, max_pt = surfaces.min_pt, surfaces.max_pt
+    corners = _local_corners(raster, min_pt, max_pt)
     return Outlines(
         raster=raster,
-        center=(u, v, w),
+        center=center,
         radius=radius,
-        power=power,
-        planes=planes,
-        frames=frames,
+        power=power_of(np.sqrt(dot(center, center)), radius),
+        planes=_silhouettes(raster, corners, min_pt, max_pt),
+        frames=_frames(raster, center, radius, corners),
     )
 
 
-def _rows_in_frames(
-    frames: Frames, rows: Floats, height: float, width: int, pad: float
-) -> tuple[Ints, Ints]:
-    """Pairs (object, row) with some of the row in the object's frame, if that is in the picture."""
-    top, bottom = frames.top - pad - height, frames.bottom + pad
-    beside = (frames.left - pad > width + 1) | (frames.right + pad < -1)
-    at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
-    first = np.searchsorted(rows, top[at])
-    last = np.searchsorted(rows, bottom[at], side="right")
-    which, row = expand(np.maximum(last - first, 0), first)
-    return at[which], row
+def _frames(raster: Raster, center: Triple, radius: Floats, corners: Triple) -> Frames:
+    """Of spheres, and of boxes with corners three (8, b), all seen from the eye."""
+    (u, v, w), (x, y, z) = center, corners
+    radius2 = radius * radius
+    behind, ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
+    ends = []
+    for along, corner, place in ((v, y, raster.row), (u, x, raster.column)):
+        low, high = _tangents(along, w, radius2, along * along + w * w - radius2)
+        if corner.size:
+            slope = corner / z
+            most = np.where(behind, np.where(ahead, np.inf, -np.inf), slope.max(axis=0))
+            low = np.append(low, np.where(behind, -np.inf, slope.min(axis=0)))
+            high = np.append(high, most)
+        ends += [place(low * raster.depth), place(high * raster.depth)]
+    return Frames(raster, *ends)
 
 
 def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
@@ -444,34 +462,27 @@ def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
 
 def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
     """`box_corners` seen from the eye, in the camera's axes."""
-    ends = (min_pt - raster.eye).T, (max_pt - raster.eye).T
+    ends = (np.array([min_pt, max_pt]) - raster.eye).transpose(2, 0, 1)
 
     def component(axis: list[float]) -> Floats:
         # The four corners in each of the two planes across an axis share one product.
-        x, y, z = ([end[k] * axis[k] for end in ends] for k in range(3))
-        return np.array([x[i & 1] + y[i >> 1 & 1] + z[i >> 2] for i in range(8)])
+        x, y, z = (end * a for end, a in zip(ends, axis, strict=True))
+        return np.asarray(x + y[:, None] + z[:, None, None]).reshape(8, -1)
 
     u, v, w = map(component, raster.axes.tolist())
     return u, v, w
 
 
-def _silhouettes(raster: Raster, min_pt: Floats, max_pt: Floats) -> tuple[Triple, Frames]:
-    """Planes (6, n) through the eye and silhouette edges of boxes, and their frames.
+def _silhouettes(raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats) -> Triple:
+    """Planes (6, n) through the eye and silhouette edges of boxes, given their `_local_corners`.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
     """
     if not len(min_pt):
-        none, nothing = np.zeros((6, 0)), np.zeros(0)
-        return (none, none, none), Frames(nothing, nothing, nothing, nothing)
-    u, v, w = _local_corners(raster, min_pt, max_pt)
-    behind, ahead = w.min(axis=0) <= 0, w.max(axis=0) >= 0
-    ends = []
-    for slopes, place in ((v / w, raster.row), (u / w, raster.column)):
-        least, most = (place(m * raster.depth) for m in (slopes.min(axis=0), slopes.max(axis=0)))
-        ends.append(np.where(behind, -np.inf, least))
-        ends.append(np.where(behind, np.where(ahead, np.inf, -np.inf), most))
-    slope, tilt, level = silhouette_planes((u, v, w), raster.eye, min_pt, max_pt)
+        nothing = np.zeros((6, 0))
+        return nothing, nothing, nothing
+    slope, tilt, level = silhouette_planes(corners, raster.eye, min_pt, max_pt)
     # A box is seen from inside on its side of the faces that the eye is on.
     for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt)).tolist():
         faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
@@ -483,4 +494,4 @@ def _silhouettes(raster: Raster, min_pt: Floats, max_pt: Floats) -> tuple[Triple
             for plane, axis in zip((slope, tilt, level), raster.axes, strict=True):
                 plane[number, box] = sign * axis[k]
     level *= raster.depth
-    return (slope, tilt, level), Frames(*ends)
+    return slope, tilt, level

@@ -22,7 +22,7 @@ from tracer.camera import Raster, raster_of
 from tracer.helpers import helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
-from tracer.outlines import outlines_of
+from tracer.outlines import frames_of
 from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
 from tracer.visibility import view_of
@@ -211,10 +211,8 @@ class _Picture(NamedTuple):
         offset = float(shift[0]), float(shift[1])
         per_side = isqrt(samples - 1) + 1
         centres = cls(scene, offset, CENTRES, per_side)
-        if per_side > 1:
-            outlines = outlines_of(centres.raster(), scene.surfaces)
-            if dense(outlines, per_side):
-                return cls(scene, offset, Lattice.of(per_side), 1)
+        if per_side > 1 and dense(frames_of(centres.raster(), scene.surfaces), per_side):
+            return cls(scene, offset, Lattice.of(per_side), 1)
         return centres
 
     @property
@@ -236,7 +234,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """`_Bands.tops` of a number of bands, for about as many outlines in each."""
-        total = np.cumsum(outlines_of(self.raster(), self.scene.surfaces).in_rows())
+        total = np.cumsum(frames_of(self.raster(), self.scene.surfaces).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -326,7 +324,7 @@ class _Renderer(NamedTuple):
         sides = picture.lattice.rows, picture.lattice.columns
         rows, columns = (
             slice(m.start // side, -(-m.stop // side))
-            for m, side in zip(view.outlines.window(), sides, strict=True)
+            for m, side in zip(view.outlines.frames.window(), sides, strict=True)
         )
         return cls(bands, lighting, (rows, columns))
 

@@ -91,7 +91,7 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
         outlines=outlines,
         eye_inside=eye_inside,
         slope=_slopes(surfaces, eye, in_box),
-        layers=outlines.layers(),
+        layers=outlines.frames.layers(),
     )
 
 
