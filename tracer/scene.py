@@ -151,6 +151,18 @@ def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fa
         yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))
 
 
+def _positive_faults(name: str, values: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+    for i in np.flatnonzero(~((values > 0) & (values < np.inf))).tolist():
+        yield Fault(name, f"must be positive and finite, is {number(values[i])}", index.item(i))
+    yield from _size_faults(name, values[:, None], index)
+
+
+def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
+    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
+        yield Fault(name, "must be finite", index.item(i))
+    yield from _size_faults(name, points, index)
+
+
 # The index of what is none of many.
 _ALONE = np.array([None])
 
@@ -187,10 +199,7 @@ def _number(value: float, name: str, faults: list[Fault]) -> float:
 
 def _positive(value: float, name: str, faults: list[Fault]) -> float:
     value = _number(value, name, faults)
-    if 0 < value < np.inf:
-        faults += _size_faults(name, np.array([[value]]), _ALONE)
-    else:
-        faults.append(Fault(name, f"must be positive and finite, is {number(value)}"))
+    faults += _positive_faults(name, np.array([value]), _ALONE)
     return value
 
 
@@ -474,26 +483,6 @@ class Box:
         _raise_any(faults + _checked(self, shader=_one_of(Lambertian, Phong)))
 
 
-def _sphere_faults(center: Floats, radius: Floats, index: Ints) -> Iterable[Fault]:
-    for i in np.flatnonzero(~((radius > 0) & (radius < np.inf))).tolist():
-        message = f"must be positive and finite, is {number(radius[i])}"
-        yield Fault("radius", message, index.item(i))
-    yield from _size_faults("radius", radius[:, None], index)
-    yield from _point_faults("center", center, index)
-
-
-def _box_faults(min_pt: Floats, max_pt: Floats, index: Ints) -> Iterable[Fault]:
-    yield from _point_faults("min_pt", min_pt, index)
-    yield from _point_faults("max_pt", max_pt, index)
-    yield from _order_faults(min_pt, max_pt, index)
-
-
-def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
-    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
-        yield Fault(name, "must be finite", index.item(i))
-    yield from _size_faults(name, points, index)
-
-
 def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
     wrong = min_pt > max_pt
     for i in np.flatnonzero(wrong.any(axis=1)).tolist():
@@ -560,8 +549,11 @@ class Surfaces(Sequence[Sphere | Box]):
         # What does not fit together cannot be checked further.
         faults = faults or self._misfits()
         if not faults:
-            faults += _sphere_faults(self.center, self.radius, self.sphere_index)
-            faults += _box_faults(self.min_pt, self.max_pt, self.box_index)
+            faults += _positive_faults("radius", self.radius, self.sphere_index)
+            faults += _point_faults("center", self.center, self.sphere_index)
+            faults += _point_faults("min_pt", self.min_pt, self.box_index)
+            faults += _point_faults("max_pt", self.max_pt, self.box_index)
+            faults += _order_faults(self.min_pt, self.max_pt, self.box_index)
         _raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
         self._protect()
 
