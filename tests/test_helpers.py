@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
+from mmap import mmap
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,10 @@ from jobs import SHAPE, add, die, fail, refuse
 
 import tracer.helpers
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
-from tracer.helpers import helped
+from tracer.helpers import Job, helped
 from tracer.rendering import render_bands
 from tracer.scene import Surfaces
-from tracer.workers import AHEAD, Job, Team
+from tracer.workers import AHEAD, Numbers, Team
 
 
 @pytest.fixture(autouse=True)
@@ -163,6 +164,28 @@ def test_leaving_early_ends_helpers() -> None:
         next(team.results(add(0)))
         raise KeyboardInterrupt
     assert set(together(0.5)) & before == {os.getpid()}
+
+
+def test_a_job_in_shared_memory() -> None:
+    array = np.arange(50.0)
+    job, numbers, memory = Job(add, (array, "more"), SHAPE), Numbers(), mmap(-1, 1 << 13)
+    numbers.begin(1)
+    sent = Job.unpacked(job.packed(numbers.round, memory), memory, Numbers(numbers.file))
+    assert sent is not None
+    assert not job.slots(memory).any()
+    memory[:] = bytes(len(memory))
+    assert np.array_equal(sent.arguments[0], array)
+    assert sent._replace(arguments=job.arguments) == job
+    os.close(numbers.file)
+
+
+def test_a_job_that_is_over() -> None:
+    job, memory, numbers = Job(add, (np.ones(3),), SHAPE), mmap(-1, 1 << 13), Numbers()
+    numbers.begin(1)
+    message = job.packed(numbers.round, memory)
+    numbers.begin(1)
+    assert Job.unpacked(message, memory, Numbers(numbers.file)) is None
+    os.close(numbers.file)
 
 
 def test_it_must_pay_to_start_one() -> None:

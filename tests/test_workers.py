@@ -11,16 +11,14 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from itertools import islice
-from mmap import mmap
 from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs import SHAPE, add
 
 import tracer.helpers
 from tracer.arrays import Floats
-from tracer.workers import Job, Numbers, forked, keep_apart
+from tracer.workers import Numbers, forked, keep_apart
 
 COUNT = 11
 
@@ -125,28 +123,6 @@ def test_numbers_of_a_round_that_is_over() -> None:
     ours.begin(1)
     assert [theirs.take(), ours.take(), ours.take()] == [None, 0, None]
     os.close(ours.file)
-
-
-def test_a_job_in_shared_memory() -> None:
-    array = np.arange(50.0)
-    job, numbers, memory = Job(add, (array, "more"), SHAPE), Numbers(), mmap(-1, 1 << 13)
-    numbers.begin(1)
-    sent = Job.unpacked(job.packed(numbers.round, memory), memory, Numbers(numbers.file))
-    assert sent is not None
-    assert not job.slots(memory).any()
-    memory[:] = bytes(len(memory))
-    assert np.array_equal(sent.arguments[0], array)
-    assert sent._replace(arguments=job.arguments) == job
-    os.close(numbers.file)
-
-
-def test_a_job_that_is_over() -> None:
-    job, memory, numbers = Job(add, (np.ones(3),), SHAPE), mmap(-1, 1 << 13), Numbers()
-    numbers.begin(1)
-    message = job.packed(numbers.round, memory)
-    numbers.begin(1)
-    assert Job.unpacked(message, memory, Numbers(numbers.file)) is None
-    os.close(numbers.file)
 
 
 def test_results_larger_than_a_pipe_holds() -> None:

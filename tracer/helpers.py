@@ -9,19 +9,25 @@ from __future__ import annotations
 
 import atexit
 import os
+import pickle
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import prod
 from mmap import mmap
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from tracer.arrays import Floats
 from tracer.memory import keep_heap
 from tracer.workers import (
     POSSIBLE,
-    Job,
+    Caller,
     Numbers,
     Team,
+    Work,
     Worker,
     keep_apart,
     pipes,
@@ -30,7 +36,7 @@ from tracer.workers import (
     shared,
 )
 
-__all__ = ["helped", "run_helper"]
+__all__ = ["Job", "helped", "run_helper"]
 
 # What a helper runs.  It imports this very package, even if the path has changed, or has '' in it
 # and the current folder has changed; all other modules it finds by this process's path.
@@ -52,6 +58,48 @@ _SHARED = 1 << 27
 
 # The load, of all pictures so far together, from which it pays to start helpers.
 _START = 1 << 23
+
+
+class Job(NamedTuple):
+    """What a process that has nothing of this one's memory is to do.
+
+    Attributes
+    ----------
+    make, arguments
+        make(*arguments) returns the `Work`; `make` is a function of a module, and the arguments
+        can be pickled.
+    shape : (AHEAD, ...)
+        Of the memory for its results.
+    """
+
+    make: Callable[..., Work[Any]]
+    arguments: tuple[Any, ...]
+    shape: tuple[int, ...]
+
+    def slots(self, memory: mmap) -> Floats:
+        """The part of shared memory that its results go into."""
+        return np.frombuffer(memory, count=prod(self.shape)).reshape(self.shape)
+
+    def packed(self, round: int, memory: mmap) -> bytes:
+        """The message that asks for this job in a round.
+
+        The job itself goes into the shared memory, after the results: for many objects a pipe would
+        take ten times as long.
+        """
+        start = self.slots(memory).nbytes
+        memory.seek(start)
+        pickle.dump(self, memory, protocol=5)
+        return pickle.dumps((round, start, memory.tell()))
+
+    @staticmethod
+    def unpacked(message: bytes, memory: mmap, numbers: Numbers) -> Job | None:
+        """The job that a message asks for; None if nothing of it is left to do."""
+        numbers.round, start, end = pickle.loads(message)
+        job = memory[start:end]
+        # Asked only now that the job is copied: when a round is over, the next one's may be written
+        # over it.
+        unpacked: Job | None = pickle.loads(job) if numbers.left() else None
+        return unpacked
 
 
 class _Helper(Worker):
@@ -218,4 +266,19 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
 def run_helper(calls: int, results: int, numbers: int, memory: int) -> None:
     """Serve the process that started this one, until that ends; never returns."""
     keep_heap()
-    serve(calls, results, Numbers(numbers), memory=mmap(memory, 0))
+    taken, shared = Numbers(numbers), mmap(memory, 0)
+
+    def do_jobs(caller: Caller) -> None:
+        caller.tell(True, None)
+        while (message := caller.listen()) is not None:
+            if not message:  # a result of a round that is over has been used
+                continue
+            try:
+                job = Job.unpacked(message, shared, taken)
+                todo = job and (job.make(*job.arguments), taken, job.slots(shared))
+            except Exception:  # this process lacks something: the one that calls does all
+                continue
+            if todo is not None:
+                caller.take_part(*todo)
+
+    serve(calls, results, do_jobs)

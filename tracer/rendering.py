@@ -19,14 +19,14 @@ import numpy as np
 from tracer.antialias import antialiased, dense, splittings
 from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
-from tracer.helpers import helped
+from tracer.helpers import Job, helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.outlines import frames_of
 from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
 from tracer.visibility import view_of
-from tracer.workers import AHEAD, Job, Work, forked, processors
+from tracer.workers import AHEAD, Work, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
 

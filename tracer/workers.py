@@ -18,10 +18,9 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from math import prod
 from mmap import PAGESIZE, mmap
 from struct import Struct
-from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import IO, Any, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from tracer.memory import renew_heap
 __all__ = [
     "AHEAD",
     "POSSIBLE",
-    "Job",
+    "Caller",
     "Numbers",
     "Team",
     "Work",
@@ -116,48 +115,6 @@ class Numbers:
             yield
         finally:
             lockf(self.file, LOCK_UN)
-
-
-class Job(NamedTuple):
-    """What a process that has nothing of this one's memory is to do.
-
-    Attributes
-    ----------
-    make, arguments
-        make(*arguments) returns the `Work`; `make` is a function of a module, and the arguments
-        can be pickled.
-    shape : (AHEAD, ...)
-        Of the memory for its results.
-    """
-
-    make: Callable[..., Work[Any]]
-    arguments: tuple[Any, ...]
-    shape: tuple[int, ...]
-
-    def slots(self, memory: mmap) -> Floats:
-        """The part of shared memory that its results go into."""
-        return np.frombuffer(memory, count=prod(self.shape)).reshape(self.shape)
-
-    def packed(self, round: int, memory: mmap) -> bytes:
-        """The message that asks for this job in a round.
-
-        The job itself goes into the shared memory, after the results: for many objects a pipe would
-        take ten times as long.
-        """
-        start = self.slots(memory).nbytes
-        memory.seek(start)
-        pickle.dump(self, memory, protocol=5)
-        return pickle.dumps((round, start, memory.tell()))
-
-    @staticmethod
-    def unpacked(message: bytes, memory: mmap, numbers: Numbers) -> Job | None:
-        """The job that a message asks for; None if nothing of it is left to do."""
-        numbers.round, start, end = pickle.loads(message)
-        job = memory[start:end]
-        # Asked only now that the job is copied: when a round is over, the next one's may be written
-        # over it.
-        unpacked: Job | None = pickle.loads(job) if numbers.left() else None
-        return unpacked
 
 
 class Worker:
@@ -350,7 +307,7 @@ class _Fork(Worker):
                     for worker in (*others, self):
                         worker.close()
                     renew_heap()
-                    serve(calls_in, results_out, numbers, work)
+                    serve(calls_in, results_out, lambda caller: caller.take_part(work, numbers))
                 finally:  # whatever happens, it must not go on as if it were this process
                     os._exit(1)
         keep_apart(self._process)
@@ -385,59 +342,54 @@ def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
         yield team
 
 
-def serve(
-    calls: int,
-    results: int,
-    numbers: Numbers,
-    work: Work[Any] | None = None,
-    memory: mmap | None = None,
-) -> NoReturn:
-    """Be a worker until the pipe `calls` ends: do `work`, or else the jobs that are sent.
+class Caller(NamedTuple):
+    """The process that a worker works for, as the worker sees it.
 
-    A job's results go into `memory`.
+    Attributes
+    ----------
+    calls, results : binary files
+        Pipes from it, and to it.
     """
+
+    calls: IO[bytes]
+    results: IO[bytes]
+
+    def listen(self) -> bytes | None:
+        """Its next message; None once it has ended."""
+        length = self.calls.read(_LENGTH.size)
+        return self.calls.read(*_LENGTH.unpack(length)) if length else None
+
+    def tell(self, well: bool, answer: object) -> None:
+        """Answer; not `well` with the exception that ends this worker."""
+        message = pickle.dumps((well, answer))
+        self.results.write(_LENGTH.pack(len(message)) + message)
+        self.results.flush()
+
+    def take_part(self, work: Work[Any], numbers: Numbers, slots: Floats | None = None) -> None:
+        """Work on numbers until none is left; `slots`: see `Worker`."""
+        turn = 0
+        while turn < AHEAD or self.listen() is not None:
+            number = numbers.take()
+            if number is None:
+                break
+            slot = turn % AHEAD
+            result = work(number, None if slots is None else slots[slot])
+            self.tell(True, (number, slot, result if slots is None else len(result)))
+            turn += 1
+
+
+def serve(calls: int, results: int, work: Callable[[Caller], None]) -> NoReturn:
+    """Be a worker: `work`, and stay until the pipe `calls` ends."""
     try:
         # Ctrl-C reaches all processes of a terminal: the one that calls decides what it means.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         with os.fdopen(calls, "rb") as heard, os.fdopen(results, "wb") as told:
-
-            def listen() -> bytes | None:
-                length = heard.read(_LENGTH.size)
-                return heard.read(*_LENGTH.unpack(length)) if length else None
-
-            def tell(well: bool, answer: object) -> None:
-                message = pickle.dumps((well, answer))
-                told.write(_LENGTH.pack(len(message)) + message)
-                told.flush()
-
-            def do(work: Work[Any], slots: Floats | None) -> None:
-                turn = 0
-                while turn < AHEAD or listen() is not None:
-                    number = numbers.take()
-                    if number is None:
-                        break
-                    slot = turn % AHEAD
-                    result = work(number, None if slots is None else slots[slot])
-                    tell(True, (number, slot, result if slots is None else len(result)))
-                    turn += 1
-
+            caller = Caller(heard, told)
             try:
-                if work is not None:
-                    do(work, None)
-                else:
-                    tell(True, None)
-                while (message := listen()) is not None:
-                    if not message:
-                        continue
-                    assert memory is not None
-                    try:
-                        job = Job.unpacked(message, memory, numbers)
-                        todo = job and (job.make(*job.arguments), job.slots(memory))
-                    except Exception:  # this process lacks something: the one that calls does all
-                        continue
-                    if todo is not None:
-                        do(*todo)
+                work(caller)
+                while caller.listen() is not None:
+                    pass
             except BaseException as error:
-                tell(False, error)
+                caller.tell(False, error)
     finally:
         os._exit(0)
