@@ -10,46 +10,57 @@ from pathlib import Path
 import numpy as np
 
 from tracer.arrays import Floats
+from tracer.helpers import Fill
 from tracer.workers import AHEAD, Work
 
 SHAPE = (AHEAD, 2, 3)
 
 
-def add(amount: float) -> Work[Floats]:
+def add(amount: float) -> Fill:
     """A job: arrays that say which number they are of, and which process made them."""
 
-    def work(number: int, slot: Floats | None) -> Floats:
+    def fill(number: int, slot: Floats) -> int:
         time.sleep(0.005)
-        out = np.empty(SHAPE[1:]) if slot is None else slot[: 1 + number % 2]
-        out[:] = number + amount, os.getpid(), 0
-        return out
+        rows = 1 + number % 2
+        slot[:rows] = number + amount, os.getpid(), 0
+        return rows
+
+    return fill
+
+
+def here(fill: Fill) -> Work[Floats]:
+    """The same, into new memory."""
+
+    def work(number: int) -> Floats:
+        slot = np.empty(SHAPE[1:])
+        return slot[: fill(number, slot)]
 
     return work
 
 
-def fail() -> Work[Floats]:
+def fail() -> Fill:
     """A job that cannot be done."""
 
-    def work(_number: int, _slot: Floats | None) -> Floats:
+    def fill(_number: int, _slot: Floats) -> int:
         raise MemoryError("too little")
 
-    return work
+    return fill
 
 
-def refuse() -> Work[Floats]:
+def refuse() -> Fill:
     """A job that cannot be begun."""
     raise MemoryError("too little")
 
 
-def die(first: int, path: Path) -> Work[Floats]:
+def die(first: int, path: Path) -> Fill:
     """A job, as `add(0)`, that ends one helper: whose is a number from the first on."""
-    work = add(0)
+    fill = add(0)
 
-    def dies(number: int, slot: Floats | None) -> Floats:
+    def dies(number: int, slot: Floats) -> int:
         with suppress(FileExistsError):
             if number >= first:
                 path.touch(exist_ok=False)
                 os._exit(1)
-        return work(number, slot)
+        return fill(number, slot)
 
     return dies

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs import SHAPE, add, die, fail, refuse
+from jobs import SHAPE, add, die, fail, here, refuse
 
 import tracer.helpers
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
@@ -43,7 +43,7 @@ def together(amount: float, others: int = 1, count: int = 40, wait: bool = True)
         while wait and not all(worker.joins() for worker in team.workers):
             time.sleep(0.01)
         who = []
-        for number, result in enumerate(team.results(add(amount))):
+        for number, result in enumerate(team.results(here(add(amount)))):
             assert result[0, 0] == number + amount
             who.append(int(result[0, 1]))
     return who
@@ -96,15 +96,15 @@ def test_one_picture_at_a_time_has_help() -> None:
         assert len(team.workers) == 1
         with helped(8, 1, Job(add, (2,), SHAPE), np.inf) as other:
             assert not other.workers
-            assert [a[0, 0] for a in other.results(add(2))] == list(range(2, 10))
-        assert [a[0, 0] for a in team.results(add(1))] == list(range(1, 9))
+            assert [a[0, 0] for a in other.results(here(add(2)))] == list(range(2, 10))
+        assert [a[0, 0] for a in team.results(here(add(1)))] == list(range(1, 9))
 
 
 def test_a_failing_helper_is_replaced() -> None:
     before = set(together(0.5))
     job = Job(fail, (), SHAPE)
     with pytest.raises(MemoryError, match="too little"), helped(200, 1, job, np.inf) as team:
-        list(team.results(add(0)))
+        list(team.results(here(add(0))))
     after = set(together(0.5))
     assert len(after) == 2
     assert before & after == {os.getpid()}
@@ -115,7 +115,7 @@ def test_a_helper_that_is_killed_is_done_without(others: int, first: int, tmp_pa
     before = set(together(0.5, others))
     job = Job(die, (first, tmp_path / "died"), SHAPE)
     with helped(40, others, job, np.inf) as team:
-        results = [a[0, 0] for a in team.results(add(0))]
+        results = [a[0, 0] for a in team.results(here(add(0)))]
     assert (tmp_path / "died").exists()
     assert results == list(range(40))
     # Nor does what the others were at come into the next picture.
@@ -127,7 +127,7 @@ def test_a_helper_that_is_killed_is_done_without(others: int, first: int, tmp_pa
 def test_a_helper_that_cannot_do_the_job() -> None:
     before = set(together(0.5))
     with helped(8, 1, Job(refuse, (), SHAPE), np.inf) as team:
-        assert [a[0, 0] for a in team.results(add(0))] == list(range(8))
+        assert [a[0, 0] for a in team.results(here(add(0)))] == list(range(8))
     assert set(together(0.5)) == before
 
 
@@ -161,7 +161,7 @@ def test_a_helper_that_was_killed_meanwhile_is_replaced() -> None:
 def test_leaving_early_ends_helpers() -> None:
     before = set(together(0.5))
     with suppress(KeyboardInterrupt), helped(20, 1, Job(add, (0,), SHAPE), np.inf) as team:
-        next(team.results(add(0)))
+        next(team.results(here(add(0))))
         raise KeyboardInterrupt
     assert set(together(0.5)) & before == {os.getpid()}
 
@@ -191,7 +191,7 @@ def test_a_job_that_is_over() -> None:
 def test_it_must_pay_to_start_one() -> None:
     def workers(load: float) -> int:
         with helped(8, 1, Job(add, (0,), SHAPE), load) as team:
-            list(team.results(add(0)))
+            list(team.results(here(add(0))))
         return len(team.workers)
 
     tracer.helpers._crew._load = 0.0

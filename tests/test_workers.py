@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import tracer.helpers
-from tracer.arrays import Floats
 from tracer.workers import Numbers, forked, keep_apart
 
 COUNT = 11
@@ -29,7 +28,7 @@ def no_helpers() -> None:
     tracer.helpers._crew.stop()
 
 
-def patiently(number: int, _: object = None) -> int:
+def patiently(number: int) -> int:
     """Take longer for some, so that workers get out of step."""
     time.sleep(0.01 * (number % 3))
     return number
@@ -102,7 +101,7 @@ def test_workers_keep_off_this_processor() -> None:
 
 
 def test_each_number_is_worked_on_once(tmp_path: Path) -> None:
-    def work(number: int, _: Floats | None) -> int:
+    def work(number: int) -> int:
         (tmp_path / f"{number} {os.getpid()}").touch()
         return patiently(number)
 
@@ -126,18 +125,18 @@ def test_numbers_of_a_round_that_is_over() -> None:
 
 
 def test_results_larger_than_a_pipe_holds() -> None:
-    def work(number: int, _: Floats | None) -> bytes:
+    def work(number: int) -> bytes:
         return bytes([number]) * 300_000
 
     with forked(work, COUNT, 2) as team:
-        assert list(team.results(work)) == [work(number, None) for number in range(COUNT)]
+        assert list(team.results(work)) == [work(number) for number in range(COUNT)]
 
 
 @pytest.mark.parametrize("here", [True, False])
 def test_an_error_is_raised_here(here: bool) -> None:
     process = os.getpid()
 
-    def fails(number: int, _: Floats | None) -> int:
+    def fails(number: int) -> int:
         if number > 3 and here == (os.getpid() == process):
             raise MemoryError("too little")
         return patiently(number)
@@ -152,7 +151,7 @@ def test_an_error_is_raised_here(here: bool) -> None:
 def test_what_a_killed_worker_had_taken_is_done_here(others: int, first: int) -> None:
     process = os.getpid()
 
-    def dies(number: int, _: Floats | None) -> int:
+    def dies(number: int) -> int:
         if number >= first and os.getpid() != process:
             os.kill(os.getpid(), signal.SIGKILL)
         return patiently(number)

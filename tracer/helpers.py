@@ -14,9 +14,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import cycle
 from math import prod
 from mmap import mmap
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from tracer.workers import (
     shared,
 )
 
-__all__ = ["Job", "helped", "run_helper"]
+__all__ = ["Fill", "Job", "helped", "run_helper"]
 
 # What a helper runs.  It imports this very package, even if the path has changed, or has '' in it
 # and the current folder has changed; all other modules it finds by this process's path.
@@ -60,19 +61,23 @@ _SHARED = 1 << 27
 _START = 1 << 23
 
 
+Fill: TypeAlias = Callable[[int, Floats], int]
+"""Writes the result for a number into the memory given, and returns how many rows it has."""
+
+
 class Job(NamedTuple):
     """What a process that has nothing of this one's memory is to do.
 
     Attributes
     ----------
     make, arguments
-        make(*arguments) returns the `Work`; `make` is a function of a module, and the arguments
+        make(*arguments) returns the `Fill`; `make` is a function of a module, and the arguments
         can be pickled.
     shape : (AHEAD, ...)
         Of the memory for its results.
     """
 
-    make: Callable[..., Work[Any]]
+    make: Callable[..., Fill]
     arguments: tuple[Any, ...]
     shape: tuple[int, ...]
 
@@ -101,11 +106,21 @@ class Job(NamedTuple):
         unpacked: Job | None = pickle.loads(job) if numbers.left() else None
         return unpacked
 
+    def work(self, memory: mmap) -> Work[tuple[int, int]]:
+        """What a helper does: results go into one slot after the other; which, and their rows."""
+        fill, slots = self.make(*self.arguments), cycle(enumerate(self.slots(memory)))
+
+        def work(number: int) -> tuple[int, int]:
+            place, slot = next(slots)
+            return place, fill(number, slot)
+
+        return work
+
 
 class _Helper(Worker):
     """A worker that is a new interpreter, and stays for the next picture."""
 
-    __slots__ = ("_here", "_memory", "_message", "_process")
+    __slots__ = ("_here", "_memory", "_message", "_process", "_slots")
 
     def __init__(self, numbers: int) -> None:
         """Start it; `numbers` is the file of the `Numbers` that it takes from."""
@@ -134,13 +149,13 @@ class _Helper(Worker):
     def begin(self, job: Job, round: int) -> None:
         """Prepare a job, which is sent as soon as the helper `joins`."""
         self._message = job.packed(round, self._memory)
-        self.slots = job.slots(self._memory)
+        self._slots = job.slots(self._memory)
 
     def joins(self) -> bool:
         """Whether it has started; if so, the job has been sent."""
         if self._here is False and readable([self.results], 0):
             try:
-                self.receive()
+                super().receive()
                 self._here = True
             except ChildProcessError:
                 self._here = None
@@ -151,6 +166,11 @@ class _Helper(Worker):
             self.send(self._message)
             self._message = b""
         return bool(self._here)
+
+    def receive(self) -> tuple[int, Floats]:
+        """Its next result, valid until it is told that this has been used; see `Worker`."""
+        number, (slot, rows) = super().receive()
+        return number, self._slots[slot, :rows]
 
     def died(self) -> bool:
         """Whether it has ended after it had started."""
@@ -275,10 +295,10 @@ def run_helper(calls: int, results: int, numbers: int, memory: int) -> None:
                 continue
             try:
                 job = Job.unpacked(message, shared, taken)
-                todo = job and (job.make(*job.arguments), taken, job.slots(shared))
+                work = job and job.work(shared)
             except Exception:  # this process lacks something: the one that calls does all
                 continue
-            if todo is not None:
-                caller.take_part(*todo)
+            if work is not None:
+                caller.take_part(work, taken)
 
     serve(calls, results, do_jobs)

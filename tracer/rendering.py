@@ -19,14 +19,14 @@ import numpy as np
 from tracer.antialias import antialiased, dense, splittings
 from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
-from tracer.helpers import Job, helped
+from tracer.helpers import Fill, Job, helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.outlines import frames_of
 from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
 from tracer.visibility import view_of
-from tracer.workers import AHEAD, Work, forked, processors
+from tracer.workers import AHEAD, forked, processors
 
 __all__ = ["render", "render_bands", "render_each"]
 
@@ -128,7 +128,7 @@ def render_each(
     bands = _Bands.of(picture, processes)
     renderer = _Renderer.of(bands)
 
-    def result(number: int, _: Floats | None) -> T:
+    def result(number: int) -> T:
         return work(renderer(number))
 
     with forked(result, bands.total, processes - 1) as team:
@@ -157,7 +157,7 @@ def _rendered(
     with helped(bands.total, processes - 1, job, load) as team:
         renderer = _Renderer.of(bands)
 
-        def work(number: int, _: Floats | None) -> Floats:
+        def work(number: int) -> Floats:
             return renderer(number, None if image is None else image[bands.rows(number)])
 
         for number, band in enumerate(team.results(work)):
@@ -362,15 +362,14 @@ class _Renderer(NamedTuple):
             radiance_at(self.lighting, samples, out.reshape(-1, 3).T)
 
 
-def _help(bands: _Bands) -> Work[Floats]:
+def _help(bands: _Bands) -> Fill:
     """What a helper does: render bands into the memory that it is given."""
     renderer = _Renderer.of(bands)
 
-    def work(number: int, slot: Floats | None) -> Floats:
-        assert slot is not None
+    def fill(number: int, slot: Floats) -> int:
         rows = bands.rows(number)
         out = slot[: rows.stop - rows.start]
         out[:, renderer.columns(number)] = 0
-        return renderer(number, out)
+        return len(renderer(number, out))
 
-    return work
+    return fill

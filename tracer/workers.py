@@ -24,7 +24,6 @@ from typing import IO, Any, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 
-from tracer.arrays import Floats
 from tracer.memory import renew_heap
 
 __all__ = [
@@ -46,8 +45,8 @@ __all__ = [
 
 T = TypeVar("T")
 
-Work: TypeAlias = Callable[[int, Floats | None], T]
-"""Does the part with a number; its result, if an array, goes into the memory given, if any is."""
+Work: TypeAlias = Callable[[int], T]
+"""Does the part with a number."""
 
 AHEAD = 4
 """How many results a process may have ready that have not been used yet."""
@@ -124,15 +123,12 @@ class Worker:
     ----------
     calls, results : int
         Pipes to it, and from it.
-    slots : (AHEAD, ...), optional
-        Memory that both share, for results that are arrays; others are pickled.
     """
 
-    __slots__ = ("calls", "results", "slots")
+    __slots__ = ("calls", "results")
 
     def __init__(self, calls: int, results: int) -> None:
         self.calls, self.results = calls, results
-        self.slots: Floats | None = None
 
     def joins(self) -> bool:
         """Whether it is ready to take part."""
@@ -214,17 +210,15 @@ class Team(NamedTuple):
                     own = self.take()
                     left = own is not None
                 if own is not None:
-                    done[own] = work(own, None), None
+                    done[own] = work(own), None
                     continue
                 for worker in self._answered(None):
                     try:
-                        place, slot, result = worker.receive()
+                        place, result = worker.receive()
                     except ChildProcessError:
                         # Which number it had taken is unknown: all that is not done is done here.
                         self.workers.clear()
                         break
-                    if worker.slots is not None:
-                        result = worker.slots[slot, :result]
                     done[place] = result, worker
             result, used = done.pop(number)
             yield result
@@ -365,17 +359,15 @@ class Caller(NamedTuple):
         self.results.write(_LENGTH.pack(len(message)) + message)
         self.results.flush()
 
-    def take_part(self, work: Work[Any], numbers: Numbers, slots: Floats | None = None) -> None:
-        """Work on numbers until none is left; `slots`: see `Worker`."""
-        turn = 0
-        while turn < AHEAD or self.listen() is not None:
+    def take_part(self, work: Work[Any], numbers: Numbers) -> None:
+        """Work on numbers until none is left."""
+        done = 0
+        while done < AHEAD or self.listen() is not None:
             number = numbers.take()
             if number is None:
                 break
-            slot = turn % AHEAD
-            result = work(number, None if slots is None else slots[slot])
-            self.tell(True, (number, slot, result if slots is None else len(result)))
-            turn += 1
+            self.tell(True, (number, work(number)))
+            done += 1
 
 
 def serve(calls: int, results: int, work: Callable[[Caller], None]) -> NoReturn:
