@@ -136,10 +136,9 @@ class Worker:
 
     def send(self, message: bytes = b"") -> None:
         """Send it a message; an empty one says that one of its results has been used."""
-        data = _LENGTH.pack(len(message)) + message
+        # All messages are far shorter than PIPE_BUF: a pipe takes them whole.
         with suppress(BrokenPipeError):  # it was killed: `receive` will tell
-            while data:
-                data = data[os.write(self.calls, data) :]
+            os.write(self.calls, _LENGTH.pack(len(message)) + message)
 
     def receive(self) -> Any:
         """Its next answer; raises the exception that ended its work, if that is the answer."""
