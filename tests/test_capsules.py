@@ -13,6 +13,7 @@ from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vecto
 from tracer import Box, Sphere, Surfaces
 from tracer.arrays import Bools, Floats
 from tracer.capsules import box_and_capsule, sphere_and_capsule
+from tracer.intersection import SURFACE_TOLERANCE
 
 SLACK = 1e-9
 """Of all sizes around: so much thicker than their balls capsules are asked for."""
@@ -156,6 +157,21 @@ def test_capsules_decide_often() -> None:
         decided = [(meets, cuts) for case, meets, cuts in found if isinstance(case.surface, kind)]
         assert np.mean([not meets for meets, _ in decided]) > 0.2
         assert np.mean([cuts for _, cuts in decided]) > 0.03
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("radius", [1.0, 2.0**20, 2.0**45])
+def test_ends_on_a_planet(radius: float) -> None:
+    # As near to it they count as on its surface, whatever the thickness: the pair's test decides.
+    rng = np.random.default_rng(1)
+    height = 2 * radius * SURFACE_TOLERANCE * rng.uniform(-1, 1, (2, 1000))
+    x, z = 1e-9 * radius * rng.normal(size=(2, 2, 1000))
+    center = np.zeros(1000), np.full(1000, -radius), np.zeros(1000)
+    start, end = zip(x, height, z, strict=True)
+    thickness = np.full(1000, 1e-30)
+    meets, cuts = sphere_and_capsule(start, end, thickness, center, np.full(1000, radius))
+    assert meets.all()
+    assert not cuts.any()
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**27, 2.0**40, 2.0**200])

@@ -36,15 +36,15 @@ def sphere_and_capsule(
     to_center = each(np.subtract, center, start)
     along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
     to_end2 = distance2 - 2 * along + length2
-    # Squared distance from the centre to the line, and how far that may be off.
+    # Squared distance from the centre to the line, and how far squares may be off.
     aside2, error = distance2 - along * along / length2, _CANCELLED * distance2
-    outer, inner = (radius + thickness) ** 2, np.maximum(radius - thickness, 0) ** 2
+    outer, inner = (radius + thickness) ** 2 + error, np.maximum(radius - thickness, 0) ** 2 - error
     from_start, from_end = distance2 > outer, to_end2 > outer
     before, behind = along < 0, along > length2
     around = np.maximum(distance2, to_end2) < inner
     # Where the segment is a point, `aside2` is NaN: the sphere does not cut it.
-    meets = ~((aside2 - error > outer) | (from_start & before) | (from_end & behind) | around)
-    cuts = from_start & ~(before | behind) & (aside2 + error < inner)
+    meets = ~((aside2 > outer) | (from_start & before) | (from_end & behind) | around)
+    cuts = from_start & ~(before | behind) & (aside2 < inner)
     return meets, cuts
 
 
