@@ -36,6 +36,7 @@ __all__ = [
     "entries",
     "equal_runs",
     "expand",
+    "index_where",
     "pick",
     "put",
     "ranges",
@@ -74,7 +75,7 @@ def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def select(value: T, index: Index) -> T:
+def select(value: T, index: Index | slice) -> T:
     """Some elements of an array; a single value stays as it is."""
     if np.ndim(value):  # type: ignore[arg-type]
         array: Any = value
@@ -83,7 +84,7 @@ def select(value: T, index: Index) -> T:
     return value
 
 
-def pick(vector: Triple, index: Index) -> Triple:
+def pick(vector: Triple, index: Index | slice) -> Triple:
     """`select`, for each component."""
     return select(vector[0], index), select(vector[1], index), select(vector[2], index)
 
@@ -100,6 +101,12 @@ def spread(value: T, counts: Ints | None) -> T:
         repeated: Any = np.repeat(array, counts)
         return repeated  # type: ignore[no-any-return]
     return value
+
+
+def index_where(mask: Bools) -> Ints | slice:
+    """Index of the elements where the mask holds; if everywhere, a slice, which copies nothing."""
+    index = np.flatnonzero(mask)
+    return slice(None) if index.size == mask.size else index
 
 
 def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:

@@ -14,6 +14,7 @@ from tracer.arrays import (
     Triple,
     dot,
     each,
+    index_where,
     pick,
     rows,
     scaled,
@@ -156,11 +157,14 @@ def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
             cosine = np.where(reached, cosine, 0.0)
         _add(fallen, intensity, cosine)
         if highlights.present:
-            at = np.flatnonzero(reached & highlights.glossy)
-            power = np.zeros(cosine.size)
-            power[at] = highlights.of_light(
+            at = index_where(reached & highlights.glossy)
+            power = highlights.of_light(
                 number, at, cosine[at], length[at], incoming.l_dot_p[number][at]
             )
+            if not isinstance(at, slice):
+                everywhere = np.zeros(cosine.size)
+                everywhere[at] = power
+                power = everywhere
             _add(mirrored, intensity, power)
     materials, shader = lighting.materials, lighting.shader[group.owner]
     radiance = _returned(fallen, materials.diffuse[:, shader], group)
@@ -245,16 +249,17 @@ class Highlights(NamedTuple):
         )
 
     def of_light(
-        self, number: int, at: Ints, cosine: Floats, length: Floats, l_dot_p: Floats
+        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
     ) -> Floats:
         """(n.h)^exponent of a light at the points `at`; what follows `at` is of these alone."""
         group, distance = self.group, self.distance[at]
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
-            p = rows(self.p, at[some])
+            place = some if isinstance(at, slice) else at[some]
+            p = rows(self.p, place)
             x, y, z = self.lighting.local[number].tolist()
             to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
-            return pick(group.n, at[some]), to_light, scaled(p, -1 / distance[some])
+            return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
 
         l_dot_v = l_dot_p / (-distance * length)
         return highlight(cosine, self.n_dot_v[at], l_dot_v, select(self.exponent, at), vectors)
