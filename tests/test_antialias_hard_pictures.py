@@ -431,6 +431,15 @@ def test_a_smooth_surface_in_large_pixels() -> None:
     )
 
 
+def test_light_on_a_ball_as_wide_as_a_pixel() -> None:
+    # No neighbour sees the ball, and its pixel's quarters do not all see it under the light.
+    camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=9, view_height=6)
+    ball = Sphere(center=(-0.35, -0.29, 0), radius=0.65)
+    lights = [PointLight(position=(1.4, 1.5, 5.5))]
+    scene = Scene(camera=camera, width=9, height=6, lights=lights, surfaces=[ball])
+    no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
+
+
 def test_a_surface_one_pixel_high() -> None:
     # A highlight bends from row to row, and no row beside it says how.
     half = (0.5 + 1 / 41) * 2 / 13

@@ -55,11 +55,11 @@ def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple
     (4 n,).
 
     Where all see the same, the cell's mean is that of its quarters' centres, plus a third of its
-    difference from the cell's centre (Richardson's extrapolation).
+    difference from the cell's centre (Richardson's extrapolation).  Elsewhere the error is NaN.
     """
     fine, keys = fine.reshape(3, -1, 4), keys.reshape(-1, 4)
     alike = (keys == key[:, None]).all(axis=1)
     bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
     # What this leaves out is of higher order in the cells' size; half of the correction covers it.
-    error = np.abs(bend).max(axis=0) / 2
+    error = np.where(alike, np.abs(bend).max(axis=0) / 2, np.nan)
     return np.repeat(bend, 4, axis=1), np.repeat(error, 4)
