@@ -19,20 +19,20 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
+__all__ = ["MOST_TURN", "SAME", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
 MOST_TURN = 0.2
 """A line that turns by less (in radians) across a cell passes for straight."""
+
+SAME = 0.02
+"""Lines that differ by no more than this count as one (c, and a and b, where `reach` is 1): a light
+near the eye throws its shadows right behind the outlines."""
 
 # The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
 _LEAST_SLOPE = 1e-4
 
 # An area, as a share of its cell, or a variance in it, that is nothing but rounding.
 _TINY = 1e-12
-
-# Lines that are nowhere farther apart than this, in cells, count as one: a light near the eye
-# throws its shadows right behind the outlines.
-_SAME = 0.02
 
 # A line is compared with fewer than this many of those sorted before it in its cell.
 _COMPARED = 6
@@ -91,7 +91,7 @@ class Lines(NamedTuple):
         mine, its = self._unit(), other._unit()
         sign = np.where(mine[0] * its[0] + mine[1] * its[1] < 0, -1.0, 1.0)
         a, b, c = (np.abs(sign * m - n) for m, n in zip(mine, its, strict=True))
-        differ: Bools = a + b + c > _SAME
+        differ: Bools = a + b + c > SAME
         return differ
 
     def _unit(self) -> Triple:

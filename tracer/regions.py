@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, equal_runs
-from tracer.edges import Kind, Lines
+from tracer.edges import SAME, Kind, Lines
 
 __all__ = ["Points", "post_stratified", "sides_of"]
 
@@ -64,11 +64,12 @@ def sides_of(lines: Lines) -> Points:
     )
     x /= np.maximum(shares, _NOTHING)
     y /= np.maximum(shares, _NOTHING)
-    # The cell's middle is on the side that has the sign of c.  The look covers both sides of a
-    # shadow's edge.
+    # The cell's middle is on the side that has the sign of c, unless another line that counts as
+    # the same divides them: a floor ends in several at the horizon.  The look covers both sides of
+    # a shadow's edge.
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
-    beyond = other & (side * np.tile(lines.c, 2) <= 0)
+    beyond = other & (side * np.tile(lines.c, 2) <= SAME * np.tile(lines.reach(), 2))
     limb = np.flatnonzero(lines.kind == Kind.LIMB)
     within = share.size + limb
     shares[within] = 0  # two points stand for that side
