@@ -1,9 +1,9 @@
 """Capsules, all that is within a thickness of a segment, against spheres and boxes.
 
 A capsule from the centre of a ball to a light holds all segments from the ball to the light.  An
-object that misses it shades nothing of the ball, and one that cuts right through shades all of it:
-a bundle of rays is tested at once, as by shafts (Haines and Wallace, Shaft culling, 1991).  Answers
-are on the safe side of rounding.
+object that misses it, or holds all of it inside, shades nothing of the ball; one that cuts right
+through shades all of it: a bundle of rays is tested at once, as by shafts (Haines and Wallace,
+Shaft culling, 1991).  Answers are on the safe side of rounding.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tracer.arrays import Bools, Floats, Triple, dot, each
 __all__ = ["box_and_capsule", "sphere_and_capsule"]
 
 # A squared distance from a line is the difference of two.  This part of the larger is more than
-# rounding, and more than a point on a sphere may be off by `SURFACE_TOLERANCE`.
+# rounding, and more than what counts as on a sphere may be off it: see `SURFACE_TOLERANCE`.
 _CANCELLED = 1e-13
 
 # What replaces a zero component of a direction, relative to the lengths around it.

@@ -186,11 +186,11 @@ def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> 
 def _in_octant(
     number: int, low: Iterable[Floats], high: Iterable[Floats]
 ) -> tuple[Ints, Floats, Floats]:
-    """What reaches into an octant, given bounds of the ways to the light from what it holds.
+    """What reaches into an octant, of all whose ways to the light are from `low` to `high`.
 
-    Which, its octahedral coordinates (least and greatest of both, (4, n)), and its greatest
-    distance from the light (1-norm).  Bit k of the octant's number is set where ways to the light
-    are negative along axis k.
+    Which of them, their octahedral coordinates there (least and greatest of both, (4, n)), and
+    their greatest distances from the light (1-norm).  Bit k of the octant's number is set where
+    ways to the light are negative along axis k.
     """
     ends = [
         (-most, -least) if number >> k & 1 else (least, most)
@@ -221,7 +221,7 @@ def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
 
 
 def _cells(bounds: Floats, side: int) -> tuple[Ints, Ints, Ints]:
-    """Pairs of a rectangle (4, n) and a cell of `side` x `side` that it reaches; their counts."""
+    """Pairs of a rectangle (4, n) and a cell of `side` x `side` it reaches; cells of each."""
     left, right, top, bottom = np.clip(bounds, 0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.

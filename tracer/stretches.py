@@ -2,9 +2,9 @@
 
 Points are held by balls: around whole objects, then around what is seen of one in
 a block and in a tile of the picture, at last around stretches of neighbouring points.
-All segments from a ball to a light lie in a capsule.  An object that misses it casts
-no shadow there; the others go on to the next finer step.  One that cuts the capsule of
-a stretch certainly shades all of it.
+All segments from a ball to a light lie in a capsule.  An object that misses it, or holds
+all of it inside, casts no shadow there; the others go on to the next finer step.  One that
+cuts the capsule of a stretch certainly shades all of it.
 """
 
 from __future__ import annotations
