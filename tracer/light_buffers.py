@@ -507,9 +507,10 @@ def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
 def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     """Fill the cells around all lights."""
     surfaces, slack = occluders.surfaces, occluders.slack
-    center, radius = surfaces.center.T, surfaces.radius
-    low = np.concatenate([center - radius, surfaces.min_pt.T], axis=1) - slack
-    high = np.concatenate([center + radius, surfaces.max_pt.T], axis=1) + slack
+    center, radius = surfaces.center, surfaces.radius[:, None]
+    # A row for each axis, in one piece: of columns, minima take ten times as long.
+    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
+    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
     buffers = (
         _buffer_around(light, low, high, surfaces, occluders.seen) for light in occluders.lights
     )
