@@ -11,7 +11,7 @@ from random_objects import triple, unit, unit_vectors
 
 from tracer import Lambertian, Surfaces
 from tracer.arrays import Bools, Floats, Triple
-from tracer.edges import Kind, Lines, Pencil, joined
+from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.intersection import box_hit
 from tracer.outlines import box_corners, silhouette_planes
 
@@ -215,3 +215,33 @@ def test_a_line_in_place_of_a_flat_arc_leaves_its_area_as_it_is(
 def test_a_disc_with_both_sides_in_a_cell_is_no_line() -> None:
     assert np.isinf(a_disc_in_a_cell(0.1, 0.12)[1])
     assert not np.isinf(a_disc_in_a_cell(10.0, 10.1)[1])
+
+
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("narrow", [0.3, 1, 2.5])
+def test_lines_of_discs_across_cells_of_all_shapes(narrow: float) -> None:
+    # Long, narrow cells enter a disc and leave it again, beside where they come nearest to it.
+    rng = np.random.default_rng(0)
+    count, far = 20_000, 1e5
+    length = 10 ** rng.uniform(-1.3, 1, count)
+    width = length * 10 ** -rng.uniform(0, narrow, count)
+    at, along = rng.uniform(0, 2 * np.pi, (2, count))
+    aside = along + rng.uniform(0.05, np.pi - 0.05, count)
+    zero, one = np.zeros(count), np.ones(count)
+    across = length * np.cos(along), length * np.sin(along), zero
+    down = width * np.cos(aside), width * np.sin(aside), zero
+    # Some place in or beside the cell lies on the outline.
+    x, y = rng.uniform(-0.62, 0.62, (2, count))
+    ray = tuple(
+        m - a * x - b * y
+        for m, a, b in zip((np.cos(at), np.sin(at), far * one), across, down, strict=True)
+    )
+    pencil = Pencil(Kind.EDGE, np.arange(count), (ray[0], ray[1], ray[2]), across, down)
+    lines, turn, near = pencil.discs((zero, zero, far * one), one)
+    straight = np.flatnonzero(~(near & (turn > MOST_TURN)))
+    share = 1 - lines.take(straight).areas_and_moments()[0]
+    expected = np.zeros(straight.size)
+    for x, y in zip(*spread(1000), strict=True):
+        expected += np.hypot(*(ray[k] + across[k] * x + down[k] * y for k in (0, 1)))[straight] < 1
+    assert share == pytest.approx(expected / 1000, abs=0.06)
+    assert np.mean(near & (turn > MOST_TURN)) < 0.6

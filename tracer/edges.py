@@ -267,22 +267,32 @@ class Pencil(NamedTuple):
         half = 0.5 * (np.sqrt(a * a + turn_a * turn_a) + np.sqrt(b * b + turn_b * turn_b))
         within = ~(np.abs(c) >= half)
         size = np.sqrt(a * a + b * b)
-        # Where the disc's other side reaches into the cell as well there is a second line: the
-        # nearer, the more the steepest way in the cell leads past the disc's centre.
+        # Across the rays the disc is a circle.  On the steepest way in the cell c changes by u, and
+        # the line is met where bent u^2 + 2 u + level = 0, or nearly met where the root is of less
+        # than zero.  The tangent is taken there, or at the rim before it.
         aside = a * turn_a + b * turn_b
-        reach = 0.5 * (np.abs(a) + np.abs(b)) * (1 + (aside / (size * size)) ** 2)
-        both = ~((distance + radius) * scale >= reach * np.abs(along))
-        # The tangent is taken where the line is nearest to the cell's middle, or at the rim before
-        # it: on the way there the arc has turned.
+        bent = curvature * (1 + (aside / (size * size)) ** 2)
+        level = c * (2 - c * curvature)
+        met = -level / (1 + np.sqrt(np.abs(1 - bent * level)))
         most = 0.5 / np.maximum(np.abs(a), np.abs(b))
-        turned = np.clip(-c / (size * size), -most, most) * aside
-        a, b = a + turn_a * turned * curvature, b + turn_b * turned * curvature
-        c -= turned * turned * curvature / 2
+        step = np.clip(met / (size * size), -most, most)
+        u, v = step * size * size, step * aside
+        # There the disc's centre is in another direction, and so many times as far away.
+        cosine, sine = 1 + u * curvature, v * curvature
+        times = np.sqrt(cosine * cosine + sine * sine)
+        cosine, sine = cosine / times, sine / times
+        c += (u * (2 + u * curvature) + v * v * curvature) / (1 + times) - u * cosine - v * sine
+        a, turn_a = a * cosine + turn_a * sine, turn_a * cosine - a * sine
+        b, turn_b = b * cosine + turn_b * sine, turn_b * cosine - b * sine
         size = np.sqrt(a * a + b * b)
-        sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature
+        sagging = ((b * turn_a - a * turn_b) / size) ** 2 * curvature / times
         # On average over the length of a cell, a flat arc lies this far inside its tangent.
         c += np.where(np.abs(sagging) < size, sagging / 24, 0)
         lines = self._lines(a, b, c)
+        # Where the steepest way from there leaves the disc within the cell, there is a second line.
+        aside = (a * turn_a + b * turn_b) / (size * size)
+        farther = (lines.reach() - c) * (1 + aside * aside)
+        both = ~(2 * radius * scale >= farther * np.abs(along))
         turned = np.abs(sagging) / size + lines.turn(sagitta_error(out, self.sagitta))
         turn = np.where(both, np.inf, turned)
         return lines, turn, lines.crosses() | (within & (turn > MOST_TURN))
