@@ -467,9 +467,9 @@ class Contents:
         self.no_attributes(element)
         self.no_children(element)
         text = element.text or ""
-        words, right = _words(text), _mended(text, count)
+        words = _words(text)
         wrong = [word for word in words if not _is_decimal(word)]
-        if wrong and right:
+        if wrong and (right := _mended(text, count)):
             self.fault(element, f"{element.tag}: has {_odd(text)}; write it as {quoted(right)}")
         elif wrong:
             remedy = "write it as 2, -.5 or 1e-3"
