@@ -203,9 +203,10 @@ class TestWhatIsThereAlready:
         [
             ([np.zeros((1, 4, 3))], ValueError),  # too few rows
             ([np.zeros((4, 4, 3))], ValueError),  # too many
+            ([np.zeros((3, 5, 3))], ValueError),  # too wide
             ([np.full((3, 4, 3), np.nan)], ValueError),
         ],
-        ids=["few", "many", "nan"],
+        ids=["few", "many", "wide", "nan"],
     )
     def test_wrong_bands(self, picture, bands, error):
         with pytest.raises(error):

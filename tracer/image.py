@@ -145,7 +145,7 @@ class Packed(NamedTuple):
 
     Attributes
     ----------
-    rows : int
+    rows, width : int
     data : bytes
         Deflate blocks (RFC 1951) that end on a byte, none of them the last.
     check : int
@@ -153,6 +153,7 @@ class Packed(NamedTuple):
     """
 
     rows: int
+    width: int
     data: bytes
     check: int
 
@@ -174,7 +175,7 @@ def packed(band: Floats) -> Packed:
     # Level 3 takes no longer than 1.
     stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
     data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
-    return Packed(rows, data, zlib.adler32(lines.data))
+    return Packed(rows, width, data, zlib.adler32(lines.data))
 
 
 def write_bands(
@@ -192,7 +193,7 @@ def write_bands(
     Raises
     ------
     ValueError
-        For a picture of no pixels, or bands of more or fewer rows.
+        For a picture of no pixels, or bands that do not make it up.
     OSError
         If the file cannot be written, or what is there is no PNG file.
     """
@@ -205,10 +206,13 @@ def write_bands(
         # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
         start, check, written = b"\x78\x5e", 1, 0
         for band in bands:
-            _write_chunk(file, b"IDAT", start + band.data)
             written += band.rows
+            if band.width != width or written > height:
+                size = f"{band.rows} rows of {band.width} pixels"
+                raise ValueError(f"a band of {size} does not fit {width} x {height}")
+            _write_chunk(file, b"IDAT", start + band.data)
             start, check = b"", _adler_of_both(check, band.check, band.rows * (1 + 3 * width))
-        if written != height:
+        if written < height:
             raise ValueError(f"the bands have {written} rows, not {height}")
         _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
         _write_chunk(file, b"IEND", b"")
