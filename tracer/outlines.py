@@ -167,7 +167,6 @@ class Outlines(NamedTuple):
 
     Attributes
     ----------
-    raster : Raster
     center, radius, power : three (s,), (s,), (s,)
         Of spheres: seen from the eye, in the camera's axes; power is
         |centre|^2 - radius^2, as in `Disc`.
@@ -177,12 +176,16 @@ class Outlines(NamedTuple):
         Of all objects, spheres first.
     """
 
-    raster: Raster
     center: Triple
     radius: Floats
     power: Floats
     planes: Triple
     frames: Frames
+
+    @property
+    def raster(self) -> Raster:
+        """The picture's."""
+        return self.frames.raster
 
     def sphere_spans(self, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
         """Spans of the spheres in rows that begin at `rows` (ascending, pixels from the top).
@@ -324,7 +327,6 @@ def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
     min_pt, max_pt = surfaces.min_pt, surfaces.max_pt
     corners = _local_corners(raster, min_pt, max_pt)
     return Outlines(
-        raster=raster,
         center=center,
         radius=radius,
         power=power_of(np.sqrt(dot(center, center)), radius),
