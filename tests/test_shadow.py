@@ -15,6 +15,7 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, PointLight, Scene, Sphere, antialias, render, shadow
 from tracer.arrays import Bools, Floats
+from tracer.intersection import INSIDE
 from tracer.occluders import Candidates, Occluders, candidates_by_kind
 from tracer.shadow import Shadows
 from tracer.shadow_cache import ShadowEdges
@@ -91,7 +92,7 @@ def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPa
             for point, light, occluder in listed(expected) - listed(found):
                 # A ball or box around a light and all points shades none of them; and some objects
                 # cannot shade what is seen of others.
-                around = self.occluders.light_inside[light, occluder]
+                around = self.occluders.side[light, occluder] == INSIDE
                 assert around or not may_shade(self.finder, light, hits.own[point], occluder)
         return blocked, found
 

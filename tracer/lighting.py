@@ -20,6 +20,7 @@ from tracer.arrays import (
     scaled,
     select,
 )
+from tracer.intersection import INSIDE
 from tracer.occluders import occluders_of
 from tracer.sampling import Samples
 from tracer.scene import Scene
@@ -116,7 +117,7 @@ def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
     occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
     result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
-        kept_out = occluders.eye_inside & ~occluders.light_inside[number]
+        kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
             n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges, spread
-from tracer.intersection import INSIDE, SURFACE_TOLERANCE, sphere_side
+from tracer.intersection import INSIDE, OUTSIDE, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
 from tracer.visibility import Hits, View
 
@@ -42,11 +42,9 @@ class Occluders(NamedTuple):
     surfaces : Surfaces
     eye : (3,)
     lights : (lights, 3)
-    side : (lights, spheres)
-        Where each light is to each sphere: `OUTSIDE`, `ON` or `INSIDE`.
-    light_inside : (lights, n)
-        Whether each light is inside each object.
-    on_plane : (lights, n)
+    side : (lights, n)
+        Where each light is to each object: `OUTSIDE` or `INSIDE`, of spheres also `ON`.
+    on_plane : (lights, boxes)
         Whether each light may lie in the plane of a box's face.
     eye_inside, seen : (n,)
         Which surfaces are seen from inside, and which may be seen at all.
@@ -62,7 +60,6 @@ class Occluders(NamedTuple):
     eye: Floats
     lights: Floats
     side: NDArray[np.int8]
-    light_inside: Bools
     on_plane: Bools
     eye_inside: Bools
     seen: Bools
@@ -204,34 +201,32 @@ def candidates_by_kind(
 def occluders_of(view: View, lights: Floats) -> Occluders:
     """Gather spheres and boxes, and lights (n, 3)."""
     surfaces, eye = view.surfaces, view.raster.eye
-    center, radius = surfaces.center, surfaces.radius
-    corner = np.maximum(np.abs(surfaces.min_pt), np.abs(surfaces.max_pt))
-    half = 0.5 * np.sqrt(((surfaces.max_pt - surfaces.min_pt) ** 2).sum(axis=1))
-    middle = np.concatenate([center, 0.5 * (surfaces.min_pt + surfaces.max_pt)])
+    center, radius, low, high = surfaces.center, surfaces.radius, surfaces.min_pt, surfaces.max_pt
+    half = 0.5 * np.sqrt(((high - low) ** 2).sum(axis=1))
+    corner = np.maximum(np.abs(low), np.abs(high))
     size = np.concatenate([np.abs(center).sum(axis=1) + radius, corner.sum(axis=1)])
     slack = SLACK * (size + np.abs(eye).sum())
     away = center - lights[:, None, :]
-    around = np.abs(lights).sum(axis=1)[:, None] + size[: radius.size]
     distance = np.sqrt((away * away).sum(axis=2))
+    around = np.abs(lights).sum(axis=1)[:, None] + size[: radius.size]
     inside = np.ones((len(lights), len(half)), dtype=np.bool_)
-    on_plane = np.zeros((len(lights), size.size), dtype=np.bool_)
+    on_plane = ~inside
     for k in range(3):
-        place, low, high = lights[:, k, None], surfaces.min_pt[:, k], surfaces.max_pt[:, k]
-        inside &= (low < place) & (place < high)
+        place, first, last = lights[:, k, None], low[:, k], high[:, k]
+        inside &= (first < place) & (place < last)
         reach = slack[radius.size :] + SLACK * np.abs(place)
-        for plane in (low, high):
-            on_plane[:, radius.size :] |= np.abs(place - plane) <= reach
-    side = sphere_side(distance, radius, SURFACE_TOLERANCE * around)
+        on_plane |= (np.abs(place - first) <= reach) | (np.abs(place - last) <= reach)
+    of_spheres = sphere_side(distance, radius, SURFACE_TOLERANCE * around)
+    of_boxes = np.where(inside, INSIDE, OUTSIDE).astype(np.int8)
     return Occluders(
         surfaces=surfaces,
         eye=eye,
         lights=lights,
-        side=side,
-        light_inside=np.concatenate([side == INSIDE, inside], axis=1),
+        side=np.concatenate([of_spheres, of_boxes], axis=1),
         on_plane=on_plane,
         eye_inside=view.eye_inside,
         seen=view.outlines.frames.in_picture(),
-        middle=columns(middle, slice(None)),
+        middle=columns(np.concatenate([center, 0.5 * (low + high)]), slice(None)),
         radius=np.concatenate([radius, half]),
         size=size,
         slack=slack,

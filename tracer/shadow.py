@@ -18,6 +18,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, columns, dot, each, entries, pick, put
 from tracer.camera import Raster
 from tracer.intersection import (
+    INSIDE,
     ON,
     OUTSIDE,
     SURFACE_TOLERANCE,
@@ -91,8 +92,7 @@ class Shadows(NamedTuple):
             # says nothing.
             shrunk = itself & self._blocks(hits, single, pairs, -reach)
             # Nor does that of a sphere with the light on its surface.
-            if not self._of_boxes(single):
-                shrunk &= entries(self.occluders.side, pairs.light, pairs.occluder) != ON
+            shrunk &= entries(self.occluders.side, pairs.light, pairs.occluder) != ON
             put(blocked, pairs.light[itself], pairs.point[itself], True)
             put(solid, pairs.light[shrunk], pairs.point[shrunk], True)
             changes = grown | itself | (np.abs(gap) <= reach)
@@ -218,7 +218,8 @@ class Shadows(NamedTuple):
         """Whether balls, or their lights, touch the plane of a face of their boxes."""
         occluders, balls = self.occluders, candidates.balls
         reach = balls.radius + occluders.slack[candidates.occluder]
-        result = entries(occluders.on_plane, candidates.light, candidates.occluder)
+        box = candidates.occluder - occluders.surfaces.sphere_count
+        result = entries(occluders.on_plane, candidates.light, box)
         for middle, a, b in zip(balls.middle, low, high, strict=True):
             # The distance from the nearer of the two planes.
             offset = np.abs(middle - 0.5 * (a + b))
@@ -238,7 +239,7 @@ class Shadows(NamedTuple):
         occluders = self.occluders
         reach = np.abs(occluders.lights).sum(axis=1)[pairs.light]
         at_light = SURFACE_TOLERANCE * (reach + occluders.size[pairs.occluder])
-        inside = entries(occluders.light_inside, pairs.light, pairs.occluder)
+        inside = entries(occluders.side, pairs.light, pairs.occluder) == INSIDE
         return np.where(inside, tolerance, np.maximum(tolerance, at_light))
 
 

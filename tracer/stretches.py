@@ -128,7 +128,7 @@ class _Search(NamedTuple):
         self, lists: _OccluderLists, blocks: Balls, tiles: Balls
     ) -> tuple[Ints, Ints, Ints]:
         """Lights, tiles, and objects that may come between: by blocks, then by their tiles."""
-        lights, objects = self.occluders.light_inside.shape
+        lights, objects = self.occluders.side.shape
         # A row of keys for each light, with one for each block.
         key = np.add.outer(np.arange(lights) * objects, blocks.owner).ravel()
         place, listed = expand(lists.first[key + 1] - lists.first[key], lists.first[key])
@@ -287,7 +287,7 @@ def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
     """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
     lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
     around_light = SLACK * np.abs(lights).sum(axis=1)
-    light, own = (m.ravel() for m in np.indices(occluders.light_inside.shape))
+    light, own = (m.ravel() for m in np.indices(occluders.side.shape))
     step = max(1, _OBJECT_PAIRS // occluder.size)
     counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
     # A row for each light and each object it may light, a column for each that may shade it.
