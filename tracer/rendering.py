@@ -257,7 +257,7 @@ class _Bands(NamedTuple):
     tops : list of int
         The first row of each band; then the picture's height.
     at_once : int
-        Of a row, at most this many pixels are rendered together.
+        At most this many pixels are rendered together.
     """
 
     picture: _Picture
@@ -333,33 +333,28 @@ class _Renderer(NamedTuple):
         here, (rows, columns) = self.bands.rows(number), self.window
         return columns if here.start < rows.stop and rows.start < here.stop else slice(0, 0)
 
+    @_QUIET
     def __call__(self, number: int, out: Floats | None = None) -> Floats:
         """Radiance (rows, width, 3) of a band; written into `out`, zeros, if that is given."""
-        width, rows = self.bands.picture.scene.width, self.bands.rows(number)
-        height = rows.stop - rows.start
+        picture, rows = self.bands.picture, self.bands.rows(number)
+        width, lattice = picture.scene.width, picture.lattice
         if out is None:
-            out = np.zeros((height, width, 3))
-        if self.columns(number).stop:
-            at_once = self.lighting.view.at_once(height * width)
-            tall, wide = max(1, at_once // width), min(at_once, self.bands.at_once)
-            for top, left in product(range(0, height, tall), range(0, width, wide)):
-                below, right = min(top + tall, height), min(left + wide, width)
-                here, columns = slice(rows.start + top, rows.start + below), slice(left, right)
-                self._part(here, columns, out[top:below, columns])
+            out = np.zeros((rows.stop - rows.start, width, 3))
+        if not self.columns(number).stop:
+            return out
+        at_once = self.lighting.view.at_once(self.bands.at_once)
+        tall = max(1, at_once // width)
+        for top, left in product(range(rows.start, rows.stop, tall), range(0, width, at_once)):
+            part = out[top - rows.start :][:tall, left : left + at_once]
+            here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
+            if picture.split:
+                antialiased(self.lighting, *here, picture.per_side, part)
+            elif lattice.size > 1:
+                radiance = radiance_at(self.lighting, lattice.samples(*here))
+                part[:] = lattice.mean(radiance, part.shape[1])
+            else:
+                radiance_at(self.lighting, lattice.samples(*here), part.reshape(-1, 3).T)
         return out
-
-    @_QUIET
-    def _part(self, rows: slice, columns: slice, out: Floats) -> None:
-        picture = self.bands.picture
-        if picture.split:
-            antialiased(self.lighting, rows, columns, picture.per_side, out)
-            return
-        lattice = picture.lattice
-        samples = lattice.samples(rows, columns)
-        if lattice.size > 1:
-            out[:] = lattice.mean(radiance_at(self.lighting, samples), out.shape[1])
-        else:
-            radiance_at(self.lighting, samples, out.reshape(-1, 3).T)
 
 
 def _help(bands: _Bands) -> Fill:
