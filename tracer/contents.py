@@ -587,16 +587,12 @@ class Contents:
     def all_surfaces(self) -> Surfaces:
         """All surfaces, checked whole; none after a fault."""
         spheres, boxes = self.spheres, self.boxes
-        center, radius = spheres.columns.values()
-        min_pt, max_pt = boxes.columns.values()
+        columns = {**spheres.columns, **boxes.columns}
         try:
             return Surfaces(
-                center=center.numbers,
-                radius=radius.numbers,
+                **{name: column.numbers for name, column in columns.items()},
                 sphere_shader=spheres.shader,
                 sphere_index=spheres.index,
-                min_pt=min_pt.numbers,
-                max_pt=max_pt.numbers,
                 box_shader=boxes.shader,
                 box_index=boxes.index,
                 shaders=tuple(shader or Lambertian() for shader in self.shaders),
@@ -604,7 +600,7 @@ class Contents:
         except SceneError as error:
             for fault in error.faults:
                 rows = spheres if fault.field in spheres.columns else boxes
-                column = rows.columns[fault.field]
+                column = columns[fault.field]
                 row, count = bisect_left(rows.index, fault.surface or 0), len(column.default)
                 if not _unread(column.numbers[row * count : (row + 1) * count]):
                     line = column.lines[row] if self.faults.lined else 0
