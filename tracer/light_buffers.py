@@ -133,8 +133,7 @@ class LightBuffer(NamedTuple):
     def around(self, to_light: Triple, radius: Floats) -> tuple[Floats, Ints, Ints, Bounds]:
         """Balls' greatest distances (1-norm), pairs of ball and cell it reaches, and bounds."""
         low, high = each(lambda m: m - radius, to_light), each(lambda m: m + radius, to_light)
-        none = np.zeros(0, dtype=np.intp)
-        balls, cells, reaches = [none], [none], [_query_bounds(*np.zeros((4, 0)))]
+        balls, cells, reaches = [], [], []
         for number in range(8):
             ball, bounds, _ = _in_octant(number, low, high)
             bounds = _to_cells(bounds, self.scale[:, number], self.shift[:, number])
