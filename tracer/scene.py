@@ -86,207 +86,6 @@ class SceneError(ValueError):
         return type(self), (self.faults,), self.__dict__
 
 
-# From a value as given to the one to keep; told the parameter's name, it adds to the faults.
-_Check: TypeAlias = Callable[[Any, str, list[Fault]], Any]
-
-
-def _checked(made: object, **checks: _Check) -> list[Fault]:
-    """Set fields of a frozen dataclass to what their checks make of them; return all faults."""
-    faults: list[Fault] = []
-    for name, check in checks.items():
-        object.__setattr__(made, name, check(getattr(made, name), name, faults))
-    return faults
-
-
-def _raise_any(faults: Sequence[Fault]) -> None:
-    if faults:
-        raise SceneError(faults)
-
-
-_NUMPY = np.ndarray, np.generic
-
-
-def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
-    """As an array; None after a fault."""
-    try:
-        # NumPy would make these NaN, or drop a part of them.
-        if value is None or (isinstance(value, _NUMPY) and value.dtype.kind in "cmM"):
-            raise TypeError
-        return np.asarray(value, dtype=np.float64)
-    except OverflowError:
-        faults.append(Fault(name, "must be finite"))
-    except (TypeError, ValueError):
-        faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
-    return None
-
-
-def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    array = _floats(value, name, faults)
-    if array is None:
-        pass  # told already
-    elif array.shape != (3,):
-        has = array.size if array.ndim < 2 else f"shape {array.shape}"
-        faults.append(Fault(name, f"needs 3 numbers, has {has}"))
-    elif not np.isfinite(array).all():
-        faults.append(Fault(name, "must be finite"))
-    else:
-        x, y, z = array.tolist()
-        return (x, y, z)
-    # In place of what is at fault: a point, a direction and a colour with no fault to add.
-    return (0.0, 0.0, 1.0)
-
-
-def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    """Rows (n, k) of lengths or coordinates too large or too small to compute with.
-
-    `index` (n,): of the surface that each row is of.
-    """
-    size = np.abs(lengths)
-    # What is not finite is another fault.
-    wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        k = wrong[i].argmax()
-        too = "large" if size[i, k] > 1 else "small"
-        limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
-        yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))
-
-
-def _positive_faults(name: str, values: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    for i in np.flatnonzero(~((values > 0) & (values < np.inf))).tolist():
-        yield Fault(name, f"must be positive and finite, is {number(values[i])}", index.item(i))
-    yield from _size_faults(name, values[:, None], index)
-
-
-def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
-    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
-        yield Fault(name, "must be finite", index.item(i))
-    yield from _size_faults(name, points, index)
-
-
-# The index of what is none of many.
-_ALONE = np.array([None])
-
-
-def _point(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    point = _vector(value, name, faults)
-    faults += _size_faults(name, np.array([point]), _ALONE)
-    return point
-
-
-def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    vector = _vector(value, name, faults)
-    if vector == (0.0, 0.0, 0.0):
-        faults.append(Fault(name, "must not be the zero vector"))
-    return vector
-
-
-def _color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    color = _vector(value, name, faults)
-    if min(color) < 0:
-        faults.append(Fault(name, f"must not be negative, has {number(min(color))}"))
-    return color
-
-
-def _number(value: float, name: str, faults: list[Fault]) -> float:
-    array = _floats(value, name, faults)
-    if array is None:
-        return 1.0
-    if array.size != 1:
-        faults.append(Fault(name, f"must be a single number, has {array.size}"))
-        return 1.0
-    return array.item()
-
-
-def _positive(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    faults += _positive_faults(name, np.array([value]), _ALONE)
-    return value
-
-
-def _not_negative(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    if not (0 <= value < np.inf):
-        faults.append(Fault(name, f"must be finite and not negative, is {number(value)}"))
-    return value
-
-
-def _one_of(*types: type) -> _Check:
-    def check(value: object, name: str, faults: list[Fault]) -> object:
-        if not isinstance(value, types):
-            right = " or ".join(each.__name__ for each in types)
-            wrong = f"must be of type {right}, is of type {type(value).__name__}"
-            faults.append(Fault(name, wrong))
-        return value
-
-    return check
-
-
-def _list_of(*types: type) -> _Check:
-    check_one = _one_of(*types)
-
-    def check(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
-        try:
-            parts = tuple(values)
-        except TypeError:
-            faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
-            return ()
-        for part in {type(part): part for part in parts}.values():
-            check_one(part, name, faults)
-        return parts
-
-    return check
-
-
-def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n, 3)."""
-    array = _floats(value, name, faults)
-    if array is not None and (array.size % 3 or array.shape[1:] not in ((), (3,))):
-        faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
-        array = None
-    return np.zeros((0, 3)) if array is None else array.reshape(-1, 3).copy()
-
-
-def _values(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n,)."""
-    array = _floats(value, name, faults)
-    return np.zeros(0) if array is None else array.flatten()
-
-
-def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
-    """A copy as (n,)."""
-    given = _values(value, name, faults)
-    with np.errstate(invalid="ignore"):
-        array = given.astype(np.intp)
-    if not np.array_equal(array, given):
-        faults.append(Fault(name, "must be whole numbers"))
-    return array
-
-
-def _size(value: int, name: str, faults: list[Fault]) -> int:
-    """The size as a Python int: products of NumPy's integers may overflow."""
-    try:
-        size = int(operator.index(value))
-    except TypeError:
-        faults.append(Fault(name, f"must be an int, is {value!r}"))
-        return 1
-    # A message leaves out what may have more digits than float() or str() accepts.
-    if size < 1:
-        has = f", is {size}" if size > -MAX_PIXELS else ""
-        faults.append(Fault(name, f"must be a whole number of at least 1{has}"))
-    elif size > MAX_PIXELS:
-        faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
-    return size
-
-
-@np.errstate(under="ignore")
-def unit(vector: ArrayLike) -> Floats:
-    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
-    array = np.asarray(vector, dtype=np.float64)
-    # By a power of two: exact, so that scaled scenes stay bit-identical.
-    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
-    return array / np.sqrt(array @ array)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """A perspective camera with a window that may be shifted or oblique.
@@ -481,16 +280,6 @@ class Box:
             low, high = np.array([self.min_pt]), np.array([self.max_pt])
             faults += _order_faults(low, high, _ALONE)
         _raise_any(faults + _checked(self, shader=_one_of(Lambertian, Phong)))
-
-
-def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    wrong = min_pt > max_pt
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        has = " and ".join(
-            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-            for axis in np.flatnonzero(wrong[i]).tolist()
-        )
-        yield Fault("min_pt", f"must not exceed max_pt, but {has}; swap these", index.item(i))
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -690,16 +479,6 @@ class Surfaces(Sequence[Sphere | Box]):
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
 
 
-def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
-    if isinstance(value, Surfaces):
-        return value
-    try:
-        return Surfaces.of(value)
-    except SceneError as error:
-        faults += error.faults
-        return Surfaces()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """What is seen (`surfaces`), by what light, through which camera.
@@ -742,3 +521,224 @@ class Scene:
             )
             faults.append(Fault("width, height", wrong))
         _raise_any(faults)
+
+
+@np.errstate(under="ignore")
+def unit(vector: ArrayLike) -> Floats:
+    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
+    array = np.asarray(vector, dtype=np.float64)
+    # By a power of two: exact, so that scaled scenes stay bit-identical.
+    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
+    return array / np.sqrt(array @ array)
+
+
+# How parameters are checked: from a value as given to the one to keep.  Told the parameter's name,
+# a check adds to the faults.
+_Check: TypeAlias = Callable[[Any, str, list[Fault]], Any]
+
+
+def _checked(made: object, **checks: _Check) -> list[Fault]:
+    """Set fields of a frozen dataclass to what their checks make of them; return all faults."""
+    faults: list[Fault] = []
+    for name, check in checks.items():
+        object.__setattr__(made, name, check(getattr(made, name), name, faults))
+    return faults
+
+
+def _raise_any(faults: Sequence[Fault]) -> None:
+    if faults:
+        raise SceneError(faults)
+
+
+def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    array = _floats(value, name, faults)
+    if array is None:
+        pass  # told already
+    elif array.shape != (3,):
+        has = array.size if array.ndim < 2 else f"shape {array.shape}"
+        faults.append(Fault(name, f"needs 3 numbers, has {has}"))
+    elif not np.isfinite(array).all():
+        faults.append(Fault(name, "must be finite"))
+    else:
+        x, y, z = array.tolist()
+        return (x, y, z)
+    # In place of what is at fault: a point, a direction and a colour with no fault to add.
+    return (0.0, 0.0, 1.0)
+
+
+def _point(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    point = _vector(value, name, faults)
+    faults += _size_faults(name, np.array([point]), _ALONE)
+    return point
+
+
+def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    vector = _vector(value, name, faults)
+    if vector == (0.0, 0.0, 0.0):
+        faults.append(Fault(name, "must not be the zero vector"))
+    return vector
+
+
+def _color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
+    color = _vector(value, name, faults)
+    if min(color) < 0:
+        faults.append(Fault(name, f"must not be negative, has {number(min(color))}"))
+    return color
+
+
+def _number(value: float, name: str, faults: list[Fault]) -> float:
+    array = _floats(value, name, faults)
+    if array is None:
+        return 1.0
+    if array.size != 1:
+        faults.append(Fault(name, f"must be a single number, has {array.size}"))
+        return 1.0
+    return array.item()
+
+
+def _positive(value: float, name: str, faults: list[Fault]) -> float:
+    value = _number(value, name, faults)
+    faults += _positive_faults(name, np.array([value]), _ALONE)
+    return value
+
+
+def _not_negative(value: float, name: str, faults: list[Fault]) -> float:
+    value = _number(value, name, faults)
+    if not (0 <= value < np.inf):
+        faults.append(Fault(name, f"must be finite and not negative, is {number(value)}"))
+    return value
+
+
+def _size(value: int, name: str, faults: list[Fault]) -> int:
+    """The size as a Python int: products of NumPy's integers may overflow."""
+    try:
+        size = int(operator.index(value))
+    except TypeError:
+        faults.append(Fault(name, f"must be an int, is {value!r}"))
+        return 1
+    # A message leaves out what may have more digits than float() or str() accepts.
+    if size < 1:
+        has = f", is {size}" if size > -MAX_PIXELS else ""
+        faults.append(Fault(name, f"must be a whole number of at least 1{has}"))
+    elif size > MAX_PIXELS:
+        faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
+    return size
+
+
+def _one_of(*types: type) -> _Check:
+    def check(value: object, name: str, faults: list[Fault]) -> object:
+        if not isinstance(value, types):
+            right = " or ".join(each.__name__ for each in types)
+            wrong = f"must be of type {right}, is of type {type(value).__name__}"
+            faults.append(Fault(name, wrong))
+        return value
+
+    return check
+
+
+def _list_of(*types: type) -> _Check:
+    check_one = _one_of(*types)
+
+    def check(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
+        try:
+            parts = tuple(values)
+        except TypeError:
+            faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
+            return ()
+        for part in {type(part): part for part in parts}.values():
+            check_one(part, name, faults)
+        return parts
+
+    return check
+
+
+def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
+    if isinstance(value, Surfaces):
+        return value
+    try:
+        return Surfaces.of(value)
+    except SceneError as error:
+        faults += error.faults
+        return Surfaces()
+
+
+def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
+    """A copy as (n, 3)."""
+    array = _floats(value, name, faults)
+    if array is not None and (array.size % 3 or array.shape[1:] not in ((), (3,))):
+        faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
+        array = None
+    return np.zeros((0, 3)) if array is None else array.reshape(-1, 3).copy()
+
+
+def _values(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
+    """A copy as (n,)."""
+    array = _floats(value, name, faults)
+    return np.zeros(0) if array is None else array.flatten()
+
+
+def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
+    """A copy as (n,)."""
+    given = _values(value, name, faults)
+    with np.errstate(invalid="ignore"):
+        array = given.astype(np.intp)
+    if not np.array_equal(array, given):
+        faults.append(Fault(name, "must be whole numbers"))
+    return array
+
+
+def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
+    """As an array; None after a fault."""
+    try:
+        # NumPy would make these NaN, or drop a part of them.
+        if value is None or (
+            isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "cmM"
+        ):
+            raise TypeError
+        return np.asarray(value, dtype=np.float64)
+    except OverflowError:
+        faults.append(Fault(name, "must be finite"))
+    except (TypeError, ValueError):
+        faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
+    return None
+
+
+# The index of what is none of many.
+_ALONE = np.array([None])
+
+
+def _positive_faults(name: str, values: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+    for i in np.flatnonzero(~((values > 0) & (values < np.inf))).tolist():
+        yield Fault(name, f"must be positive and finite, is {number(values[i])}", index.item(i))
+    yield from _size_faults(name, values[:, None], index)
+
+
+def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
+    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
+        yield Fault(name, "must be finite", index.item(i))
+    yield from _size_faults(name, points, index)
+
+
+def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+    """Rows (n, k) of lengths or coordinates too large or too small to compute with.
+
+    `index` (n,): of the surface that each row is of.
+    """
+    size = np.abs(lengths)
+    # What is not finite is another fault.
+    wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        k = wrong[i].argmax()
+        too = "large" if size[i, k] > 1 else "small"
+        limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
+        yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))
+
+
+def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
+    wrong = min_pt > max_pt
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        has = " and ".join(
+            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
+            for axis in np.flatnonzero(wrong[i]).tolist()
+        )
+        yield Fault("min_pt", f"must not exceed max_pt, but {has}; swap these", index.item(i))
