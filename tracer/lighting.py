@@ -98,6 +98,66 @@ class Incoming(NamedTuple):
         return Incoming(*(m[:, place] for m in self))
 
 
+class Highlights(NamedTuple):
+    """Highlights on a group.
+
+    Attributes
+    ----------
+    lighting : Lighting
+    p : (3, n)
+    group : Group
+    present : bool
+        Whether there are any.
+    glossy, exponent
+        Numbers, or (n,).
+    distance, n_dot_v : (n,)
+        See `Hits.distance_and_cosine`; empty without highlights.
+    """
+
+    lighting: Lighting
+    p: Floats
+    group: Group
+    present: bool
+    glossy: Bools
+    exponent: Floats
+    distance: Floats
+    n_dot_v: Floats
+
+    @classmethod
+    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> Highlights:
+        """Gather what is needed."""
+        materials, shader = lighting.materials, lighting.shader[group.owner]
+        glossy = materials.glossy[shader]
+        present, nothing = bool(glossy.any()), np.zeros(0)
+        distance, n_dot_v = hits.distance_and_cosine(group) if present else (nothing, nothing)
+        return cls(
+            lighting,
+            hits.p[:, group.part],
+            group,
+            present,
+            group.spread(glossy),
+            group.spread(materials.exponent[shader]),
+            distance,
+            n_dot_v,
+        )
+
+    def of_light(
+        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
+    ) -> Floats:
+        """(n.h)^exponent of a light at the points `at`; what follows `at` is of these alone."""
+        group, distance = self.group, self.distance[at]
+
+        def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
+            place = some if isinstance(at, slice) else at[some]
+            p = rows(self.p, place)
+            x, y, z = self.lighting.local[number].tolist()
+            to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
+            return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
+
+        l_dot_v = l_dot_p / (-distance * length)
+        return highlight(cosine, self.n_dot_v[at], l_dot_v, select(self.exponent, at), vectors)
+
+
 def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     """Prepare a scene's lights, for pixels that may be split."""
     surfaces, lights = scene.surfaces, scene.lights
@@ -110,6 +170,21 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
         shader=surfaces.shader_index,
         materials=Materials.of(surfaces.shaders),
     )
+
+
+def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None) -> Floats:
+    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
+    radiance = np.zeros((3, samples.size)) if out is None else out
+    hits = visible(lighting.view, samples)
+    incoming = incoming_at(lighting, hits)
+    lit = incoming.n_dot_l > 0
+    lit &= ~lighting.shadows.blocked(hits, lit)
+    for group in hits.groups:
+        part = group.part
+        shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
+        for channel, values in zip(radiance, shaded, strict=True):
+            channel[group.sample] = values
+    return radiance
 
 
 def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
@@ -175,6 +250,24 @@ def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
     return radiance
 
 
+def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
+    """Add one more light, with a weight (n,) for each point, to three channels."""
+    if not total:
+        total.extend(strength * weight for strength in intensity)
+        return
+    for channel, strength in zip(total, intensity, strict=True):
+        channel += strength * weight
+
+
+def _returned(total: list[Floats], colors: Floats, group: Group) -> Triple:
+    """The light, if there is any, times the surfaces' colours, (3,) or (3, spans)."""
+    if not total:
+        nothing = np.zeros(group.sample.size)
+        return nothing, nothing, nothing
+    r, g, b = (light * group.spread(color) for light, color in zip(total, colors, strict=True))
+    return r, g, b
+
+
 def narrow_highlights(
     highlights: Highlights, incoming: Incoming, facing: Bools, footprint: Floats
 ) -> Iterator[Ints]:
@@ -204,96 +297,3 @@ def narrow_highlights(
                 number, at, cosine, length[at], incoming.l_dot_p[number][at]
             )
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
-
-
-class Highlights(NamedTuple):
-    """Highlights on a group.
-
-    Attributes
-    ----------
-    lighting : Lighting
-    p : (3, n)
-    group : Group
-    present : bool
-        Whether there are any.
-    glossy, exponent
-        Numbers, or (n,).
-    distance, n_dot_v : (n,)
-        See `Hits.distance_and_cosine`; empty without highlights.
-    """
-
-    lighting: Lighting
-    p: Floats
-    group: Group
-    present: bool
-    glossy: Bools
-    exponent: Floats
-    distance: Floats
-    n_dot_v: Floats
-
-    @classmethod
-    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> Highlights:
-        """Gather what is needed."""
-        materials, shader = lighting.materials, lighting.shader[group.owner]
-        glossy = materials.glossy[shader]
-        present, nothing = bool(glossy.any()), np.zeros(0)
-        distance, n_dot_v = hits.distance_and_cosine(group) if present else (nothing, nothing)
-        return cls(
-            lighting,
-            hits.p[:, group.part],
-            group,
-            present,
-            group.spread(glossy),
-            group.spread(materials.exponent[shader]),
-            distance,
-            n_dot_v,
-        )
-
-    def of_light(
-        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
-    ) -> Floats:
-        """(n.h)^exponent of a light at the points `at`; what follows `at` is of these alone."""
-        group, distance = self.group, self.distance[at]
-
-        def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
-            place = some if isinstance(at, slice) else at[some]
-            p = rows(self.p, place)
-            x, y, z = self.lighting.local[number].tolist()
-            to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
-            return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
-
-        l_dot_v = l_dot_p / (-distance * length)
-        return highlight(cosine, self.n_dot_v[at], l_dot_v, select(self.exponent, at), vectors)
-
-
-def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None) -> Floats:
-    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
-    radiance = np.zeros((3, samples.size)) if out is None else out
-    hits = visible(lighting.view, samples)
-    incoming = incoming_at(lighting, hits)
-    lit = incoming.n_dot_l > 0
-    lit &= ~lighting.shadows.blocked(hits, lit)
-    for group in hits.groups:
-        part = group.part
-        shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
-        for channel, values in zip(radiance, shaded, strict=True):
-            channel[group.sample] = values
-    return radiance
-
-
-def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
-    """Add one more light, with a weight (n,) for each point, to three channels."""
-    if not total:
-        total.extend(strength * weight for strength in intensity)
-        return
-    for channel, strength in zip(total, intensity, strict=True):
-        channel += strength * weight
-
-
-def _returned(total: list[Floats], colors: Floats, group: Group) -> Triple:
-    """The light, if there is any, times the surfaces' colours, (3,) or (3, spans)."""
-    if not total:
-        nothing = np.zeros(group.sample.size)
-        return nothing, nothing, nothing
-    r, g, b = (light * group.spread(color) for light, color in zip(total, colors, strict=True))
-    return r, g, b
