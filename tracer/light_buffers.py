@@ -170,63 +170,131 @@ class LightBuffer(NamedTuple):
             yield point[keep], occluder[keep]
 
 
-def _query_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """Rectangles as (-right, left, -bottom, top): `_object_bounds` of what meets them are >=."""
-    within = np.empty((left.size, 4), dtype=np.float32)
-    within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
-    return within
+class LightBufferFinder(NamedTuple):
+    """Finds what may shade points by the cells they lie in.
 
-
-def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
-    """Rectangles that objects lie in, a little enlarged, as (-left, right, -top, bottom)."""
-    return _query_bounds(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
-
-
-def _in_octant(
-    number: int, low: Iterable[Floats], high: Iterable[Floats]
-) -> tuple[Ints, Floats, Floats]:
-    """What reaches into an octant, of all whose ways to the light are from `low` to `high`.
-
-    Which of them, their octahedral coordinates there (least and greatest of both, (4, n)), and
-    their greatest distances from the light (1-norm).  Bit k of the octant's number is set where
-    ways to the light are negative along axis k.
+    Attributes
+    ----------
+    occluders : Occluders
+    buffers : tuple of LightBuffer
+        Around each light.
     """
-    ends = [
-        (-most, -least) if number >> k & 1 else (least, most)
-        for k, (least, most) in enumerate(zip(low, high, strict=True))
-    ]
-    (_, x), (_, y), (_, z) = ends
-    some = np.flatnonzero((x >= 0) & (y >= 0) & (z >= 0))
-    x0, y0, z0 = (np.maximum(least[some], 0) for least, _ in ends)
-    x1, y1, z1 = (most[some] for _, most in ends)
-    bounds = np.empty((4, some.size))
-    np.divide(x0, x0 + (y1 + z1), out=bounds[0])
-    np.divide(x1, x1 + (y0 + z0), out=bounds[1])
-    np.divide(y0, y0 + (x1 + z1), out=bounds[2])
-    np.divide(y1, y1 + (x0 + z0), out=bounds[3])
-    # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
-    whole = np.array([[0.0], [1.0], [0.0], [1.0]])
-    around = np.isnan(bounds)
-    if around.any():
-        bounds = np.where(around, whole, bounds)
-    bounds += _FROM_LIGHT * (2 * whole - 1)
-    return some, bounds, x1 + y1 + z1
+
+    occluders: Occluders
+    buffers: tuple[LightBuffer, ...]
+
+    def candidates(
+        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
+    ) -> Iterator[Candidates]:
+        """See `Finder.candidates`; `dark` is left as it is."""
+        own = hits.own
+        points = hits.points(slice(None))
+        for number, buffer in enumerate(self.buffers):
+            asked = np.flatnonzero(facing[number])
+            x, y, z = buffer.light.tolist()
+            p = pick(points, asked)
+            to_light = x - p[0], y - p[1], z - p[2]
+            if footprint is None:
+                distance, cell, within = buffer.locate(to_light)
+                ball = np.arange(asked.size)
+            else:
+                distance, ball, cell, within = buffer.around(to_light, footprint[asked])
+                distance = distance[ball]
+            for at, occluder in buffer.others(own[asked[ball]], distance, cell, within):
+                point = asked[ball[at]]
+                if footprint is not None:
+                    point, occluder = _once(point, occluder, len(buffer.near))
+                yield from candidates_by_kind(
+                    self.occluders,
+                    own=own,
+                    points=points,
+                    point=point,
+                    light=number,
+                    occluder=occluder,
+                    footprint=footprint,
+                )
 
 
-def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
-    """Bounds (4, n) in cells, from those in octahedral coordinates."""
-    result: Floats = bounds * np.repeat(scale, 2)[:, None] + np.repeat(shift, 2)[:, None]
-    return result
+def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
+    """Fill the cells around all lights."""
+    surfaces, slack = occluders.surfaces, occluders.slack
+    center, radius = surfaces.center, surfaces.radius[:, None]
+    # A row for each axis, in one piece: of columns, minima take ten times as long.
+    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
+    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
+    buffers = (
+        _buffer_around(light, low, high, surfaces, occluders.seen) for light in occluders.lights
+    )
+    return LightBufferFinder(occluders, tuple(buffers))
 
 
-def _cells(bounds: Floats, side: int) -> tuple[Ints, Ints, Ints]:
-    """Pairs of a rectangle (4, n) and a cell of `side` x `side` it reaches; cells of each."""
-    left, right, top, bottom = np.clip(bounds, 0, side - 1).astype(np.intp)
-    wide, tall = right - left + 1, bottom - top + 1
-    # Column by column of each rectangle.
-    strip, column = expand(wide, left)
-    part, cell = expand(tall[strip], column * side + top[strip])
-    return strip[part], cell, wide * tall
+def _buffer_around(
+    light: Floats, low: Floats, high: Floats, surfaces: Surfaces, seen: Bools
+) -> LightBuffer:
+    """Fill the cells around a light (3,); `seen` (n,): nothing else needs light."""
+    light, low, high = _from_near(light, low, high)
+    # From here on, bounds of the ways to the light.
+    slack = _FROM_LIGHT * np.abs(light).sum()
+    low, high = (light - slack)[:, None] - high, (light + slack)[:, None] - low
+    near = np.maximum(np.maximum(low, -high), 0).sum(axis=0)
+    fields = [field for number in range(8) if (field := _Field.of(number, low, high, near, seen))]
+    side = _side(len(surfaces), sum(field.covered() for field in fields))
+    scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
+    none = np.zeros(0, dtype=np.intp)
+    cells, places, objects, bounds = [none], [none], [none], [_query_bounds(*np.zeros((4, 0)))]
+    total, before = 1, 0
+    for field in fields:
+        number, to_cells = field.number, field.in_cells(side)
+        scale[:, number], shift[:, number], base[number] = *to_cells, total
+        extent = _to_cells(field.bounds, *to_cells)
+        cell, place = field.listed(extent, side, light, surfaces)
+        cells.append(cell + total)
+        places.append(place + before)
+        objects.append(field.objects)
+        bounds.append(_object_bounds(*extent))
+        total, before = total + side * side, before + field.objects.size
+    cell = np.concatenate(cells)
+    counts = np.bincount(cell, minlength=total)
+    first = np.append(0, np.cumsum(counts))
+    # Sorting the pairs themselves, as one number each, is faster than finding their order.
+    bits = before.bit_length()
+    pairs = cell.astype(np.int64, copy=False) << bits | np.concatenate(places)
+    at = (np.sort(pairs) & ((1 << bits) - 1)).astype(np.intp, copy=False)
+    listed = np.concatenate(objects)[at]
+    reach = np.concatenate(bounds).take(at, axis=0)
+    single = np.flatnonzero(counts == 1)
+    sole = np.where(counts == 0, _NONE, _MANY)
+    sole[single] = listed[first[single]]
+    return LightBuffer(
+        light=light,
+        resolution=side,
+        scale=scale,
+        shift=shift,
+        base=base,
+        first=first,
+        listed=listed,
+        bounds=reach,
+        sole=sole,
+        near=near * (1 - SLACK),
+    )
+
+
+def _from_near(light: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
+    """Where a light (3,) may be taken to be, and boxes (3, n) enlarged for that: see `_FAR`."""
+    first, last = low.min(axis=1), high.max(axis=1)
+    middle, size = first / 2 + last / 2, (last - first).sum()
+    away = light - middle
+    part = _FAR * size / np.abs(away).sum()
+    if not part < 1:
+        return light, low, high
+    slack = 2 * size / _FAR
+    return middle + part * away, low - slack, high + slack
+
+
+def _side(count: int, covered: float) -> int:
+    """How many cells octants have along each side, if objects cover so much of their fields."""
+    wanted = min(9 * count ** (1 / 3), _SIDE_MOST)
+    return max(1, int(min(wanted, sqrt(_PAIRS / covered)) if covered else wanted))
 
 
 class _Field(NamedTuple):
@@ -349,21 +417,6 @@ class _Field(NamedTuple):
         return np.append(spheres, boxes)
 
 
-def _tangent_plane(center: Triple, radius: Floats, towards: Triple) -> Triple:
-    """Normals of planes through the origin that touch spheres on the side of some directions.
-
-    NaN with the origin inside, or a direction so nearly towards the centre that rounding turns the
-    plane by more than the slack.
-    """
-    length = np.sqrt(dot(center, center))
-    sine, m = radius / length, scaled(center, 1 / length)
-    aside = each(np.subtract, towards, scaled(m, dot(towards, m)))
-    square = dot(aside, aside)
-    square[square <= _LEAST_ANGLE**2] = np.nan
-    turn = np.sqrt((1 - sine * sine) / square)
-    return each(np.subtract, scaled(m, sine), scaled(aside, turn))
-
-
 def _crowded(bounds: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """The part of a field, from `low` to `high` (2,), in which all but its largest objects lie.
 
@@ -383,134 +436,81 @@ def _crowded(bounds: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]
         low, high = inner, outer
 
 
-def _buffer_around(
-    light: Floats, low: Floats, high: Floats, surfaces: Surfaces, seen: Bools
-) -> LightBuffer:
-    """Fill the cells around a light (3,); `seen` (n,): nothing else needs light."""
-    light, low, high = _from_near(light, low, high)
-    # From here on, bounds of the ways to the light.
-    slack = _FROM_LIGHT * np.abs(light).sum()
-    low, high = (light - slack)[:, None] - high, (light + slack)[:, None] - low
-    near = np.maximum(np.maximum(low, -high), 0).sum(axis=0)
-    fields = [field for number in range(8) if (field := _Field.of(number, low, high, near, seen))]
-    side = _side(len(surfaces), sum(field.covered() for field in fields))
-    scale, shift, base = np.zeros((2, 8)), np.zeros((2, 8)), np.zeros(8, dtype=np.intp)
-    none = np.zeros(0, dtype=np.intp)
-    cells, places, objects, bounds = [none], [none], [none], [_query_bounds(*np.zeros((4, 0)))]
-    total, before = 1, 0
-    for field in fields:
-        number, to_cells = field.number, field.in_cells(side)
-        scale[:, number], shift[:, number], base[number] = *to_cells, total
-        extent = _to_cells(field.bounds, *to_cells)
-        cell, place = field.listed(extent, side, light, surfaces)
-        cells.append(cell + total)
-        places.append(place + before)
-        objects.append(field.objects)
-        bounds.append(_object_bounds(*extent))
-        total, before = total + side * side, before + field.objects.size
-    cell = np.concatenate(cells)
-    counts = np.bincount(cell, minlength=total)
-    first = np.append(0, np.cumsum(counts))
-    # Sorting the pairs themselves, as one number each, is faster than finding their order.
-    bits = before.bit_length()
-    pairs = cell.astype(np.int64, copy=False) << bits | np.concatenate(places)
-    at = (np.sort(pairs) & ((1 << bits) - 1)).astype(np.intp, copy=False)
-    listed = np.concatenate(objects)[at]
-    reach = np.concatenate(bounds).take(at, axis=0)
-    single = np.flatnonzero(counts == 1)
-    sole = np.where(counts == 0, _NONE, _MANY)
-    sole[single] = listed[first[single]]
-    return LightBuffer(
-        light=light,
-        resolution=side,
-        scale=scale,
-        shift=shift,
-        base=base,
-        first=first,
-        listed=listed,
-        bounds=reach,
-        sole=sole,
-        near=near * (1 - SLACK),
-    )
+def _tangent_plane(center: Triple, radius: Floats, towards: Triple) -> Triple:
+    """Normals of planes through the origin that touch spheres on the side of some directions.
 
-
-def _from_near(light: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
-    """Where a light (3,) may be taken to be, and boxes (3, n) enlarged for that: see `_FAR`."""
-    first, last = low.min(axis=1), high.max(axis=1)
-    middle, size = first / 2 + last / 2, (last - first).sum()
-    away = light - middle
-    part = _FAR * size / np.abs(away).sum()
-    if not part < 1:
-        return light, low, high
-    slack = 2 * size / _FAR
-    return middle + part * away, low - slack, high + slack
-
-
-def _side(count: int, covered: float) -> int:
-    """How many cells octants have along each side, if objects cover so much of their fields."""
-    wanted = min(9 * count ** (1 / 3), _SIDE_MOST)
-    return max(1, int(min(wanted, sqrt(_PAIRS / covered)) if covered else wanted))
-
-
-class LightBufferFinder(NamedTuple):
-    """Finds what may shade points by the cells they lie in.
-
-    Attributes
-    ----------
-    occluders : Occluders
-    buffers : tuple of LightBuffer
-        Around each light.
+    NaN with the origin inside, or a direction so nearly towards the centre that rounding turns the
+    plane by more than the slack.
     """
+    length = np.sqrt(dot(center, center))
+    sine, m = radius / length, scaled(center, 1 / length)
+    aside = each(np.subtract, towards, scaled(m, dot(towards, m)))
+    square = dot(aside, aside)
+    square[square <= _LEAST_ANGLE**2] = np.nan
+    turn = np.sqrt((1 - sine * sine) / square)
+    return each(np.subtract, scaled(m, sine), scaled(aside, turn))
 
-    occluders: Occluders
-    buffers: tuple[LightBuffer, ...]
 
-    def candidates(
-        self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
-    ) -> Iterator[Candidates]:
-        """See `Finder.candidates`; `dark` is left as it is."""
-        own = hits.own
-        points = hits.points(slice(None))
-        for number, buffer in enumerate(self.buffers):
-            asked = np.flatnonzero(facing[number])
-            x, y, z = buffer.light.tolist()
-            p = pick(points, asked)
-            to_light = x - p[0], y - p[1], z - p[2]
-            if footprint is None:
-                distance, cell, within = buffer.locate(to_light)
-                ball = np.arange(asked.size)
-            else:
-                distance, ball, cell, within = buffer.around(to_light, footprint[asked])
-                distance = distance[ball]
-            for at, occluder in buffer.others(own[asked[ball]], distance, cell, within):
-                point = asked[ball[at]]
-                if footprint is not None:
-                    point, occluder = _once(point, occluder, len(buffer.near))
-                yield from candidates_by_kind(
-                    self.occluders,
-                    own=own,
-                    points=points,
-                    point=point,
-                    light=number,
-                    occluder=occluder,
-                    footprint=footprint,
-                )
+def _in_octant(
+    number: int, low: Iterable[Floats], high: Iterable[Floats]
+) -> tuple[Ints, Floats, Floats]:
+    """What reaches into an octant, of all whose ways to the light are from `low` to `high`.
+
+    Which of them, their octahedral coordinates there (least and greatest of both, (4, n)), and
+    their greatest distances from the light (1-norm).  Bit k of the octant's number is set where
+    ways to the light are negative along axis k.
+    """
+    ends = [
+        (-most, -least) if number >> k & 1 else (least, most)
+        for k, (least, most) in enumerate(zip(low, high, strict=True))
+    ]
+    (_, x), (_, y), (_, z) = ends
+    some = np.flatnonzero((x >= 0) & (y >= 0) & (z >= 0))
+    x0, y0, z0 = (np.maximum(least[some], 0) for least, _ in ends)
+    x1, y1, z1 = (most[some] for _, most in ends)
+    bounds = np.empty((4, some.size))
+    np.divide(x0, x0 + (y1 + z1), out=bounds[0])
+    np.divide(x1, x1 + (y0 + z0), out=bounds[1])
+    np.divide(y0, y0 + (x1 + z1), out=bounds[2])
+    np.divide(y1, y1 + (x0 + z0), out=bounds[3])
+    # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
+    whole = np.array([[0.0], [1.0], [0.0], [1.0]])
+    around = np.isnan(bounds)
+    if around.any():
+        bounds = np.where(around, whole, bounds)
+    bounds += _FROM_LIGHT * (2 * whole - 1)
+    return some, bounds, x1 + y1 + z1
+
+
+def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
+    """Bounds (4, n) in cells, from those in octahedral coordinates."""
+    result: Floats = bounds * np.repeat(scale, 2)[:, None] + np.repeat(shift, 2)[:, None]
+    return result
+
+
+def _cells(bounds: Floats, side: int) -> tuple[Ints, Ints, Ints]:
+    """Pairs of a rectangle (4, n) and a cell of `side` x `side` it reaches; cells of each."""
+    left, right, top, bottom = np.clip(bounds, 0, side - 1).astype(np.intp)
+    wide, tall = right - left + 1, bottom - top + 1
+    # Column by column of each rectangle.
+    strip, column = expand(wide, left)
+    part, cell = expand(tall[strip], column * side + top[strip])
+    return strip[part], cell, wide * tall
+
+
+def _query_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """Rectangles as (-right, left, -bottom, top): `_object_bounds` of what meets them are >=."""
+    within = np.empty((left.size, 4), dtype=np.float32)
+    within[:, 0], within[:, 1], within[:, 2], within[:, 3] = -right, left, -bottom, top
+    return within
+
+
+def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> Bounds:
+    """Rectangles that objects lie in, a little enlarged, as (-left, right, -top, bottom)."""
+    return _query_bounds(right + _ROUNDED, left - _ROUNDED, bottom + _ROUNDED, top - _ROUNDED)
 
 
 def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
     """Each pair (point, object) once, though they share several cells; `count`: of all objects."""
     pair = np.sort(point * count + occluder)
     return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
-
-
-def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
-    """Fill the cells around all lights."""
-    surfaces, slack = occluders.surfaces, occluders.slack
-    center, radius = surfaces.center, surfaces.radius[:, None]
-    # A row for each axis, in one piece: of columns, minima take ten times as long.
-    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
-    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
-    buffers = (
-        _buffer_around(light, low, high, surfaces, occluders.seen) for light in occluders.lights
-    )
-    return LightBufferFinder(occluders, tuple(buffers))
