@@ -102,6 +102,35 @@ class StretchFinder(NamedTuple):
                     yield candidates
 
 
+def stretch_finder(occluders: Occluders) -> StretchFinder:
+    """Prepare the coarsest step: all objects tried against each other."""
+    spheres, count = occluders.surfaces.sphere_count, len(occluders.surfaces)
+    kinds = np.arange(spheres), np.arange(spheres, count)
+    # Nothing shades a lone object.
+    lists = (_occluder_lists(occluders, kind) for kind in kinds if kind.size and count > 1)
+    return StretchFinder(occluders, tuple(some for some in lists if some.listed.size))
+
+
+def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
+    """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
+    lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
+    around_light = SLACK * np.abs(lights).sum(axis=1)
+    light, own = (m.ravel() for m in np.indices(occluders.side.shape))
+    step = max(1, _OBJECT_PAIRS // occluder.size)
+    counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
+    # A row for each light and each object it may light, a column for each that may shade it.
+    for start in range(0, light.size, step):
+        at, one = light[start : start + step, None], own[start : start + step, None]
+        thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
+        middle = pick(occluders.middle, one)
+        may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
+        may &= (one != occluder) & occluders.seen[one]
+        counts.append(np.count_nonzero(may, axis=1))
+        listed.append(occluder[np.nonzero(may)[1]])
+    first = np.cumsum(np.concatenate(counts))
+    return _OccluderLists(spheres, first, np.concatenate(listed))
+
+
 class _Search(NamedTuple):
     """Stretches of some hits, and what is still to be decided about them.
 
@@ -183,6 +212,42 @@ class _Search(NamedTuple):
         put(self.dark, np.repeat(light[mask], length), ranges(start, length), True)
 
 
+def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
+    """Sort stretches by where they begin: into blocks, into tiles of these, and in what order.
+
+    A block's `start` and `length` are those of its tiles; a tile's, of its stretches in that order.
+    """
+    column = hits.column[run]
+    if not hits.scattered:
+        column = column + (balls.start - hits.first[run])
+    column, row = column // _TILE, hits.row[run] // _TILE
+    block = hits.owner[run]
+    for m in (row // _BLOCK, column // _BLOCK):
+        block = block * (m.max() + 1) + m
+    tile = (block * _BLOCK + row % _BLOCK) * _BLOCK + column % _BLOCK
+    order = np.argsort(tile, kind="stable")
+    tile = tile[order]
+    tiles = _around(balls.take(order), tile)
+    return _around(tiles, tile[tiles.start] // _BLOCK**2), tiles, order
+
+
+def _around(balls: Balls, key: Ints) -> Balls:
+    """Put neighbouring balls of one object, with the same key, in one."""
+    first, length = equal_runs(key)
+    low = each(lambda m: np.minimum.reduceat(m - balls.radius, first), balls.middle)
+    high = each(lambda m: np.maximum.reduceat(m + balls.radius, first), balls.middle)
+    half = each(lambda a, b: 0.5 * (b - a), low, high)
+    middle = each(lambda a, b: 0.5 * (a + b), low, high)
+    return Balls(balls.owner[first], first, length, middle, np.sqrt(dot(half, half)))
+
+
+def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
+    """Cut runs into pieces: their start and length, and the run of each."""
+    run, place = expand(-(-count // longest))
+    offset = place * longest
+    return start[run] + offset, np.minimum(count[run] - offset, longest), run
+
+
 def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count: Ints) -> Balls:
     """Put balls around stretches of points in rows."""
     # Points of a row lie on a line, or on an arc of less than half a circle: the ball on the chord
@@ -245,68 +310,3 @@ def _near(
     box = occluder - surfaces.sphere_count
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
     return box_and_capsule(middle, end, radius, low, high)
-
-
-def _around(balls: Balls, key: Ints) -> Balls:
-    """Put neighbouring balls of one object, with the same key, in one."""
-    first, length = equal_runs(key)
-    low = each(lambda m: np.minimum.reduceat(m - balls.radius, first), balls.middle)
-    high = each(lambda m: np.maximum.reduceat(m + balls.radius, first), balls.middle)
-    half = each(lambda a, b: 0.5 * (b - a), low, high)
-    middle = each(lambda a, b: 0.5 * (a + b), low, high)
-    return Balls(balls.owner[first], first, length, middle, np.sqrt(dot(half, half)))
-
-
-def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
-    """Sort stretches by where they begin: into blocks, into tiles of these, and in what order.
-
-    A block's `start` and `length` are those of its tiles; a tile's, of its stretches in that order.
-    """
-    column = hits.column[run]
-    if not hits.scattered:
-        column = column + (balls.start - hits.first[run])
-    column, row = column // _TILE, hits.row[run] // _TILE
-    block = hits.owner[run]
-    for m in (row // _BLOCK, column // _BLOCK):
-        block = block * (m.max() + 1) + m
-    tile = (block * _BLOCK + row % _BLOCK) * _BLOCK + column % _BLOCK
-    order = np.argsort(tile, kind="stable")
-    tile = tile[order]
-    tiles = _around(balls.take(order), tile)
-    return _around(tiles, tile[tiles.start] // _BLOCK**2), tiles, order
-
-
-def _cut(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
-    """Cut runs into pieces: their start and length, and the run of each."""
-    run, place = expand(-(-count // longest))
-    offset = place * longest
-    return start[run] + offset, np.minimum(count[run] - offset, longest), run
-
-
-def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
-    """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
-    lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
-    around_light = SLACK * np.abs(lights).sum(axis=1)
-    light, own = (m.ravel() for m in np.indices(occluders.side.shape))
-    step = max(1, _OBJECT_PAIRS // occluder.size)
-    counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
-    # A row for each light and each object it may light, a column for each that may shade it.
-    for start in range(0, light.size, step):
-        at, one = light[start : start + step, None], own[start : start + step, None]
-        thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
-        middle = pick(occluders.middle, one)
-        may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
-        may &= (one != occluder) & occluders.seen[one]
-        counts.append(np.count_nonzero(may, axis=1))
-        listed.append(occluder[np.nonzero(may)[1]])
-    first = np.cumsum(np.concatenate(counts))
-    return _OccluderLists(spheres, first, np.concatenate(listed))
-
-
-def stretch_finder(occluders: Occluders) -> StretchFinder:
-    """Prepare the coarsest step: all objects tried against each other."""
-    spheres, count = occluders.surfaces.sphere_count, len(occluders.surfaces)
-    kinds = np.arange(spheres), np.arange(spheres, count)
-    # Nothing shades a lone object.
-    lists = (_occluder_lists(occluders, kind) for kind in kinds if kind.size and count > 1)
-    return StretchFinder(occluders, tuple(some for some in lists if some.listed.size))
