@@ -94,111 +94,6 @@ _COPIED = str.maketrans(
 _Made = TypeVar("_Made")
 
 
-def _in_tags(fault: Fault) -> str:
-    """A fault in the words of a scene file: tags stand for parameters."""
-    told = re.sub(r"\w+_\w+", lambda word: _TAGS.get(word[0], word[0]), fault.message)
-    return f"{_TAGS.get(fault.field, fault.field)}: {told}"
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    """The remedy for an unknown `name`: the most similar one, or all that are known."""
-    from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
-
-    names = sorted(islice(known, 256))
-    if not names:
-        return "remove it"
-    folded = {word.lower(): word for word in names}
-    for match in get_close_matches(short(name).lower(), folded, n=1):
-        return f"did you mean {quoted(folded[match])}?"
-    return f"known: {', '.join(map(short, names[:9]))}{', ...' * (len(names) > 9)}"
-
-
-def _words(text: str) -> list[str]:
-    """Split at XML's white space; str.split() knows more kinds."""
-    return re.findall("[^ \t\r\n]+", text)
-
-
-def _is_plain(text: str) -> bool:
-    """Whether a word of `text` that float() accepts is surely a decimal number.
-
-    float() also accepts 1_0, nan, inf and infinity, and the digits and spaces of all scripts.
-    """
-    return text.isascii() and "_" not in text and "n" not in text and "N" not in text
-
-
-def _is_decimal(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return _is_plain(word)
-
-
-def _mended(text: str, count: int) -> str | None:
-    """`count` decimal numbers, if replacing commas and what is `_COPIED` makes them of `text`."""
-    for comma in " .":
-        words = _words(text.translate(_COPIED).replace(",", comma))
-        if len(words) == count and all(map(_is_decimal, words)):
-            return " ".join(words)
-    return None
-
-
-def _odd(text: str) -> str:
-    """In words, what `_mended` replaces in `text`."""
-    found = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
-    if found == [","]:
-        return "commas"
-    return " and ".join(repr(c) if c.isascii() else f"{c!r} (U+{ord(c):04X})" for c in found)
-
-
-class LineElement(list["LineElement"]):
-    """Like an `Element` of `xml.etree` a sequence of its children; it also knows its line."""
-
-    __slots__ = ("attrib", "line", "tag", "text")
-
-    def __init__(self, tag: str, attrib: dict[str, str], line: int) -> None:
-        self.tag = tag
-        self.attrib = attrib
-        self.line = line
-        self.text = ""
-
-    def keys(self) -> Collection[str]:
-        return self.attrib.keys()
-
-
-_Element: TypeAlias = "Element | LineElement"
-
-
-def _line(element: _Element) -> int:
-    return element.line if isinstance(element, LineElement) else 0
-
-
-def _numbers(elements: Sequence[Any], count: int) -> list[float] | None:
-    """The numbers in all `elements`; None unless each is there and surely holds `count`."""
-    try:
-        if any(map(len, elements)) or any(element.keys() for element in elements):
-            return None
-        # One text for all: to read each by itself takes longer than to make a number of it.
-        text = " ; ".join([element.text for element in elements])
-        words = text.split()
-        between = words[count :: count + 1]
-        del words[count :: count + 1]
-        if (
-            len(words) == count * len(elements)
-            and between == [";"] * (len(elements) - 1)
-            and _is_plain(text)
-        ):
-            return [*map(float, words)]
-    except (TypeError, ValueError):  # of None, and of a word that is no number
-        pass
-    return None
-
-
-def _unread(values: Iterable[float]) -> bool:
-    """Whether any is NaN, which stands for a number that could not be read."""
-    return any(value != value for value in values)
-
-
 class GiveUp(Exception):  # noqa: N818 - not an error: what is to be told is noted already
     """The rest of the file is not worth reading, or not in this way."""
 
@@ -231,6 +126,24 @@ class Faults:
         """Note a last fault; raise `GiveUp`."""
         self.told.append((line, message))
         raise GiveUp
+
+
+class LineElement(list["LineElement"]):
+    """Like an `Element` of `xml.etree` a sequence of its children; it also knows its line."""
+
+    __slots__ = ("attrib", "line", "tag", "text")
+
+    def __init__(self, tag: str, attrib: dict[str, str], line: int) -> None:
+        self.tag = tag
+        self.attrib = attrib
+        self.line = line
+        self.text = ""
+
+    def keys(self) -> Collection[str]:
+        return self.attrib.keys()
+
+
+_Element: TypeAlias = "Element | LineElement"
 
 
 class _Column:
@@ -606,3 +519,90 @@ class Contents:
                     line = column.lines[row] if self.faults.lined else 0
                     self.fault(line, _in_tags(fault))
         return Surfaces()
+
+
+def _in_tags(fault: Fault) -> str:
+    """A fault in the words of a scene file: tags stand for parameters."""
+    told = re.sub(r"\w+_\w+", lambda word: _TAGS.get(word[0], word[0]), fault.message)
+    return f"{_TAGS.get(fault.field, fault.field)}: {told}"
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """The remedy for an unknown `name`: the most similar one, or all that are known."""
+    from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
+
+    names = sorted(islice(known, 256))
+    if not names:
+        return "remove it"
+    folded = {word.lower(): word for word in names}
+    for match in get_close_matches(short(name).lower(), folded, n=1):
+        return f"did you mean {quoted(folded[match])}?"
+    return f"known: {', '.join(map(short, names[:9]))}{', ...' * (len(names) > 9)}"
+
+
+def _unread(values: Iterable[float]) -> bool:
+    """Whether any is NaN, which stands for a number that could not be read."""
+    return any(value != value for value in values)
+
+
+def _numbers(elements: Sequence[Any], count: int) -> list[float] | None:
+    """The numbers in all `elements`; None unless each is there and surely holds `count`."""
+    try:
+        if any(map(len, elements)) or any(element.keys() for element in elements):
+            return None
+        # One text for all: to read each by itself takes longer than to make a number of it.
+        text = " ; ".join([element.text for element in elements])
+        words = text.split()
+        between = words[count :: count + 1]
+        del words[count :: count + 1]
+        if (
+            len(words) == count * len(elements)
+            and between == [";"] * (len(elements) - 1)
+            and _is_plain(text)
+        ):
+            return [*map(float, words)]
+    except (TypeError, ValueError):  # of None, and of a word that is no number
+        pass
+    return None
+
+
+def _words(text: str) -> list[str]:
+    """Split at XML's white space; str.split() knows more kinds."""
+    return re.findall("[^ \t\r\n]+", text)
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a word of `text` that float() accepts is surely a decimal number.
+
+    float() also accepts 1_0, nan, inf and infinity, and the digits and spaces of all scripts.
+    """
+    return text.isascii() and "_" not in text and "n" not in text and "N" not in text
+
+
+def _is_decimal(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return _is_plain(word)
+
+
+def _mended(text: str, count: int) -> str | None:
+    """`count` decimal numbers, if replacing commas and what is `_COPIED` makes them of `text`."""
+    for comma in " .":
+        words = _words(text.translate(_COPIED).replace(",", comma))
+        if len(words) == count and all(map(_is_decimal, words)):
+            return " ".join(words)
+    return None
+
+
+def _odd(text: str) -> str:
+    """In words, what `_mended` replaces in `text`."""
+    found = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
+    if found == [","]:
+        return "commas"
+    return " and ".join(repr(c) if c.isascii() else f"{c!r} (U+{ord(c):04X})" for c in found)
+
+
+def _line(element: _Element) -> int:
+    return element.line if isinstance(element, LineElement) else 0
