@@ -35,85 +35,6 @@ _BLOCK = 1 << 15
 _ADLER = 65521
 
 
-def _reaches(x: float, code: int) -> bool:
-    """Whether 255 x^(1/2.2) >= code - 1/2, decided in whole numbers.
-
-    1/2.2 is 5/11, so both sides may be raised to the 11th power; from 2^-20
-    on, every float64 is a multiple of 2^-72.
-    """
-    return int(x * 2.0**72) ** 5 * 510**11 >= (2 * code - 1) ** 11 << 5 * 72
-
-
-def _threshold(code: int) -> float:
-    """The least float64 whose code is `code` or more."""
-    root = (code - 0.5) / 255
-    x: float = root**2 * root**0.2  # closer than root**2.2: 0.2 has the smaller rounding error
-    while not _reaches(x, code):
-        x = math.nextafter(x, 1)
-    while _reaches(below := math.nextafter(x, 0), code):
-        x = below
-    return x
-
-
-# The cells of a table over [_LEAST, 1]: 2^7 between any two powers of two, and so at most
-# one threshold in each.  The cell of a float64 is its leading bits, taken as an integer.
-_LEAST = 2.0**-20
-_LEAST_BITS = int(np.float64(_LEAST).view(np.int64))
-_CELL_BITS = 52 - 7
-
-
-def _bits(x: Floats) -> NDArray[np.int64]:
-    """The bits of each x as an integer, less those of `_LEAST`: increasing with x."""
-    return x.view(np.int64) - _LEAST_BITS
-
-
-@cache
-def _shifts() -> NDArray[np.int64]:
-    """For each cell, what to add to the bits of x so that the leading bits are its code."""
-    thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
-    # NumPy's own integers have 32 bits on some systems.
-    cells = int(_bits(np.ones(1))[0] >> _CELL_BITS) + 1
-    start = np.arange(cells, dtype=np.int64) << _CELL_BITS
-    code = np.searchsorted(thresholds, start, side="right").astype(np.int64)
-    shifts = (code << _CELL_BITS) - start
-    inside = thresholds >> _CELL_BITS
-    shifts[inside] = (np.arange(1, 256, dtype=np.int64) << _CELL_BITS) - thresholds
-    return shifts
-
-
-def quantise(image: ArrayLike) -> NDArray[np.uint8]:
-    """The 8-bit codes of radiances: round(255 clip(x, 0, 1)^(1/2.2)).
-
-    The codes are those of exact arithmetic.  The power function in float64 is
-    some ulps off, and on most machines slower than the table used here.
-
-    Parameters
-    ----------
-    image : (height, width, 3) array_like
-        Linear RGB.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-
-    Raises
-    ------
-    TypeError
-        For an image of type uint8, which holds codes, not radiance.
-    ValueError
-        For another shape, or a NaN.
-    """
-    radiance = _checked(image)
-    codes = np.empty(radiance.shape, dtype=np.uint8)
-    flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    for start in range(0, flat.size, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        bits = _bits(np.clip(flat[block], _LEAST, 1.0))
-        bits += _shifts().take(bits >> _CELL_BITS)
-        flat_codes[block] = bits >> _CELL_BITS
-    return codes
-
-
 def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     """Write a picture as an 8-bit RGB PNG file.
 
@@ -225,18 +146,6 @@ def _adler_of_both(first: int, second: int, size: int) -> int:
     return ((b + (second >> 16) + size * (a - 1)) % _ADLER) << 16 | total
 
 
-def _checked(image: ArrayLike) -> Floats:
-    given = np.asarray(image)
-    if given.dtype == np.uint8:
-        raise TypeError("an image is linear radiance, from 0 to 1, not codes of type uint8")
-    radiance = np.ascontiguousarray(given, dtype=np.float64)
-    if radiance.ndim != 3 or radiance.shape[2] != 3:
-        raise ValueError(f"an image has shape (height, width, 3), not {radiance.shape}")
-    if np.isnan(radiance).any():
-        raise ValueError("an image must not hold NaN")
-    return radiance
-
-
 def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
     """Write a chunk of a PNG file (ISO/IEC 15948, 5.3)."""
     file.write(struct.pack(">I", len(data)))
@@ -293,3 +202,94 @@ def whole_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[bytes
         with suppress(OSError):
             os.unlink(beside)
         raise
+
+
+def quantise(image: ArrayLike) -> NDArray[np.uint8]:
+    """The 8-bit codes of radiances: round(255 clip(x, 0, 1)^(1/2.2)).
+
+    The codes are those of exact arithmetic.  The power function in float64 is
+    some ulps off, and on most machines slower than the table used here.
+
+    Parameters
+    ----------
+    image : (height, width, 3) array_like
+        Linear RGB.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+
+    Raises
+    ------
+    TypeError
+        For an image of type uint8, which holds codes, not radiance.
+    ValueError
+        For another shape, or a NaN.
+    """
+    radiance = _checked(image)
+    codes = np.empty(radiance.shape, dtype=np.uint8)
+    flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
+    for start in range(0, flat.size, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        bits = _bits(np.clip(flat[block], _LEAST, 1.0))
+        bits += _shifts().take(bits >> _CELL_BITS)
+        flat_codes[block] = bits >> _CELL_BITS
+    return codes
+
+
+def _checked(image: ArrayLike) -> Floats:
+    given = np.asarray(image)
+    if given.dtype == np.uint8:
+        raise TypeError("an image is linear radiance, from 0 to 1, not codes of type uint8")
+    radiance = np.ascontiguousarray(given, dtype=np.float64)
+    if radiance.ndim != 3 or radiance.shape[2] != 3:
+        raise ValueError(f"an image has shape (height, width, 3), not {radiance.shape}")
+    if np.isnan(radiance).any():
+        raise ValueError("an image must not hold NaN")
+    return radiance
+
+
+# The cells of a table over [_LEAST, 1]: 2^7 between any two powers of two, and so at most
+# one threshold in each.  The cell of a float64 is its leading bits, taken as an integer.
+_LEAST = 2.0**-20
+_LEAST_BITS = int(np.float64(_LEAST).view(np.int64))
+_CELL_BITS = 52 - 7
+
+
+@cache
+def _shifts() -> NDArray[np.int64]:
+    """For each cell, what to add to the bits of x so that the leading bits are its code."""
+    thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
+    # NumPy's own integers have 32 bits on some systems.
+    cells = int(_bits(np.ones(1))[0] >> _CELL_BITS) + 1
+    start = np.arange(cells, dtype=np.int64) << _CELL_BITS
+    code = np.searchsorted(thresholds, start, side="right").astype(np.int64)
+    shifts = (code << _CELL_BITS) - start
+    inside = thresholds >> _CELL_BITS
+    shifts[inside] = (np.arange(1, 256, dtype=np.int64) << _CELL_BITS) - thresholds
+    return shifts
+
+
+def _bits(x: Floats) -> NDArray[np.int64]:
+    """The bits of each x as an integer, less those of `_LEAST`: increasing with x."""
+    return x.view(np.int64) - _LEAST_BITS
+
+
+def _threshold(code: int) -> float:
+    """The least float64 whose code is `code` or more."""
+    root = (code - 0.5) / 255
+    x: float = root**2 * root**0.2  # closer than root**2.2: 0.2 has the smaller rounding error
+    while not _reaches(x, code):
+        x = math.nextafter(x, 1)
+    while _reaches(below := math.nextafter(x, 0), code):
+        x = below
+    return x
+
+
+def _reaches(x: float, code: int) -> bool:
+    """Whether 255 x^(1/2.2) >= code - 1/2, decided in whole numbers.
+
+    1/2.2 is 5/11, so both sides may be raised to the 11th power; from 2^-20
+    on, every float64 is a multiple of 2^-72.
+    """
+    return int(x * 2.0**72) ** 5 * 510**11 >= (2 * code - 1) ** 11 << 5 * 72
