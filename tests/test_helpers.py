@@ -301,12 +301,13 @@ def test_surfaces_arrive_as_they_were() -> None:
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_pictures_with_help(samples: int) -> None:
+def test_pictures_with_help(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = picture(300, 200)
     alone = render(scene, samples, threads=1)
     together(0.5)  # from here on there is one
     assert np.array_equal(render(scene, samples, threads=2), alone)
-    bands = [band.copy() for band in render_bands(scene, samples, threads=2, band_pixels=5000)]
+    monkeypatch.setattr(tracer.rendering, "_BAND_SAMPLES", 1000)
+    bands = [band.copy() for band in render_bands(scene, samples, threads=2)]
     assert len(bands) > 10
     assert np.array_equal(np.concatenate(bands), alone)
 

@@ -143,9 +143,10 @@ def test_lights_in_another_order(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("band_pixels", [1, 31, 100, 400])
-def test_bands(kind: str, band_pixels: int) -> None:
+def test_bands(kind: str, band_pixels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, image = picture(kind, 5)
-    bands = list(render_bands(scene, band_pixels=band_pixels))
+    monkeypatch.setattr(rendering, "_BAND_SAMPLES", band_pixels)
+    bands = list(render_bands(scene))
     assert len(bands) > 1
     assert np.array_equal(np.concatenate(bands), image)
 
@@ -155,7 +156,8 @@ def test_bands(kind: str, band_pixels: int) -> None:
 def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "processors", lambda: threads)
     scene, image = picture(kind, 6)
-    bands = [b.copy() for b in render_bands(scene, threads=threads, band_pixels=31)]
+    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 31)
+    bands = [b.copy() for b in render_bands(scene, threads=threads)]
     assert len(bands) == scene.height
     assert np.array_equal(np.concatenate(bands), image)
 
@@ -174,7 +176,9 @@ def test_antialiased_in_another_order_and_in_bands(
         image = render(in_order(scene, np.arange(len(scene.surfaces))), 16, threads=1)
         shuffled = in_order(scene, rng.permutation(len(scene.surfaces)))
         assert np.array_equal(render(shuffled, 16, threads=1), image)
-        bands = [b.copy() for b in render_bands(shuffled, 16, threads=1, band_pixels=100)]
+        with monkeypatch.context() as small:
+            small.setattr(rendering, "_BAND_SAMPLES", 25)
+            bands = [b.copy() for b in render_bands(shuffled, 16, threads=1)]
         assert np.array_equal(np.concatenate(bands), image)
 
 
@@ -183,7 +187,8 @@ def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(rendering, "processors", lambda: 2)
     scene, _ = picture("scattered", 5)
     image = render(scene, samples, threads=1)
-    bands = [b.copy() for b in render_bands(scene, samples, threads=2, band_pixels=100)]
+    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 25)
+    bands = [b.copy() for b in render_bands(scene, samples, threads=2)]
     assert np.array_equal(np.concatenate(bands), image)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 
-from tracer import Scene, render
+from tracer import Scene, render, rendering
 from tracer.arrays import Floats
 from tracer.rendering import render_bands
 
@@ -20,10 +21,11 @@ def uniform(scene: Scene, per_side: int) -> Floats:
     # A few of its rows at a time.
     rows = per_side * max(1, 50_000 // (per_side * width))
     fine = replace(scene, width=width, height=height)
-    bands = render_bands(fine, threads=1, band_pixels=rows * width)
-    return np.concatenate(
-        [b.reshape(-1, per_side, scene.width, per_side, 3).mean(axis=(1, 3)) for b in bands]
-    )
+    with mock.patch.object(rendering, "_BAND_SAMPLES", rows * width):
+        bands = render_bands(fine, threads=1)
+        return np.concatenate(
+            [b.reshape(-1, per_side, scene.width, per_side, 3).mean(axis=(1, 3)) for b in bands]
+        )
 
 
 def no_worse_than_the_uniform_grid(

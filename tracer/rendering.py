@@ -84,7 +84,7 @@ def render(
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
     # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
-    for rows, columns, band in _rendered(scene, samples, threads, offset, image=image):
+    for rows, columns, band in _rendered(scene, samples, threads, offset, image):
         if not np.may_share_memory(band, image):
             image[rows, columns] = band[:, columns]
     return image
@@ -96,19 +96,17 @@ def render_bands(
     *,
     threads: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
-    band_pixels: int | None = None,
 ) -> Iterator[Floats]:
     """Render a scene from the top, band by band.
 
-    Parameters are those of `render`, and checked when the first band is asked for.  `band_pixels`
-    limits the size of a band, which is whatever is fast if absent; it changes no pixel.
+    Parameters are those of `render`, and checked when the first band is asked for.
 
     Yields
     ------
     band : (rows, width, 3) float64
         The next rows of the picture.
     """
-    for _, columns, band in _rendered(scene, samples, threads, offset, band_pixels):
+    for _, columns, band in _rendered(scene, samples, threads, offset):
         whole = np.zeros_like(band)
         whole[:, columns] = band[:, columns]
         yield whole
@@ -140,7 +138,6 @@ def _rendered(
     samples: int,
     threads: int | None,
     offset: tuple[float, float],
-    band_pixels: int | None = None,
     image: Floats | None = None,
 ) -> Iterator[tuple[slice, slice, Floats]]:
     """Each band's rows in the picture, the columns where something may be seen, and the band.
@@ -150,7 +147,7 @@ def _rendered(
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
-    bands = _Bands.of(picture, processes, band_pixels)
+    bands = _Bands.of(picture, processes)
     job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
     # Whoever asks for processors by number gets helpers from the first picture on.
     load = inf if threads else load
@@ -265,12 +262,12 @@ class _Bands(NamedTuple):
     at_once: int
 
     @classmethod
-    def of(cls, picture: _Picture, processes: int, band_pixels: int | None = None) -> _Bands:
-        """Bands for a number of processes; `band_pixels`: see `render_bands`."""
+    def of(cls, picture: _Picture, processes: int) -> _Bands:
+        """Bands for a number of processes."""
         width, height = picture.scene.width, picture.scene.height
         # Few pixels of a band are split: larger bands have enough of them for long arrays.
         times = picture.larger / picture.lattice.size
-        at_once = max(1, int(band_pixels or _BAND_SAMPLES * times))
+        at_once = max(1, int(_BAND_SAMPLES * times))
         step = max(1, at_once // width)
         if processes > 1:
             # Enough bands that all processes end at about the same time, unless they get too small.
