@@ -1,5 +1,9 @@
 """What stands between lights and points: the data that all parts of the shadow test share.
 
+A *finder* names the candidates, objects that may keep a light from the points in a ball; the exact
+test then takes each point with each candidate of its ball, pair by pair.  Finders differ in how
+they search, and in how many points their balls hold.
+
 Objects are numbered together, spheres first, then boxes.
 """
 
@@ -147,7 +151,7 @@ class Candidates(NamedTuple):
 
 
 class Finder(Protocol):
-    """Finds what may keep lights from points."""
+    """Finds what may keep lights from points: stretches, light buffers or a shadow cache."""
 
     def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None

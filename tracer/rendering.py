@@ -4,6 +4,9 @@ A band is a few rows of the picture: small enough for its arrays to stay in
 cache and in memory that is already there, large enough for NumPy's calls to
 weigh nothing.  Bands depend on nothing but the scene, so they can be rendered
 in any order, side by side, and written out as they come.
+
+A `_Picture` says what to render, `_Bands` how it is cut; a `_Renderer` has the scene
+prepared, and renders any band.
 """
 
 from __future__ import annotations
