@@ -41,9 +41,6 @@ __all__ = ["StretchFinder", "stretch_finder"]
 # along each side of a block.
 _LONG, _SHORT, _TILE, _BLOCK = 24, 6, 24, 6
 
-# How many pairs of objects are tried at a time.
-_OBJECT_PAIRS = 1 << 17
-
 
 class _OccluderLists(NamedTuple):
     """Which spheres, or which boxes, may keep each light from each object.
@@ -116,11 +113,10 @@ def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
     lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
     around_light = SLACK * np.abs(lights).sum(axis=1)
     light, own = (m.ravel() for m in np.indices(occluders.side.shape))
-    step = max(1, _OBJECT_PAIRS // occluder.size)
     counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
     # A row for each light and each object it may light, a column for each that may shade it.
-    for start in range(0, light.size, step):
-        at, one = light[start : start + step, None], own[start : start + step, None]
+    for some in batches(np.full(light.size, occluder.size)):
+        at, one = light[some, None], own[some, None]
         thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
         middle = pick(occluders.middle, one)
         may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
