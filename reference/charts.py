@@ -126,7 +126,6 @@ def _ink(color: str) -> Any:
 
 
 def _label(axes: Any, ends: Sequence[End], along: int) -> None:
-    axes.figure.canvas.draw()
     points = 72 / axes.figure.dpi
     corner = axes.get_window_extent().max * points
     at = [axes.transData.transform(end[:2]) * points for end in ends]
