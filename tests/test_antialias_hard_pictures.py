@@ -25,6 +25,8 @@ from tracer import (
     render,
     shadow,
 )
+from tracer.arrays import Bools, Floats, Ints
+from tracer.curvature import curvature
 from tracer.scene import Vector
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
@@ -407,10 +409,10 @@ def test_a_narrow_highlight_beside_a_shadow(aside: float) -> None:
     floor = Box(min_pt=(-9, -9, -1), max_pt=(9, 9, 0), shader=gloss)
     plate = Box(min_pt=(-3, -3, 4), max_pt=((at + aside) / 2, 3, 4.01))
     camera = Camera(
-        view_point=(-2.5, 0, 3), view_dir=(at + 2.5, 0, -3), view_width=1, view_height=2 / 3
+        view_point=(-2.5, 0, 3), view_dir=(at + 2.5, 0, -3), view_width=1 / 3, view_height=2 / 9
     )
     lights = [PointLight(position=(0, 0, 8))]
-    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[floor, plate])
+    scene = Scene(camera=camera, width=12, height=8, lights=lights, surfaces=[floor, plate])
     assert np.abs(render(scene, samples=64) - uniform(scene, 129)).max() <= 0.002
 
 
@@ -495,9 +497,19 @@ def test_the_shadow_of_a_ball_smaller_than_its_pixel() -> None:
     no_worse_than_the_uniform_grid(scene)
 
 
-def test_more_lights_than_bits() -> None:
-    lights = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
+def test_more_lights_than_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A key says what a pixel sees, and which lights reach it: the first of them counts, too.
+    keys: set[int] = set()
+
+    def noted(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bools]:
+        keys.update(key.tolist())
+        return curvature(radiance, key, width)
+
+    monkeypatch.setattr(antialias, "curvature", noted)
+    first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
+    lights = [first, *(replace(light, position=(0, 0, 0)) for light in others)]
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)
-    no_worse_than_the_uniform_grid(
-        Scene(camera=Camera(), width=48, height=48, lights=lights, surfaces=[WALL, ball]), 2
-    )
+    scene = Scene(camera=Camera(), width=24, height=24, lights=lights, surfaces=[WALL, ball])
+    no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
+    # The wall and the ball, each in its light and out of it.
+    assert len(keys) == 4
