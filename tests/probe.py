@@ -9,7 +9,7 @@ import numpy as np
 from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
-__all__ = ["EPS", "Surface", "Vector", "colored", "moved", "radiance_along"]
+__all__ = ["EPS", "Surface", "Vector", "colored", "moved", "radiance_along", "scene_of"]
 
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
@@ -17,21 +17,29 @@ Surface = Sphere | Box
 EPS = float(np.finfo(np.float64).eps)
 
 
-def radiance_along(
-    eye: Vector, direction: Vector, lights: list[PointLight] | Vector, *surfaces: Surface
-) -> Floats:
-    """Radiance (3,) along one ray; a bare position is that of one white light."""
-    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
-    if isinstance(lights, tuple):
-        lights = [PointLight(position=lights)]
-    scene = Scene(
-        camera=Camera(view_point=eye, view_dir=direction, view_up=up),
-        width=1,
-        height=1,
-        lights=tuple(lights),
-        surfaces=Surfaces.of(surfaces),
+Lights = list[PointLight] | Vector
+"""A bare position is that of one white light."""
+
+
+def scene_of(
+    *surfaces: Surface, camera: Camera | None = None, size: tuple[int, int], lights: Lights
+) -> Scene:
+    """Surfaces before a camera, in a picture of so many columns and rows."""
+    width, height = size
+    return Scene(
+        camera=camera or Camera(),
+        width=width,
+        height=height,
+        lights=lights if isinstance(lights, list) else [PointLight(position=lights)],
+        surfaces=surfaces,
     )
-    pixel: Floats = render(scene)[0, 0]
+
+
+def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:
+    """Radiance (3,) along one ray."""
+    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
+    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
+    pixel: Floats = render(scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights))[0, 0]
     return pixel
 
 

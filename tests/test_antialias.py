@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from probe import scene_of
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
 from reference.command import own_scenes
@@ -21,7 +22,6 @@ from tracer import (
     Camera,
     Lambertian,
     Phong,
-    PointLight,
     Scene,
     Sphere,
     antialias,
@@ -39,13 +39,7 @@ def small(path: Path) -> Scene:
     """A scene of the project, some 100 pixels wide."""
     scene = load_scene(path)
     width = 96
-    return Scene(
-        camera=scene.camera,
-        width=width,
-        height=round(width * scene.height / scene.width),
-        lights=scene.lights,
-        surfaces=scene.surfaces,
-    )
+    return replace(scene, width=width, height=round(width * scene.height / scene.width))
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
@@ -106,12 +100,11 @@ def test_lattices_of_edges_in_their_own_directions(
         )
         for center, half in zip(centers, rng.uniform(*halves, (60, 3)), strict=True)
     ]
-    scene = Scene(
+    scene = scene_of(
+        *boxes,
         camera=Camera(view_up=(slope, 1, 0), view_width=0.6, view_height=0.4),
-        width=24,
-        height=16,
-        lights=[PointLight(position=(0, 3, 2))],
-        surfaces=boxes,
+        size=(24, 16),
+        lights=(0, 3, 2),
     )
     # With 49 samples or more, and a slope of 1 / 2, the grid may be closer by some 2 %.
     no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 9, 16, 25, 36))
@@ -124,12 +117,11 @@ def view(
     *surfaces: Sphere | Box, light: tuple[float, float, float] = (0, 0, 10), pixels: int = 16
 ) -> Scene:
     """So many pixels a side, all together of size 4 on the plane z = 0, seen from far away."""
-    return Scene(
+    return scene_of(
+        *surfaces,
         camera=Camera(view_point=(0, 0, 100), proj_distance=100, view_width=4, view_height=4),
-        width=pixels,
-        height=pixels,
-        lights=(PointLight(position=light),),
-        surfaces=surfaces,  # type: ignore[arg-type]
+        size=(pixels, pixels),
+        lights=light,
     )
 
 
@@ -239,8 +231,7 @@ def test_where_two_boxes_meet_is_exact(monkeypatch: pytest.MonkeyPatch) -> None:
         view_width=0.2,
         view_height=0.2,
     )
-    lights = [PointLight(position=(40, 0, 30))]
-    scene = Scene(camera=camera, width=9, height=9, lights=lights, surfaces=[back, side])
+    scene = scene_of(back, side, camera=camera, size=(9, 9), lights=(40, 0, 30))
     np.testing.assert_allclose(render(scene, samples=16), uniform(scene, 201), atol=5e-4)
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from probe import scene_of
 from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
@@ -36,10 +37,7 @@ RED = Lambertian(diffuse=(1, 0, 0))
 def test_a_small_object_beside_the_rim_before_a_wide_one() -> None:
     # All samples beside edges are far left, and the wall in their rows reaches far right.
     ball = Sphere(center=(-1.7, -0.3, -3.9), radius=0.1, shader=RED)
-    lights = [PointLight(position=(0, 3, 4))]
-    no_worse_than_the_uniform_grid(
-        Scene(camera=Camera(), width=96, height=72, lights=lights, surfaces=[WALL, ball]), 2
-    )
+    no_worse_than_the_uniform_grid(scene_of(WALL, ball, size=(96, 72), lights=(0, 3, 4)), 2)
 
 
 def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,8 +53,7 @@ def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) ->
         view_width=3,
         view_height=2,
     )
-    lights = [PointLight(position=(3.04, 4.625, 2.95))]
-    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[ball, box, floor])
+    scene = scene_of(ball, box, floor, camera=camera, size=(36, 24), lights=(3.04, 4.625, 2.95))
     no_worse_than_the_uniform_grid(scene, numbers=(64,))
 
 
@@ -72,8 +69,7 @@ def test_the_shadow_of_a_box_on_a_ball_in_tall_pixels(monkeypatch: pytest.Monkey
     )
     box = Box(min_pt=(-1.401, -1.014, -1.69), max_pt=(-0.496, 0.099, -1.105))
     ball = Sphere(center=(0.7515, -0.7091, -1.1605), radius=0.4899)
-    lights = [PointLight(position=(-4.0502, 1.5368, -2.4968))]
-    scene = Scene(camera=camera, width=16, height=24, lights=lights, surfaces=[box, ball])
+    scene = scene_of(box, ball, camera=camera, size=(16, 24), lights=(-4.0502, 1.5368, -2.4968))
     no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
@@ -87,12 +83,12 @@ def test_a_lamp_behind_a_plate() -> None:
     floor = Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9))
     plate = Box(min_pt=(-1, 0, -4.02), max_pt=(1, 0.5, -4))
     no_worse_than_the_uniform_grid(
-        Scene(
+        scene_of(
+            floor,
+            plate,
             camera=Camera(view_point=(0, 0.3, 0)),
-            width=41,
-            height=41,
-            lights=[PointLight(position=(0, 0.2, -4.1))],
-            surfaces=[floor, plate],
+            size=(41, 41),
+            lights=(0, 0.2, -4.1),
         ),
         2,
     )
@@ -103,12 +99,13 @@ def test_shadows_on_a_hollow_ball_that_is_there_twice() -> None:
     hollow = Sphere(center=(0, 0, 0), radius=6)
     plate = Box(min_pt=(-0.7, -0.5, -2.5), max_pt=(0.4, 0.8, -2.4), shader=RED)
     no_worse_than_the_uniform_grid(
-        Scene(
+        scene_of(
+            hollow,
+            hollow,
+            plate,
             camera=Camera(view_point=(0, 0, 4)),
-            width=36,
-            height=36,
-            lights=[PointLight(position=(2, 1.5, 1))],
-            surfaces=[hollow, hollow, plate],
+            size=(36, 36),
+            lights=(2, 1.5, 1),
         ),
         2,
     )
@@ -122,8 +119,7 @@ def low_over(*surfaces: Sphere | Box, height: float, light: tuple[float, float, 
         view_width=0.7,
         view_height=0.7 * 2 / 3,
     )
-    lights = [PointLight(position=light)]
-    return Scene(camera=camera, width=36, height=24, lights=lights, surfaces=surfaces)
+    return scene_of(*surfaces, camera=camera, size=(36, 24), lights=light)
 
 
 def test_a_floor_to_the_horizon() -> None:
@@ -144,8 +140,7 @@ def test_a_shadow_far_away_on_a_floor(slope: float, pixel: float) -> None:
     )
     floor = Box(min_pt=(-1e3, -5, -1e3), max_pt=(1e3, 0, 1e3))
     above = Box(min_pt=(-300, 150, -103), max_pt=(300, 160, -100), shader=RED)
-    lights = [PointLight(position=(3, 2000, -101))]
-    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, above])
+    scene = scene_of(floor, above, camera=camera, size=(24, 16), lights=(3, 2000, -101))
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -170,12 +165,12 @@ def test_a_shadow_less_deep_than_its_pixels(
     floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
     camera = Camera(view_point=(0, 0.5, 0), view_width=0.7, view_height=0.7 * 2 / 3)
     no_worse_than_the_uniform_grid(
-        Scene(
+        scene_of(
+            floor,
+            Sphere(center=ball, radius=radius, shader=RED),
             camera=camera,
-            width=36,
-            height=24,
-            lights=[PointLight(position=light)],
-            surfaces=[floor, Sphere(center=ball, radius=radius, shader=RED)],
+            size=(36, 24),
+            lights=light,
         ),
         2,
     )
@@ -211,12 +206,12 @@ def test_a_shadow_that_leaves_a_pixel_beside_where_it_enters(
     camera = Camera(
         view_point=(0, height, 0), view_dir=ahead, view_width=wide, view_height=wide * 25 / 37
     )
-    scene = Scene(
+    scene = scene_of(
+        floor,
+        Sphere(center=ball, radius=radius, shader=RED),
         camera=camera,
-        width=37,
-        height=25,
-        lights=[PointLight(position=light)],
-        surfaces=[floor, Sphere(center=ball, radius=radius, shader=RED)],
+        size=(37, 25),
+        lights=light,
     )
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
@@ -233,13 +228,7 @@ def test_the_horizon_of_a_planet(radius: float, up: float) -> None:
     # Rays to its horizon are at right angles to the way to its centre, or nearly.
     planet = Sphere(center=(0, -radius, 0), radius=radius)
     camera = Camera(view_point=(0, 2, 0), view_dir=(0, up, -1))
-    scene = Scene(
-        camera=camera,
-        width=18,
-        height=13,
-        lights=[PointLight(position=(0, 1e3, -50))],
-        surfaces=[planet],
-    )
+    scene = scene_of(planet, camera=camera, size=(18, 13), lights=(0, 1e3, -50))
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
 
@@ -256,12 +245,12 @@ def test_the_horizon_of_a_planet(radius: float, up: float) -> None:
 def test_the_eye_on_a_surface(floor: Box | Sphere) -> None:
     """It sees the inside, on one side of the plane that touches it there, and past it elsewhere."""
     room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
-    scene = Scene(
+    scene = scene_of(
+        floor,
+        room,
         camera=Camera(view_dir=(0.3, 0.01, -1), view_up=(0.1, 1, 0)),
-        width=24,
-        height=16,
-        lights=[PointLight(position=(0, 5, 3))],
-        surfaces=[floor, room],
+        size=(24, 16),
+        lights=(0, 5, 3),
     )
     no_worse_than_the_uniform_grid(scene)
 
@@ -272,12 +261,8 @@ def test_the_eye_beside_an_edge_but_for_rounding(aside: float) -> None:
     room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
     box = Box(min_pt=(0, -1, -4), max_pt=(4, 1, -aside), shader=RED)
     camera = Camera(view_dir=(0, -1, 0), view_up=(-0.013, 0.49, 0.87), view_width=0.37)
-    scene = Scene(
-        camera=replace(camera, view_height=0.37),
-        width=24,
-        height=20,
-        lights=[PointLight(position=(-2, 5, -4))],
-        surfaces=[box, room],
+    scene = scene_of(
+        box, room, camera=replace(camera, view_height=0.37), size=(24, 20), lights=(-2, 5, -4)
     )
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
@@ -289,12 +274,11 @@ def test_light_that_falls_off_towards_a_horizon(up: float) -> None:
     camera = Camera(
         view_point=(0, 1.4, 0), view_dir=(0, up, -1), proj_normal=(0, 0, 1), view_width=0.4
     )
-    scene = Scene(
+    scene = scene_of(
+        Box(min_pt=(-3e4, -1, -3e4), max_pt=(3e4, 0, 3e4)),
         camera=replace(camera, view_height=0.4 * 13 / 18),
-        width=18,
-        height=13,
-        lights=[PointLight(position=(-100, 210, -160))],
-        surfaces=[Box(min_pt=(-3e4, -1, -3e4), max_pt=(3e4, 0, 3e4))],
+        size=(18, 13),
+        lights=(-100, 210, -160),
     )
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
@@ -305,8 +289,7 @@ def test_a_shadow_on_the_far_part_of_what_a_pixel_sees() -> None:
     )
     floor = Box(min_pt=(-6e4, -1, -6e4), max_pt=(6e4, 0, 6e4))
     out_of_sight = Box(min_pt=(-3.3, 2.7, -45.5), max_pt=(9.4, 6.6, -30.3))
-    lights = [PointLight(position=(-360, 295, 131))]
-    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, out_of_sight])
+    scene = scene_of(floor, out_of_sight, camera=camera, size=(24, 16), lights=(-360, 295, 131))
     no_worse_than_the_uniform_grid(scene, 2, numbers=(64, 256))
 
 
@@ -322,16 +305,14 @@ def test_a_box_through_a_long_lens(distance: float) -> None:
         view_height=2,
     )
     box = Box(min_pt=(-0.5, -0.5, -0.5), max_pt=(0.5, 0.5, 0.5))
-    lights = [PointLight(position=(-0.14, 3.7, -3.4))]
-    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[box])
+    scene = scene_of(box, camera=camera, size=(36, 24), lights=(-0.14, 3.7, -3.4))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
 def test_the_ends_of_a_thin_rod_far_away() -> None:
     camera = Camera(view_point=(0, 0, 1e4), proj_distance=1e4, view_width=0.03, view_height=0.02)
     rod = Box(min_pt=(-3, -0.0041, -0.01), max_pt=(0.0007, 0.0041, 0.01))
-    lights = [PointLight(position=(3, 4, 9))]
-    scene = Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[rod])
+    scene = scene_of(rod, camera=camera, size=(36, 24), lights=(3, 4, 9))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
@@ -349,10 +330,7 @@ def test_a_light_on_a_ball(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
         view_width=0.6,
         view_height=0.4,
     )
-    lights = [PointLight(position=(0, 1, 0))]
-    scene = Scene(
-        camera=camera, width=24, height=16, lights=lights, surfaces=[wall, Sphere(shader=RED)]
-    )
+    scene = scene_of(wall, Sphere(shader=RED), camera=camera, size=(24, 16), lights=(0, 1, 0))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
@@ -364,8 +342,7 @@ def test_a_wire_on_a_row_of_centres(thickness: float, turn: float) -> None:
     half = thickness / 6
     wire = Box(min_pt=(-0.8, -half, -6), max_pt=(0.8, half, -5), shader=RED)
     wall = Box(min_pt=(-30, -30, -12), max_pt=(30, 30, -11))
-    lights = [PointLight(position=(1, 2, 6))]
-    scene = Scene(camera=camera, width=15, height=15, lights=lights, surfaces=[wall, wire])
+    scene = scene_of(wall, wire, camera=camera, size=(15, 15), lights=(1, 2, 6))
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -375,8 +352,7 @@ def test_a_wire_between_rows_of_samples(up: float, roll: float) -> None:
     wire = Box(min_pt=(-0.2, up - 0.0012, -1), max_pt=(0.9, up + 0.0012, -0.994), shader=RED)
     wall = Box(min_pt=(-9, -9, -1.5), max_pt=(9, 9, -1.02), shader=Lambertian(diffuse=(0.3,) * 3))
     camera = Camera(view_up=(roll, 1, 0))
-    lights = [PointLight(position=(0, 1.5, 1))]
-    scene = Scene(camera=camera, width=32, height=32, lights=lights, surfaces=[wire, wall])
+    scene = scene_of(wire, wall, camera=camera, size=(32, 32), lights=(0, 1.5, 1))
     no_worse_than_the_uniform_grid(scene, numbers=(9, 16, 64))
 
 
@@ -396,8 +372,7 @@ def test_a_wall_through_a_floor_seen_at_a_low_angle(slope: float, part: float) -
     )
     floor = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
     wall = Box(min_pt=(-3, -1, -11), max_pt=(3, 2, -10), shader=RED)
-    lights = [PointLight(position=(5, 20, 5))]
-    scene = Scene(camera=camera, width=18, height=12, lights=lights, surfaces=[floor, wall])
+    scene = scene_of(floor, wall, camera=camera, size=(18, 12), lights=(5, 20, 5))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64, 256))
 
 
@@ -411,8 +386,7 @@ def test_a_narrow_highlight_beside_a_shadow(aside: float) -> None:
     camera = Camera(
         view_point=(-2.5, 0, 3), view_dir=(at + 2.5, 0, -3), view_width=1 / 3, view_height=2 / 9
     )
-    lights = [PointLight(position=(0, 0, 8))]
-    scene = Scene(camera=camera, width=12, height=8, lights=lights, surfaces=[floor, plate])
+    scene = scene_of(floor, plate, camera=camera, size=(12, 8), lights=(0, 0, 8))
     assert np.abs(render(scene, samples=64) - uniform(scene, 129)).max() <= 0.002
 
 
@@ -421,7 +395,7 @@ def test_a_terminator_of_many_dim_lights() -> None:
     lights = [PointLight(position=(9, 5, -1.5), intensity=(1 / 300,) * 3)] * 300
     camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=6.3, view_height=4.2)
     ball = Sphere(center=(0.1, 0.1, 0))
-    scene = Scene(camera=camera, width=18, height=12, lights=lights, surfaces=[ball])
+    scene = scene_of(ball, camera=camera, size=(18, 12), lights=lights)
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
@@ -429,9 +403,8 @@ def test_a_smooth_surface_in_large_pixels() -> None:
     # No edge at all: the light alone changes, in a highlight, within a pixel.
     camera = Camera(view_point=(0, 0, 3), view_width=0.54, view_height=0.36)
     ball = Sphere(shader=Phong(diffuse=(0.4, 0.4, 0.4), specular=(1, 1, 1), exponent=50))
-    lights = [PointLight(position=(1, 2, 5))]
     no_worse_than_the_uniform_grid(
-        Scene(camera=camera, width=36, height=24, lights=lights, surfaces=[ball]), 2
+        scene_of(ball, camera=camera, size=(36, 24), lights=(1, 2, 5)), 2
     )
 
 
@@ -439,8 +412,7 @@ def test_light_on_a_ball_as_wide_as_a_pixel() -> None:
     # No neighbour sees the ball, and its pixel's quarters do not all see it under the light.
     camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=9, view_height=6)
     ball = Sphere(center=(-0.35, -0.29, 0), radius=0.65)
-    lights = [PointLight(position=(1.4, 1.5, 5.5))]
-    scene = Scene(camera=camera, width=9, height=6, lights=lights, surfaces=[ball])
+    scene = scene_of(ball, camera=camera, size=(9, 6), lights=(1.4, 1.5, 5.5))
     no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
@@ -450,8 +422,7 @@ def test_a_surface_one_pixel_high() -> None:
     gloss = Phong(diffuse=(0.1,) * 3, specular=(1, 1, 1), exponent=34)
     bar = Box(min_pt=(-9, -half, -1), max_pt=(9, half, 0), shader=gloss)
     camera = Camera(view_point=(0, 0, 1), view_width=0.2, view_height=2)
-    lights = [PointLight(position=(0, 0, 1))]
-    scene = Scene(camera=camera, width=24, height=13, lights=lights, surfaces=[bar])
+    scene = scene_of(bar, camera=camera, size=(24, 13), lights=(0, 0, 1))
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -461,8 +432,7 @@ def test_the_outline_of_a_hidden_ball() -> None:
     wall = Box(min_pt=(-9, -9, -1), max_pt=(9, 9, 0), shader=gloss)
     ball = Sphere(center=(-78.5399, -49.3374, -99.1142), radius=95)
     camera = Camera(view_point=(0, 0, 3), view_width=0.4, view_height=0.8 / 3)
-    lights = [PointLight(position=(0.5, -0.4, 3))]
-    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[wall, ball])
+    scene = scene_of(wall, ball, camera=camera, size=(24, 16), lights=(0.5, -0.4, 3))
     no_worse_than_the_uniform_grid(scene, numbers=(4, 16))
 
 
@@ -480,8 +450,7 @@ def test_glitter_below_the_horizon_of_a_planet(
     gloss = Phong(diffuse=(0.5,) * 3, specular=(1, 1, 1), exponent=5)
     planet = Sphere(center=(0, -radius, 0), radius=radius, shader=gloss)
     camera = Camera(view_point=eye, view_dir=(0, up, -1), view_width=wide, view_height=wide * 2 / 3)
-    lights = [PointLight(position=light)]
-    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[planet])
+    scene = scene_of(planet, camera=camera, size=(24, 16), lights=light)
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -492,8 +461,7 @@ def test_the_shadow_of_a_ball_smaller_than_its_pixel() -> None:
     camera = Camera(
         view_point=(0, 37, 62), view_dir=(0, -0.51, -0.86), view_width=0.7, view_height=0.47
     )
-    lights = [PointLight(position=(-34, 12.4, -7.9))]
-    scene = Scene(camera=camera, width=24, height=16, lights=lights, surfaces=[floor, ball])
+    scene = scene_of(floor, ball, camera=camera, size=(24, 16), lights=(-34, 12.4, -7.9))
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -509,7 +477,7 @@ def test_more_lights_than_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 80,) * 3)] * 80
     lights = [first, *(replace(light, position=(0, 0, 0)) for light in others)]
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)
-    scene = Scene(camera=Camera(), width=24, height=24, lights=lights, surfaces=[WALL, ball])
+    scene = scene_of(WALL, ball, size=(24, 24), lights=lights)
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
     # The wall and the ball, each in its light and out of it.
     assert len(keys) == 4

@@ -12,20 +12,18 @@ import math
 
 import numpy as np
 import pytest
-from probe import EPS, Vector, colored
+from probe import EPS, Vector, colored, scene_of
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Box, Camera, Lambertian, Sphere, render
 from tracer.arrays import Floats
 
 WALL = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))
-LIGHTS = tuple(colored((0, 0, -7), (1, 0, -7), (0, 1, -7)))
+LIGHTS = colored((0, 0, -7), (1, 0, -7), (0, 1, -7))
 
 
 def wall_seen(camera: Camera, width: int, height: int) -> Floats:
     """The wall's picture (height, width, 3)."""
-    scene = Scene(
-        camera=camera, width=width, height=height, lights=LIGHTS, surfaces=Surfaces.of([WALL])
-    )
+    scene = scene_of(WALL, camera=camera, size=(width, height), lights=LIGHTS)
     return render(scene)
 
 
@@ -148,13 +146,7 @@ def test_nothing_is_mirrored() -> None:
         Sphere(center=(4, y, z), radius=0.5, shader=Lambertian(diffuse=color))
         for (y, z), color in colors.items()
     ]
-    scene = Scene(
-        camera=Camera(view_dir=(1, 0, 0)),
-        width=2,
-        height=2,
-        lights=(PointLight(position=(0, 0, 0)),),
-        surfaces=Surfaces.of(balls),
-    )
+    scene = scene_of(*balls, camera=Camera(view_dir=(1, 0, 0)), size=(2, 2), lights=(0, 0, 0))
     seen = render(scene) > 0
     expected = [[colors[y, z] for z in (-1, 1)] for y in (1, -1)]
     assert np.array_equal(seen, np.array(expected) > 0)
@@ -163,13 +155,7 @@ def test_nothing_is_mirrored() -> None:
 def test_row_zero_is_the_top() -> None:
     # The sky is black, the floor is not.
     floor = Box(min_pt=(-100, -2, -100), max_pt=(100, -1, 100))
-    scene = Scene(
-        camera=Camera(),
-        width=3,
-        height=4,
-        lights=(PointLight(position=(0, 50, 0)),),
-        surfaces=Surfaces.of([floor]),
-    )
+    scene = scene_of(floor, size=(3, 4), lights=(0, 50, 0))
     assert (render(scene)[:, :, 0] > 0).tolist() == 2 * [3 * [False]] + 2 * [3 * [True]]
 
 
@@ -178,11 +164,5 @@ def test_window_is_not_a_near_plane() -> None:
     near = Sphere(center=(0, 0, -0.5), radius=0.125)
     behind = Sphere(center=(0, 0, 0.5), radius=0.125)
     for ball, radiance in ((near, 1), (behind, 0)):
-        scene = Scene(
-            camera=Camera(proj_distance=8),
-            width=1,
-            height=1,
-            lights=(PointLight(position=(0, 0, 0)),),
-            surfaces=Surfaces.of([ball]),
-        )
+        scene = scene_of(ball, camera=Camera(proj_distance=8), size=(1, 1), lights=(0, 0, 0))
         assert render(scene)[0, 0].tolist() == [radiance] * 3

@@ -11,9 +11,10 @@ import pytest
 from brute_force import brute_force
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces, lighting, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, lighting, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.outlines import frames_of
@@ -124,13 +125,7 @@ def scene(
     light: tuple[float, float, float] = (3, 5, 4),
     camera: Camera = CAMERA,
 ) -> Scene:
-    return Scene(
-        camera=camera,
-        width=120,
-        height=120,
-        lights=(PointLight(position=light),),
-        surfaces=Surfaces.of(surfaces),
-    )
+    return scene_of(*surfaces, camera=camera, size=(120, 120), lights=light)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -191,8 +186,7 @@ def test_a_row_of_rays_along_an_edge() -> None:
     # In the plane of the eye and the box's upper edge: an exact tie, and the box is closed.
     camera = Camera(view_point=(-1, 1, 1), view_dir=(0, -1, -2), view_width=2, view_height=4 / 3)
     box = Box(min_pt=(-3, -1, 0), max_pt=(-2, 0.5, 1))
-    lights = [PointLight(position=(3, 5, 0))]
-    scene = Scene(camera=camera, width=29, height=19, lights=lights, surfaces=[box])
+    scene = scene_of(box, camera=camera, size=(29, 19), lights=(3, 5, 0))
     image = render(scene)
     assert np.array_equal(image, brute_force(scene))
     assert image[9, 0].any()
@@ -214,8 +208,7 @@ def test_an_arc_of_more_than_half_a_circle() -> None:
 def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
-    lights = [PointLight(position=(0, 2, 0))]
-    scene = Scene(camera=Camera(), width=40, height=30, lights=lights, surfaces=plates)
+    scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
     most, visible = 0, lighting.visible
 
     def counted(view: View, samples: Samples) -> Hits:
@@ -393,18 +386,15 @@ def test_a_sun(far: float, direction: tuple[float, float, float]) -> None:
     """Its own rounding, much larger than the scene, is none of the points that it lights."""
     suns = [[PointLight(position=tuple(c * f for c in direction))] for f in (1e6, far)]
     near, sun = (
-        Scene(
+        scene_of(
+            Box(min_pt=(-6, -1, -6), max_pt=(6, 0, 6)),
+            Box(min_pt=(-1, 0, -1), max_pt=(0, 1, 0)),
+            Box(min_pt=(0.5, 0, 0), max_pt=(1.1, 0.6, 0.6)),
+            Sphere(center=(-1.5, 0.5, 1), radius=0.5),
+            Sphere(center=(-0.5, 1.3, -0.5), radius=0.3),
             camera=Camera(view_point=(3, 4, 8), view_dir=(-3, -4, -8)),
-            width=40,
-            height=40,
+            size=(40, 40),
             lights=lights,
-            surfaces=[
-                Box(min_pt=(-6, -1, -6), max_pt=(6, 0, 6)),
-                Box(min_pt=(-1, 0, -1), max_pt=(0, 1, 0)),
-                Box(min_pt=(0.5, 0, 0), max_pt=(1.1, 0.6, 0.6)),
-                Sphere(center=(-1.5, 0.5, 1), radius=0.5),
-                Sphere(center=(-0.5, 1.3, -0.5), radius=0.3),
-            ],
         )
         for lights in suns
     )

@@ -17,7 +17,6 @@ from tracer import (
     PointLight,
     Scene,
     Sphere,
-    Surfaces,
     antialias,
     render,
     rendering,
@@ -76,7 +75,7 @@ def in_order(scene: Scene, order: Ints) -> Scene:
     """The same objects in some order, all of one shader: exact ties go to the first."""
     shader = Lambertian(diffuse=(0.9, 0.5, 0.1))
     surfaces = [replace(scene.surfaces[i], shader=shader) for i in order.tolist()]
-    return replace(scene, surfaces=Surfaces.of(surfaces))
+    return replace(scene, surfaces=surfaces)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -95,7 +94,7 @@ def test_shaders_follow_their_objects(kind: str) -> None:
     # Where nothing coincides, the order matters nothing even to colours.
     for seed in range(4):
         scene, image = picture(kind, seed)
-        backward = Surfaces.of(scene.surfaces[::-1])
+        backward = scene.surfaces[::-1]
         assert np.array_equal(render(replace(scene, surfaces=backward)), image)
 
 
@@ -112,8 +111,8 @@ def test_first_of_equals_is_seen() -> None:
         scene = random_scene("scattered", 0)
         camera = replace(scene.camera, view_point=(0, 0, 9), view_dir=(0, 0, -1), proj_normal=None)
         scene = replace(scene, camera=camera, lights=(PointLight(position=(0, 0, 9)),))
-        first = render(replace(scene, surfaces=Surfaces.of([a, b])))
-        second = render(replace(scene, surfaces=Surfaces.of([b, a])))
+        first = render(replace(scene, surfaces=[a, b]))
+        second = render(replace(scene, surfaces=[b, a]))
         assert first.any()
         assert np.array_equal(first, second[:, :, [1, 0, 2]])
         assert not first[:, :, 1].any()
@@ -126,10 +125,10 @@ def test_a_ball_twice_is_as_bright_inside_as_once(radius: float) -> None:
     scene, _ = picture("scattered", 0)
     camera = replace(scene.camera, view_point=(0, 0, 0.5 * radius))
     lights = (PointLight(position=(0, 0.5 * radius, 0)),)
-    once = replace(scene, camera=camera, lights=lights, surfaces=Surfaces.of([room]))
+    once = replace(scene, camera=camera, lights=lights, surfaces=[room])
     image = render(once)
     assert image.all()
-    assert np.array_equal(render(replace(once, surfaces=Surfaces.of([room, room]))), image)
+    assert np.array_equal(render(replace(once, surfaces=[room, room])), image)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -20,7 +20,6 @@ from tracer import Box, Lambertian, Scene, render
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.sampling import CENTRES
-from tracer.scene import Surfaces
 from tracer.visibility import view_of
 from tracer.visibility import visible as hits_of
 
@@ -36,7 +35,7 @@ def wrong_gamma(scene: Scene) -> Floats:
 def no_highlight(scene: Scene) -> Floats:
     """Every shader's diffuse part alone."""
     matte = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
-    return render(replace(scene, surfaces=Surfaces.of(matte)))
+    return render(replace(scene, surfaces=matte))
 
 
 def falling_off(scene: Scene) -> Floats:
@@ -72,7 +71,7 @@ def no_shadows(scene: Scene) -> Floats:
     image = np.zeros((scene.height, scene.width, 3))
     for index, surface in enumerate(scene.surfaces):
         own = owner == index
-        image[own] = render(replace(scene, surfaces=Surfaces.of([surface])))[own]
+        image[own] = render(replace(scene, surfaces=[surface]))[own]
     return image
 
 
@@ -84,7 +83,7 @@ def boxes_out(scene: Scene) -> Floats:
         return replace(box, min_pt=(x0 + 1, y0, z0), max_pt=(x1 + 1, y1, z1))
 
     surfaces = [moved(s) if isinstance(s, Box) else s for s in scene.surfaces]
-    return render(replace(scene, surfaces=Surfaces.of(surfaces)))
+    return render(replace(scene, surfaces=surfaces))
 
 
 def visible(scene: Scene) -> tuple[Floats, Floats]:

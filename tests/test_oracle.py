@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from probe import scene_of
 from random_scenes import KINDS, random_scene
 
 from reference.oracle import Oracle, Verdict
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, render
 
 # Far more than the tracer's rounding, of a few hundred epsilon in the same
 # measure, and little enough to leave out few pixels.
@@ -33,13 +34,7 @@ def verdict_along(
 ) -> Verdict:
     """The verdict on one ray and one light."""
     camera = Camera(view_point=eye, view_dir=direction, view_up=(0.48, 0.6, 0.64))
-    scene = Scene(
-        camera=camera,
-        width=1,
-        height=1,
-        lights=(PointLight(position=light),),
-        surfaces=Surfaces.of(surfaces),
-    )
+    scene = scene_of(*surfaces, camera=camera, size=(1, 1), lights=light)
     return Oracle(scene).judge(0.5, 0.5)
 
 
@@ -171,11 +166,7 @@ def test_tracer_agrees_on_any(kind: str, seed: int) -> None:
 def test_radiance_between_pixels() -> None:
     # The shader's colour, where the ball is seen through the corner of a pixel.
     shader = Lambertian(diffuse=(0.5, 0.25, 1))
-    scene = Scene(
-        camera=Camera(view_point=(0, 0, 7)),
-        width=2,
-        height=2,
-        lights=(PointLight(position=(0, 0, 9)),),
-        surfaces=Surfaces.of([Sphere(shader=shader)]),
+    scene = scene_of(
+        Sphere(shader=shader), camera=Camera(view_point=(0, 0, 7)), size=(2, 2), lights=(0, 0, 9)
     )
     assert Oracle(scene).judge(1, 1).radiance == (0.5, 0.25, 1)

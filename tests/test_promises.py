@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import colored, moved
+from probe import colored, moved, scene_of
 from random_objects import a_direction, vector
 from random_scenes import random_scene
 
 from reference.oracle import Oracle, Verdict
-from tracer import Camera, Scene, Sphere, Surfaces, render
+from tracer import Camera, Scene, Sphere, render
 
 
 def errors(scene: Scene) -> list[tuple[float, Verdict]]:
@@ -42,7 +42,8 @@ def balls(
         lights = [center + a_direction(rng) * 3 * radius - direction * 4 * radius for _ in range(3)]
         # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most.
         size = 1.4 * radius * 5 / 4
-        yield Scene(
+        yield scene_of(
+            Sphere(center=vector(center), radius=radius),
             camera=Camera(
                 view_point=vector(eye),
                 view_dir=vector(direction),
@@ -51,10 +52,8 @@ def balls(
                 view_width=size,
                 view_height=size,
             ),
-            width=5,
-            height=5,
-            lights=tuple(colored(*(vector(light) for light in lights))),
-            surfaces=Surfaces.of([Sphere(center=vector(center), radius=radius)]),
+            size=(5, 5),
+            lights=colored(*(vector(light) for light in lights)),
         )
 
 
@@ -97,7 +96,8 @@ def test_ground_radius_over_height(ratio: float, promise: float, height: float) 
         for _ in range(8):
             slope, turn = math.radians(rng.uniform(20, 70)), rng.uniform(0, 2 * math.pi)
             flat = math.cos(slope)
-            yield Scene(
+            yield scene_of(
+                Sphere(center=(0, -radius, 0), radius=radius),
                 camera=Camera(
                     view_point=(0, height, 0),
                     view_dir=(flat * math.cos(turn), -math.sin(slope), flat * math.sin(turn)),
@@ -105,10 +105,8 @@ def test_ground_radius_over_height(ratio: float, promise: float, height: float) 
                     view_width=0.3,
                     view_height=0.3,
                 ),
-                width=5,
-                height=5,
-                lights=tuple(colored(*(vector(a_direction(rng) * radius) for _ in range(3)))),
-                surfaces=Surfaces.of([Sphere(center=(0, -radius, 0), radius=radius)]),
+                size=(5, 5),
+                lights=colored(*(vector(a_direction(rng) * radius) for _ in range(3))),
             )
 
     assert worst(scenes()) <= promise

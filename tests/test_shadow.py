@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, PointLight, Scene, Sphere, antialias, render, shadow
+from tracer import Box, Camera, Sphere, antialias, render, shadow
 from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
 from tracer.occluders import Candidates, Occluders, candidates_by_kind
@@ -115,12 +116,12 @@ def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
         Sphere(center=(x, 0.1, z), radius=0.1)
         for x, z in rng.uniform((-20, -60), (20, -2), (200, 2)).tolist()
     ]
-    scene = Scene(
+    scene = scene_of(
+        floor,
+        *balls,
         camera=Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1)),
-        width=64,
-        height=64,
-        lights=[PointLight(position=(30, 40, 20))],
-        surfaces=[floor, *balls],
+        size=(64, 64),
+        lights=(30, 40, 20),
     )
     asked = found = 0
     edges, pairs = Shadows.edges, Candidates.pairs

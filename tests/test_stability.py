@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import EPS, Surface, Vector, colored, moved, radiance_along
+from probe import EPS, Surface, Vector, colored, moved, radiance_along, scene_of
 from random_objects import vector
 from random_scenes import KINDS, random_scene
 
@@ -96,20 +96,15 @@ def test_06_scaled_by_a_power_of_two(power: int) -> None:
 def test_07_shifted_by_two_to_the_twenty() -> None:
     # All coordinates are eighths, so the shift itself is exact.
     def scene(shift: float) -> Scene:
-        return Scene(
-            camera=Camera(view_point=(shift, shift + 1, shift + 8), proj_distance=2),
-            width=16,
-            height=16,
-            lights=(PointLight(position=(shift + 4, shift + 6, shift + 5)),),
-            surfaces=Surfaces.of(
-                [
-                    Sphere(center=(shift, shift + 1, shift), radius=1.5),
-                    Box(
-                        min_pt=(shift - 4, shift - 1, shift - 4),
-                        max_pt=(shift + 4, shift - 0.5, shift + 4),
-                    ),
-                ]
+        return scene_of(
+            Sphere(center=(shift, shift + 1, shift), radius=1.5),
+            Box(
+                min_pt=(shift - 4, shift - 1, shift - 4),
+                max_pt=(shift + 4, shift - 0.5, shift + 4),
             ),
+            camera=Camera(view_point=(shift, shift + 1, shift + 8), proj_distance=2),
+            size=(16, 16),
+            lights=(shift + 4, shift + 6, shift + 5),
         )
 
     image = render(scene(0))
@@ -122,12 +117,11 @@ def test_07_shifted_by_two_to_the_twenty() -> None:
 @pytest.mark.parametrize("up", [-1.0, 1.0])
 def test_08_ray_in_a_face(y: float, dy: float, up: float) -> None:
     # The ray lies in the face y = +-1 and enters through z = 1: n = (0, 0, 1), light at the eye.
-    scene = Scene(
+    scene = scene_of(
+        CUBE,
         camera=Camera(view_point=(0, y, 5), view_dir=(0, dy, -1), view_up=(0, up, 0)),
-        width=1,
-        height=1,
-        lights=(PointLight(position=(0, y, 5)),),
-        surfaces=Surfaces.of([CUBE]),
+        size=(1, 1),
+        lights=(0, y, 5),
     )
     assert render(scene).tolist() == [[[1, 1, 1]]]
 
@@ -135,12 +129,11 @@ def test_08_ray_in_a_face(y: float, dy: float, up: float) -> None:
 def test_09_no_row_of_holes() -> None:
     # Rows 0 and 1 pass above the cube, row 2 lies in its top, rows 3 and 4 meet it; all
     # columns do: the window 2 x 2 at distance 4 is the cube's face, at 0.8 of its size.
-    scene = Scene(
+    scene = scene_of(
+        CUBE,
         camera=Camera(view_point=(0, 1, 5), proj_distance=4, view_width=2, view_height=2),
-        width=5,
-        height=5,
-        lights=(PointLight(position=(0, 1, 5)),),
-        surfaces=Surfaces.of([CUBE]),
+        size=(5, 5),
+        lights=(0, 1, 5),
     )
     assert (render(scene)[:, :, 0] > 0).tolist() == 2 * [[False] * 5] + 3 * [[True] * 5]
 
@@ -179,16 +172,16 @@ def test_13_shadow_at_the_contact(scale: float) -> None:
     # vertex (1, 1, -1), at (4 - 3 s, 5 - 4 s, -3 + 2 s); s = 1.5 is (-0.5, -1, 0), in the
     # contact face.  The eye within the cube sees the floor there, which is listed first.
     floor = Box(min_pt=(-9, -3, -9), max_pt=(9, -1, 9))
-    scene = Scene(
+    scene = scene_of(
+        floor,
+        CUBE,
         camera=Camera(view_point=(-0.5, 0, 0), view_dir=(0, -1, 0), view_up=(0, 0, 1)),
-        width=1,
-        height=1,
-        lights=(PointLight(position=(4, 5, -3)),),
-        surfaces=Surfaces.of([floor, CUBE]),
+        size=(1, 1),
+        lights=(4, 5, -3),
     )
     assert not render(moved(scene, scale)).any()
     # Without the cube: l = (4.5, 6, -3) / sqrt(65.25).
-    alone = moved(replace(scene, surfaces=Surfaces.of([floor])), scale)
+    alone = moved(replace(scene, surfaces=[floor]), scale)
     assert render(alone) == pytest.approx(np.full((1, 1, 3), 6 / math.sqrt(65.25)), abs=4 * EPS)
 
 
@@ -209,7 +202,7 @@ def test_15_light_at_the_eye(kind: str) -> None:
     # A light at the eye shows whatever is seen: black is only where each object alone is.
     scene = random_scene(kind, 7, width=24, height=24)
     scene = replace(scene, lights=(PointLight(position=scene.camera.view_point),))
-    alone = [render(replace(scene, surfaces=Surfaces.of([o]))) > 0 for o in scene.surfaces[:]]
+    alone = [render(replace(scene, surfaces=[o])) > 0 for o in scene.surfaces[:]]
     seen = np.logical_or.reduce(alone)
     assert seen.any()
     assert np.array_equal(render(scene) > 0, seen)
@@ -248,7 +241,7 @@ def test_17_light_on_a_sphere(center: Vector, radius: float) -> None:
 def test_18_everything_listed_twice(kind: str) -> None:
     for seed in range(20, 26):
         scene = random_scene(kind, seed)
-        twice = replace(scene, surfaces=Surfaces.of([*scene.surfaces[:], *scene.surfaces[:]]))
+        twice = replace(scene, surfaces=[*scene.surfaces[:], *scene.surfaces[:]])
         assert np.array_equal(render(twice), render(scene))
 
 
@@ -264,12 +257,11 @@ def test_19_light_at_1e8() -> None:
 
 def test_20_at_the_centre_of_a_sphere() -> None:
     # Eye and light at the centre: l = -d = n, so radiance is kd I everywhere.
-    scene = Scene(
+    scene = scene_of(
+        Sphere(shader=Lambertian(diffuse=(0.5, 0.5, 1))),
         camera=Camera(view_width=3, view_height=3),
-        width=9,
-        height=9,
-        lights=(PointLight(position=(0, 0, 0), intensity=(1, 0.5, 0.25)),),
-        surfaces=Surfaces.of([Sphere(shader=Lambertian(diffuse=(0.5, 0.5, 1)))]),
+        size=(9, 9),
+        lights=[PointLight(position=(0, 0, 0), intensity=(1, 0.5, 0.25))],
     )
     expected = np.broadcast_to([0.5, 0.25, 0.25], (9, 9, 3))
     assert render(scene) == pytest.approx(expected, abs=4 * EPS)
@@ -297,12 +289,11 @@ def test_22b_room_listed_twice(room: Surface) -> None:
     # Of two rooms the first is seen; the second, on which its points lie, hides no light
     # that is within.
     def scene(*rooms: Surface) -> Scene:
-        return Scene(
+        return scene_of(
+            *rooms,
             camera=Camera(view_point=(0.1, 0.2, 0.5), view_width=3, view_height=3),
-            width=16,
-            height=16,
-            lights=(PointLight(position=(0.4, -0.3, 0.1)),),
-            surfaces=Surfaces.of(rooms),
+            size=(16, 16),
+            lights=(0.4, -0.3, 0.1),
         )
 
     once = render(scene(room))
@@ -317,14 +308,13 @@ def test_22c_eye_on_a_wall(axis: int, side: int) -> None:
     # the wall those of one half of the picture.
     outwards = np.roll([side, 0, 0], axis)
     for direction, share in ((-outwards, 1.0), (outwards, 0.0), (np.roll(outwards, 1), 0.5)):
-        scene = Scene(
+        scene = scene_of(
+            CUBE,
             camera=Camera(
                 view_point=vector(outwards), view_dir=vector(direction), view_up=(1, 2, 4)
             ),
-            width=16,
-            height=16,
-            lights=(PointLight(position=(0, 0, 0)),),
-            surfaces=Surfaces.of([CUBE]),
+            size=(16, 16),
+            lights=(0, 0, 0),
         )
         assert (render(scene) > 0).mean() == share
 
@@ -354,12 +344,11 @@ def test_24_narrow_highlight(exponent: float) -> None:
 def test_25_exponent_zero() -> None:
     # (n.h)^0 = 1: the ball is ks where n.l > 0, 0 elsewhere, and both occur.
     ball = Sphere(shader=Phong(diffuse=(0, 0, 0), specular=(0.5, 0.25, 1), exponent=0))
-    scene = Scene(
+    scene = scene_of(
+        ball,
         camera=Camera(view_point=(0, 0, 5), proj_distance=4, view_width=3, view_height=3),
-        width=16,
-        height=16,
-        lights=(PointLight(position=(5, 3, -1)),),
-        surfaces=Surfaces.of([ball]),
+        size=(16, 16),
+        lights=(5, 3, -1),
     )
     pixels = {tuple(pixel) for pixel in render(scene).reshape(-1, 3).tolist()}
     assert pixels == {(0, 0, 0), (0.5, 0.25, 1)}
@@ -387,12 +376,11 @@ def test_28_nearly_orthographic() -> None:
     # f = atan(b / D) with the axis, b = |(x, y)|; by the sine rule the normal it meets makes
     # asin(D sin f) - f.  Lights far along x, y and z show the normal.
     D = 1e6
-    scene = Scene(
+    scene = scene_of(
+        BALL,
         camera=Camera(view_point=(0, 0, D), proj_distance=D, view_width=1.4, view_height=1.4),
-        width=7,
-        height=7,
-        lights=tuple(colored((1e9, 0, 0), (0, 1e9, 0), (0, 0, 1e9))),
-        surfaces=Surfaces.of([BALL]),
+        size=(7, 7),
+        lights=colored((1e9, 0, 0), (0, 1e9, 0), (0, 0, 1e9)),
     )
     image = render(scene)
     for i, y in enumerate(np.linspace(0.6, -0.6, 7).tolist()):
