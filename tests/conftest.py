@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tracer import reader
+from tracer import antialias, reader, shadow
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")
@@ -21,6 +22,31 @@ pytest.register_assert_rewrite("uniform_grid")
 def either_reader(request, monkeypatch):
     """All files are read as small ones are, or as large ones."""
     monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
+
+
+@pytest.fixture
+def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No picture is so full of outlines that it is made of lattices."""
+    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+
+
+@pytest.fixture
+def all_by_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stretches find all shadows."""
+    monkeypatch.setattr(shadow, "_FEW", 10**9)
+
+
+@pytest.fixture
+def all_by_light_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light buffers find all shadows."""
+    monkeypatch.setattr(shadow, "_FEW", -1)
+    monkeypatch.setattr(shadow, "_MOST", -1)
+
+
+@pytest.fixture(params=["all_by_stretches", "all_by_light_buffers"])
+def either_finder(request: pytest.FixtureRequest) -> None:
+    """All shadows are found in one of the two ways, or in the other."""
+    request.getfixturevalue(request.param)
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ in closed form have their share of a pixel.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,12 +46,10 @@ def test_no_worse_than_the_uniform_grid(path: Path) -> None:
     no_worse_than_the_uniform_grid(small(path))
 
 
+@pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-def test_splitting_pixels_is_no_worse_than_the_uniform_grid(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_splitting_pixels_is_no_worse_than_the_uniform_grid(path: Path) -> None:
     # So small, some of them are so full of outlines that they would be made of lattices.
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
     no_worse_than_the_uniform_grid(small(path))
 
 
@@ -218,8 +215,8 @@ def test_limbs_and_terminators_are_nearly_exact(name: str) -> None:
     assert rmse <= grid_rmse / 8
 
 
-def test_where_two_boxes_meet_is_exact(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+@pytest.mark.usefixtures("pixels_are_split")
+def test_where_two_boxes_meet_is_exact() -> None:
     # A wall that leans out of another: no edge of either, but a straight line between them.
     back = Box(min_pt=(-9, -9, -9), max_pt=(0.3, 9, 0))
     red = Lambertian(diffuse=(1, 0, 0))

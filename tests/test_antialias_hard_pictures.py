@@ -24,7 +24,6 @@ from tracer import (
     Sphere,
     antialias,
     render,
-    shadow,
 )
 from tracer.arrays import Bools, Floats, Ints
 from tracer.curvature import curvature
@@ -40,9 +39,9 @@ def test_a_small_object_beside_the_rim_before_a_wide_one() -> None:
     no_worse_than_the_uniform_grid(scene_of(WALL, ball, size=(96, 72), lights=(0, 3, 4)), 2)
 
 
-def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("pixels_are_split")
+def test_the_shadow_of_a_box_on_a_small_ball() -> None:
     # Its edges are straight, but not on a ball of a few pixels.
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
     ball = Sphere(center=(0, 0, 0), radius=0.55)
     box = Box(min_pt=(0.933, 1.304, 0.797), max_pt=(1.35, 1.746, 1.072), shader=RED)
     floor = Box(min_pt=(-9, -1.55, -9), max_pt=(9, -0.55, 9))
@@ -57,9 +56,9 @@ def test_the_shadow_of_a_box_on_a_small_ball(monkeypatch: pytest.MonkeyPatch) ->
     no_worse_than_the_uniform_grid(scene, numbers=(64,))
 
 
-def test_the_shadow_of_a_box_on_a_ball_in_tall_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("pixels_are_split")
+def test_the_shadow_of_a_box_on_a_ball_in_tall_pixels() -> None:
     # The plane that touches the ball in a pixel's middle is far from it in the corners.
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
     camera = Camera(
         view_point=(1.934, -0.955, -4.511),
         view_dir=(-0.3868, 0.191, 0.9022),
@@ -73,8 +72,8 @@ def test_the_shadow_of_a_box_on_a_ball_in_tall_pixels(monkeypatch: pytest.Monkey
     no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
-def test_surfaces_that_cross_within_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+@pytest.mark.usefixtures("pixels_are_split")
+def test_surfaces_that_cross_within_pixels() -> None:
     no_worse_than_the_uniform_grid(random_scene("touching", 111, 36, 24), numbers=(64,))
 
 
@@ -316,12 +315,9 @@ def test_the_ends_of_a_thin_rod_far_away() -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
-@pytest.mark.parametrize("few", [True, False])
-def test_a_light_on_a_ball(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("either_finder")
+def test_a_light_on_a_ball() -> None:
     # Its tangent plane there divides what it lights from what the ball shades: on the wall.
-    if not few:
-        monkeypatch.setattr(shadow, "_FEW", -1)
-        monkeypatch.setattr(shadow, "_MOST", -1)
     wall = Box(min_pt=(-9, -9, -4), max_pt=(9, 9, -3))
     camera = Camera(
         view_point=(6, 1.02, 5),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from tracer import (
     antialias,
     render,
     rendering,
-    shadow,
 )
 from tracer.arrays import Floats, Ints
 from tracer.rendering import render_bands
@@ -161,12 +159,10 @@ def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> No
     assert np.array_equal(np.concatenate(bands), image)
 
 
+@pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("kind", KINDS)
-def test_antialiased_in_another_order_and_in_bands(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Of edges in one place any may be found first; pixels are split, however full of them.
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
+def test_antialiased_in_another_order_and_in_bands(kind: str) -> None:
+    # Of edges in one place any may be found first.
     rng = np.random.default_rng(1)
     for seed in (*range(4), 18):
         scene = random_scene(kind, seed, 36, 24)
@@ -191,13 +187,9 @@ def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPa
     assert np.array_equal(np.concatenate(bands), image)
 
 
-@pytest.mark.parametrize("few", [True, False])
-def test_strips(few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Pixels of a large band are looked at strip by strip; what is found in all serves its samples,
-    # whether shadows are found by stretches or by light buffers.
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
-    monkeypatch.setattr(shadow, "_FEW", 10**9 if few else -1)
-    monkeypatch.setattr(shadow, "_MOST", -1)
+@pytest.mark.usefixtures("pixels_are_split", "either_finder")
+def test_strips(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Pixels of a large band are looked at strip by strip; what is found in all serves its samples.
     for seed in range(3):
         scene = random_scene("scattered", seed, 36, 24)
         image = render(scene, 16, threads=1)

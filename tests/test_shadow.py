@@ -5,7 +5,6 @@ Each look is checked while a picture is rendered.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ import pytest
 from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, Sphere, antialias, render, shadow
+from tracer import Box, Camera, Sphere, render
 from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
 from tracer.occluders import Candidates, Occluders, candidates_by_kind
@@ -23,6 +22,7 @@ from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import Hits
 
 
+@pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_looked_at_is_as_dark_as_what_is_not(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -37,7 +37,6 @@ def test_what_is_looked_at_is_as_dark_as_what_is_not(
         return blocked, found
 
     monkeypatch.setattr(Shadows, "edges", compared)
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
     for seed in range(6):
         render(random_scene(kind, seed, 60, 40), samples=16, threads=1)
     assert looks
@@ -76,6 +75,7 @@ def may_shade(finder: Any, light: int, own: int, occluder: int) -> bool:
     )
 
 
+@pytest.mark.usefixtures("pixels_are_split", "all_by_stretches")
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "crowd"])
 def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     looks, edges = 0, Shadows.edges
@@ -98,16 +98,14 @@ def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPa
         return blocked, found
 
     monkeypatch.setattr(Shadows, "edges", compared)
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
-    monkeypatch.setattr(shadow, "_FEW", 10**9)
     for seed in range(4):
         render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
     assert looks
 
 
-@pytest.mark.parametrize("few", [True, False])
+@pytest.mark.usefixtures("pixels_are_split", "either_finder")
 def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
-    few: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # What a pixel sees there is larger than all else: every object may shade some of it.
     rng = np.random.default_rng(0)
@@ -138,8 +136,5 @@ def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
 
     monkeypatch.setattr(Shadows, "edges", counted)
     monkeypatch.setattr(Candidates, "pairs", tried)
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
-    monkeypatch.setattr(shadow, "_FEW", 10**9 if few else -1)
-    monkeypatch.setattr(shadow, "_MOST", -1)
     render(scene, samples=4, threads=1)
     assert 0 < found < 10 * asked

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from random_scenes import KINDS, random_scene
 
-from tracer import antialias, render, shadow
+from tracer import render
 from tracer.arrays import Bools
 from tracer.shadow import Shadows
 from tracer.shadow_cache import ShadowCache
 from tracer.visibility import Hits
 
 
+# Stretches remember nothing.
+@pytest.mark.usefixtures("pixels_are_split", "all_by_light_buffers")
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -31,10 +31,6 @@ def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
         return cached
 
     monkeypatch.setattr(Shadows, "blocked", compared)
-    monkeypatch.setattr(antialias, "_DENSE", math.inf)
-    # Light buffers for all shadows: stretches remember nothing.
-    monkeypatch.setattr(shadow, "_FEW", -1)
-    monkeypatch.setattr(shadow, "_MOST", -1)
     for seed in range(6):
         render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
     assert known
