@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from messages import told
 from PIL import Image
+from probe import moved, scene_of
 from scene_files import ONE_SPHERE, overflowing, small_one
 
 from converters.flavours import WRITTEN, exact, normalisation, square_height, stock
@@ -46,15 +47,10 @@ ROOT = Path(__file__).resolve().parent.parent
 SCENES = own_scenes()
 
 
-def scene_of(*surfaces: Sphere | Box, **camera: object) -> Scene:
+def close_up(*surfaces: Sphere | Box, **camera: object) -> Scene:
     """Surfaces before a camera at (0, 0, 5), with a light beside it."""
-    return Scene(
-        camera=Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera),  # type: ignore[arg-type]
-        width=24,
-        height=24,
-        lights=(PointLight(position=(3, 4, 5)),),
-        surfaces=Surfaces.of(surfaces),
-    )
+    view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)  # type: ignore[arg-type]
+    return scene_of(*surfaces, camera=view, size=(24, 24), lights=(3, 4, 5))
 
 
 def command(*arguments: str) -> list[str]:
@@ -513,33 +509,6 @@ def test_the_exact_flavour_asks_for_an_rgb_variant() -> None:
     assert "needs an RGB variant of Mitsuba; scalar_spectral is none" in done.stderr
 
 
-def moved(scene: Scene, scale: float, offset: float) -> Scene:
-    """The same picture, of a scene of another size at another place."""
-
-    def place(point: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = (scale * c + offset for c in point)
-        return x, y, z
-
-    camera, every = scene.camera, scene.surfaces
-    return replace(
-        scene,
-        camera=replace(
-            camera,
-            view_point=place(camera.view_point),
-            proj_distance=scale * camera.proj_distance,
-            view_width=scale * camera.view_width,
-            view_height=scale * camera.view_height,
-        ),
-        lights=tuple(replace(light, position=place(light.position)) for light in scene.lights),
-        surfaces=tuple(
-            replace(s, center=place(s.center), radius=scale * s.radius)
-            if isinstance(s, Sphere)
-            else replace(s, min_pt=place(s.min_pt), max_pt=place(s.max_pt))
-            for s in every
-        ),
-    )
-
-
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1e-15, 0), (1e-4, 0), (1e15, 0), (1, 1e4), (1, 1e8), (1e-3, 1)]
 )
@@ -549,7 +518,7 @@ def test_stock_pictures_at_any_scale_and_place(scale: float, offset: float) -> N
     mi = importlib.import_module("mitsuba")
     here, there = (
         np.array(mi.render(mi.load_string(stock(s, 16))), dtype=np.float64)
-        for s in (scene, moved(scene, scale, offset))
+        for s in (scene, moved(scene, scale, (offset,) * 3))
     )
     assert figures(there, here).ssim > 0.99
 
@@ -575,7 +544,7 @@ def test_a_large_ground_is_not_speckled_in_the_stock_flavour() -> None:
 def test_a_planet_does_not_shrink_the_stock_scene_to_nothing() -> None:
     """Shadow rays start 1e-4 above surfaces, however small these are."""
     planet = Sphere(center=(0, -1e9, 0), radius=1e9 - 1)
-    root = ET.fromstring(stock(scene_of(planet, Sphere())))
+    root = ET.fromstring(stock(close_up(planet, Sphere())))
     radii = sorted(
         float(m.get("value", "")) for m in root.iter("float") if m.get("name") == "radius"
     )
@@ -584,7 +553,7 @@ def test_a_planet_does_not_shrink_the_stock_scene_to_nothing() -> None:
 
 def test_a_light_may_be_as_far_away_as_the_sun() -> None:
     far = PointLight(position=(3e20, 5e20, 4e20))
-    scene = replace(scene_of(Sphere()), lights=(far,))
+    scene = replace(close_up(Sphere()), lights=(far,))
     use()
     np.testing.assert_allclose(render_mitsuba(scene), render(scene), rtol=0, atol=1e-6)
 
@@ -603,24 +572,24 @@ def test_what_nothing_is_made_of_is_left_out(flavour: Callable[[Scene], str]) ->
 
 def test_more_samples_than_mitsuba_can_count() -> None:
     with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
-        render_mitsuba(replace(scene_of(), width=4, height=4), samples=1 << 28)
+        render_mitsuba(replace(close_up(), width=4, height=4), samples=1 << 28)
 
 
 def test_stock_scenes_stay_where_they_are() -> None:
     for path in SCENES:
         assert "moved and scaled" not in stock(load_scene(path))
-    assert "moved and scaled" in stock(moved(load_scene(ONE_SPHERE), 1, 1e6))
+    assert "moved and scaled" in stock(moved(load_scene(ONE_SPHERE), 1, (1e6,) * 3))
 
 
 def test_the_distance_at_which_a_stock_light_is_right_is_told() -> None:
-    scene = replace(scene_of(Sphere(radius=0.5)), lights=(PointLight(position=(300, 400, 500)),))
+    scene = replace(close_up(Sphere(radius=0.5)), lights=(PointLight(position=(300, 400, 500)),))
     told = re.findall(r"<!-- right at a distance of ([\d.]+) -->", stock(scene))
     assert [float(number) for number in told] == [pytest.approx(707, rel=2e-3)]
 
 
 def test_stock_matte_picture_is_exact_at_the_distance_that_counts() -> None:
     """A small matte ball far from its light: fall-off hardly varies over it."""
-    scene = scene_of(Sphere(radius=0.5, shader=Lambertian(diffuse=(0.9, 0.5, 0.1))))
+    scene = close_up(Sphere(radius=0.5, shader=Lambertian(diffuse=(0.9, 0.5, 0.1))))
     scene = replace(scene, lights=(PointLight(position=(300, 400, 500), intensity=(0.7,) * 3),))
     mi = importlib.import_module("mitsuba")
     use()
@@ -636,7 +605,7 @@ def test_stock_matte_picture_is_exact_at_the_distance_that_counts() -> None:
 def test_stock_highlight_has_the_right_height() -> None:
     """Eye and light in one direction: n = h = v at the centre, where the lobe is exact."""
     shader = Phong(diffuse=(0, 0, 0), specular=(0.6, 0.6, 0.6), exponent=40)
-    scene = replace(scene_of(Sphere(radius=0.5, shader=shader)), width=101, height=101)
+    scene = replace(close_up(Sphere(radius=0.5, shader=shader)), width=101, height=101)
     scene = replace(scene, lights=(PointLight(position=(0, 0, 500)),))
     mi = importlib.import_module("mitsuba")
     use()
@@ -657,7 +626,7 @@ def test_stock_highlight_has_the_right_height() -> None:
     ],
 )
 def test_odd_scenes_agree(surfaces: tuple[Sphere | Box, ...]) -> None:
-    result = check_scene(scene_of(*surfaces), "odd")
+    result = check_scene(close_up(*surfaces), "odd")
     assert result.faults == ()
 
 
@@ -665,7 +634,7 @@ def test_a_narrow_highlight_keeps_its_digits_in_float32() -> None:
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=1e5)
     floor = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0), shader=shader)
     light = PointLight(position=(0.02, 0.01, 5))
-    result = check_scene(replace(scene_of(floor), lights=(light,), width=200, height=200), "narrow")
+    result = check_scene(replace(close_up(floor), lights=(light,), width=200, height=200), "narrow")
     assert (result.tracer > 0.1).sum() > 100
     assert result.faults == ()
 
@@ -674,7 +643,7 @@ def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
     """A red plate lies on the face of a white box: float32 cannot tell which is seen."""
     red = Lambertian(diffuse=(1, 0, 0))
     result = check_scene(
-        scene_of(
+        close_up(
             Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0), shader=red),
             Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0)),
         ),
@@ -687,7 +656,7 @@ def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
 
 
 def test_of_pixels_that_differ_the_oracle_says_who_is_right() -> None:
-    scene = replace(scene_of(Sphere()), width=40, height=40)
+    scene = replace(close_up(Sphere()), width=40, height=40)
     image = render(scene)
     other = image.copy()
     other[:20] += 0.01
@@ -711,7 +680,7 @@ def test_the_oracle_is_not_asked_about_pixels_that_are_masked() -> None:
 
 def test_limits_are_relative_in_bright_pictures() -> None:
     light = PointLight(position=(3, 4, 5), intensity=(300, 300, 300))
-    result = check_scene(replace(scene_of(Sphere()), lights=(light,)), "bright")
+    result = check_scene(replace(close_up(Sphere()), lights=(light,)), "bright")
     assert result.tracer.max() > 200
     assert result.faults == ()
 
@@ -744,14 +713,14 @@ def test_what_is_hard_for_mitsuba_is_named() -> None:
         ((ball, ball), ("coincident spheres",)),
         ((ball, ground), ("surfaces a thousand times larger than what is seen",)),
     ):
-        assert doubts(scene_of(*surfaces)) == reasons
+        assert doubts(close_up(*surfaces)) == reasons
 
 
 def test_boxes_keep_their_thickness_wherever_they_are() -> None:
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
-    for flavour, scale in ((stock, 1.0), (exact, normalisation(scene_of(thin, flat)).scale)):
-        root = ET.fromstring(flavour(scene_of(thin, flat)))
+    for flavour, scale in ((stock, 1.0), (exact, normalisation(close_up(thin, flat)).scale)):
+        root = ET.fromstring(flavour(close_up(thin, flat)))
         halves = [[float(s.get(k, "")) for k in "xyz"] for s in root.iter("scale")]
         np.testing.assert_allclose(halves[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
         assert halves[1][0] == pytest.approx(0.5 * scale)
@@ -763,7 +732,7 @@ def test_boxes_keep_their_thickness_wherever_they_are() -> None:
 
 def test_the_window_may_be_measured_in_pixels() -> None:
     camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
-    root = ET.fromstring(stock(replace(scene_of(Sphere()), camera=camera)))
+    root = ET.fromstring(stock(replace(close_up(Sphere()), camera=camera)))
     near, far = (float(root.find(f".//*[@name='{k}_clip']").get("value")) for k in ("near", "far"))
     assert near < 3
     assert far > 5
@@ -777,7 +746,7 @@ def test_lights_are_as_strong_as_needed_for_what_is_small_or_out_of_view(
     ball = Sphere(center=(0.63 * size, 0.71 * size, z * size), radius=0.05 * size)
     camera = Camera(view_point=(0, 0, 9 * size), proj_distance=1, view_width=1, view_height=1)
     light = PointLight(position=(0, 20 * size, z * size))
-    root = ET.fromstring(stock(replace(scene_of(ball), camera=camera, lights=(light,))))
+    root = ET.fromstring(stock(replace(close_up(ball), camera=camera, lights=(light,))))
     strength = float(root.find(".//emitter/rgb").get("value").split()[0])
     # The scene may have been scaled.  Reflectances are halved, for blends.
     scale = float(root.find(".//shape/float").get("value")) / ball.radius
@@ -833,7 +802,7 @@ def scaled(size: float) -> Scene:
     camera = Camera(view_point=(0, 0, 5 * size), proj_distance=size, view_width=0.3 * size,
                     view_height=0.3 * size)  # fmt: skip
     light = PointLight(position=(3 * size, 4 * size, 5 * size))
-    return replace(scene_of(Sphere(radius=0.5 * size)), camera=camera, lights=(light,))
+    return replace(close_up(Sphere(radius=0.5 * size)), camera=camera, lights=(light,))
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 96), (96, 1)])
@@ -864,7 +833,7 @@ def test_the_smallest_and_largest_scenes_raise_no_doubts(size: float) -> None:
 
 
 def test_normalised_scene_is_centred_and_ten_units_large() -> None:
-    scene = scene_of(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
+    scene = close_up(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
     place = normalisation(scene)
     seen = place(visible_points(scene))
     np.testing.assert_allclose(seen.min(axis=0) + seen.max(axis=0), 0, atol=1e-9)
@@ -872,17 +841,17 @@ def test_normalised_scene_is_centred_and_ten_units_large() -> None:
 
 
 def test_bounds_hold_every_surface() -> None:
-    scene = scene_of(Sphere(center=(1, 0, 0), radius=2), Box(min_pt=(0, -5, 0), max_pt=(1, 1, 0.5)))
+    scene = close_up(Sphere(center=(1, 0, 0), radius=2), Box(min_pt=(0, -5, 0), max_pt=(1, 1, 0.5)))
     np.testing.assert_array_equal(bounds(scene.surfaces), [[-1, -5, -2], [3, 2, 2]])
 
 
 def test_visible_points_are_many_of_what_is_small() -> None:
     for radius in (0.02, 0.03, 0.1):
-        assert len(visible_points(scene_of(Sphere(radius=radius)))) >= 12
+        assert len(visible_points(close_up(Sphere(radius=radius)))) >= 12
 
 
 def test_visible_points_lie_on_the_nearest_surface() -> None:
-    scene = scene_of(Sphere(radius=1), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
+    scene = close_up(Sphere(radius=1), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
     points = visible_points(scene)
     on_ball = np.isclose(np.linalg.norm(points, axis=1), 1) & (points[:, 2] > 0)
     assert (on_ball | np.isclose(points[:, 2], -1)).all()
@@ -890,7 +859,7 @@ def test_visible_points_lie_on_the_nearest_surface() -> None:
 
 
 def test_equal_shaders_share_a_bsdf() -> None:
-    scene = scene_of(*(Sphere(center=(x, 0, 0), shader=Phong(exponent=3)) for x in range(5)))
+    scene = close_up(*(Sphere(center=(x, 0, 0), shader=Phong(exponent=3)) for x in range(5)))
     root = ET.fromstring(exact(scene))
     assert len(root.findall("bsdf")) == 1
     assert len(root.findall("shape")) == 5
