@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import struct
 import subprocess
@@ -16,6 +15,7 @@ from typing import IO
 
 import numpy as np
 import pytest
+from mistakes import no_highlights, no_shadows
 from numpy.typing import NDArray
 from PIL import Image
 from skimage.metrics import structural_similarity
@@ -51,46 +51,6 @@ def light() -> NDArray[np.float64]:
 @pytest.fixture(scope="module")
 def right(light: NDArray[np.float64]) -> Image8:
     return codes(light)
-
-
-def without_shadows(full: tracer.Scene) -> NDArray[np.float64]:
-    """Each object rendered alone, put together by what is seen where."""
-    eye_light = tracer.PointLight(position=full.camera.view_point)
-    count = len(full.surfaces)
-    # Seen from the light nothing is in shadow: each object in its own share of red to green.
-    keys = [
-        dataclasses.replace(
-            surface, shader=tracer.Lambertian(diffuse=(1 - k / count, k / count, 0.0))
-        )
-        for k, surface in enumerate(full.surfaces)
-    ]
-    red, green, _ = np.moveaxis(
-        tracer.render(
-            dataclasses.replace(full, lights=(eye_light,), surfaces=tracer.Surfaces.of(keys))
-        ),
-        2,
-        0,
-    )
-    with np.errstate(invalid="ignore"):
-        seen = np.round(count * green / (red + green))
-    image = np.zeros((full.height, full.width, 3))
-    for k, surface in enumerate(full.surfaces):
-        alone = tracer.render(dataclasses.replace(full, surfaces=tracer.Surfaces.of([surface])))
-        image[seen == k] = alone[seen == k]
-    return image
-
-
-def without_highlights(full: tracer.Scene) -> NDArray[np.float64]:
-    """Every Phong shader's specular colour black."""
-    surfaces = [
-        dataclasses.replace(
-            surface, shader=dataclasses.replace(surface.shader, specular=(0.0, 0.0, 0.0))
-        )
-        if isinstance(surface.shader, tracer.Phong)
-        else surface
-        for surface in full.surfaces
-    ]
-    return tracer.render(dataclasses.replace(full, surfaces=tracer.Surfaces.of(surfaces)))
 
 
 def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -191,12 +151,12 @@ def test_stretched() -> None:
     """Columns and rows divided by width - 1 and height - 1, the commonest half-pixel error."""
     full = scene("four-spheres")
     factor = full.width / (full.width - 1)
-    camera = dataclasses.replace(
+    camera = replace(
         full.camera,
         view_width=full.camera.view_width * factor,
         view_height=full.camera.view_height * factor,
     )
-    stretched = tracer.render(dataclasses.replace(full, camera=camera))
+    stretched = tracer.render(replace(full, camera=camera))
     diagnosis = diagnose(codes(stretched), codes(tracer.render(full)))
     assert diagnosis.kind == "stretched"
     assert "a pixel smaller" in diagnosis.text
@@ -233,7 +193,7 @@ def test_negative(right: Image8) -> None:
 @pytest.mark.parametrize("name", ["four-spheres", "two-boxes", "touching", "sticks-perspective"])
 def test_missing_shadows(name: str) -> None:
     full = scene(name)
-    wrong, right = codes(without_shadows(full)), codes(tracer.render(full))
+    wrong, right = codes(no_shadows(full)), codes(tracer.render(full))
     assert diagnose(wrong, right).kind == "missing shadows"
     assert diagnose(right, wrong).kind == "extra shadows"
 
@@ -241,7 +201,7 @@ def test_missing_shadows(name: str) -> None:
 @pytest.mark.parametrize("name", ["four-spheres", "highlights", "sticks-shifted", "sunflower"])
 def test_missing_highlights(name: str) -> None:
     full = scene(name)
-    wrong, right = codes(without_highlights(full)), codes(tracer.render(full))
+    wrong, right = codes(no_highlights(full)), codes(tracer.render(full))
     assert diagnose(wrong, right).kind == "missing highlight"
     assert diagnose(right, wrong).kind == "highlights"
 
@@ -249,7 +209,7 @@ def test_missing_highlights(name: str) -> None:
 @pytest.mark.parametrize("name", ["highlights", "sunflower", "four-spheres"])
 def test_missing_light(name: str) -> None:
     full = scene(name)
-    wrong = codes(tracer.render(dataclasses.replace(full, lights=full.lights[1:])))
+    wrong = codes(tracer.render(replace(full, lights=full.lights[1:])))
     assert "or it lacks a light" in diagnose(wrong, right_codes(name)).text
     assert "or it has a light" in diagnose(right_codes(name), wrong).text
 
@@ -271,7 +231,7 @@ def test_ambient(light: NDArray[np.float64], right: Image8) -> None:
 def test_ambient_in_black_shadows(name: str) -> None:
     full = scene(name)
     from_the_eye = (tracer.PointLight(position=full.camera.view_point),)
-    seen = tracer.render(dataclasses.replace(full, lights=from_the_eye)).any(axis=2, keepdims=True)
+    seen = tracer.render(replace(full, lights=from_the_eye)).any(axis=2, keepdims=True)
     assert "ambient" in diagnose(codes(tracer.render(full) + 0.05 * seen), right_codes(name)).text
 
 

@@ -11,17 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mistakes import no_highlights, no_shadows, visible
 
 from reference.check import MAX_DIFFERENCE, MIN_SSIM, edge_mask, faults
 from reference.command import SCENES
 from reference.compare import figures
 from reference.regenerate import load_small, stored
-from tracer import Box, Lambertian, Scene, render
+from tracer import Box, Scene, render
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.sampling import CENTRES
-from tracer.visibility import view_of
-from tracer.visibility import visible as hits_of
 
 pytestmark = pytest.mark.cross_validation
 
@@ -30,12 +27,6 @@ def wrong_gamma(scene: Scene) -> Floats:
     """Encoded with 1.8 and, like all pictures, shown with 2.2."""
     image: Floats = np.clip(render(scene), 0, 1) ** (2.2 / 1.8)
     return image
-
-
-def no_highlight(scene: Scene) -> Floats:
-    """Every shader's diffuse part alone."""
-    matte = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
-    return render(replace(scene, surfaces=matte))
 
 
 def falling_off(scene: Scene) -> Floats:
@@ -65,16 +56,6 @@ def mirrored(scene: Scene) -> Floats:
     return render(scene)[:, ::-1]
 
 
-def no_shadows(scene: Scene) -> Floats:
-    """Each surface as if it were alone in the world."""
-    _, owner = visible(scene)
-    image = np.zeros((scene.height, scene.width, 3))
-    for index, surface in enumerate(scene.surfaces):
-        own = owner == index
-        image[own] = render(replace(scene, surfaces=[surface]))[own]
-    return image
-
-
 def boxes_out(scene: Scene) -> Floats:
     """Boxes one unit beside where they should be."""
 
@@ -86,23 +67,11 @@ def boxes_out(scene: Scene) -> Floats:
     return render(replace(scene, surfaces=surfaces))
 
 
-def visible(scene: Scene) -> tuple[Floats, Floats]:
-    """What is seen: points (h, w, 3) and the places of their surfaces (h, w); NaN for nothing."""
-    height, width = scene.height, scene.width
-    view = view_of(raster_of(scene.camera, width, height), scene.surfaces)
-    with np.errstate(all="ignore"):
-        hits = hits_of(view, CENTRES.samples(slice(0, height), slice(0, width)))
-    points, owner = np.full((height * width, 3), np.nan), np.full(height * width, np.nan)
-    points[hits.sample] = np.stack(hits.points(slice(None)), axis=1)
-    owner[hits.sample] = scene.surfaces.file_index[hits.own]
-    return points.reshape(height, width, 3), owner.reshape(height, width)
-
-
 # What is usually asked of SSIM between two renderers.  The last column: whether the mistake passes.
 USUAL_SSIM = 0.98
 MUTATIONS = [
     pytest.param(wrong_gamma, "non-square-pixels", True, id="wrong gamma"),
-    pytest.param(no_highlight, "non-square-pixels", True, id="no highlight"),
+    pytest.param(no_highlights, "non-square-pixels", True, id="no highlight"),
     pytest.param(falling_off, "non-square-pixels", True, id="lights fall off"),
     pytest.param(brighter, "non-square-pixels", True, id="2 % brighter"),
     pytest.param(half_pixel, "non-square-pixels", False, id="half a pixel out"),
