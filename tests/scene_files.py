@@ -1,12 +1,21 @@
-"""Scene files that tests write: the one-sphere scene, small, and another that is too bright."""
+"""Scenes of this project, small; and scene files that tests write, one of them too bright."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["ONE_SPHERE", "overflowing", "small_one"]
+from reference.command import SCENES
+from reference.workloads import resized
+from tracer import Scene, load_scene
 
-ONE_SPHERE = Path(__file__).resolve().parent.parent / "scenes" / "one-sphere.xml"
+__all__ = ["ONE_SPHERE", "overflowing", "small", "small_one"]
+
+ONE_SPHERE = SCENES / "one-sphere.xml"
+
+
+def small(name: str, width: int = 48, height: int = 27) -> Scene:
+    """A scene of this project in so few pixels."""
+    return resized(load_scene(SCENES / f"{name}.xml"), width, height)
 
 
 def small_one(folder: Path, size: str) -> Path:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -28,25 +26,6 @@ def test_what_is_converted_beside_them_is_none(
     for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
         (tmp_path / name).touch()
     assert [path.name for path in own_scenes()] == ["ball.xml", "room.xml"]
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["ablation", "benchmark", "generate", "regenerate", "report", "sheet", "speed_accuracy"],
-)
-def test_without_them_commands_say_what_they_need(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """As where the project is installed without -e."""
-    monkeypatch.setattr("reference.command.SCENES", tmp_path)
-    output = ["-o", str(tmp_path / "made")] if name in ("regenerate", "report") else []
-    monkeypatch.setattr(sys, "argv", [name, *output])
-    with pytest.raises(SystemExit, match="2"):
-        import_module(f"reference.{name}").main()
-    assert capsys.readouterr().err == (
-        f"python -m reference.{name}: {tmp_path} holds no scenes;"
-        " clone the project, and install it from there with -e\n"
-    )
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)

@@ -1,0 +1,152 @@
+"""The speed-accuracy chart: its truth, whom it compares, and what it says of that."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_files import small
+
+from converters.variant import LLVM, use
+from reference import (
+    charts,
+    command,
+    speed_accuracy,
+)
+from reference.speed_accuracy import Lead, Point, Truth
+from reference.timing import Timing
+from tracer import render
+
+
+def test_supersampling_in_parts_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = small("sticks-perspective", 16, 9)
+    whole = speed_accuracy.supersampled(scene, 4)
+    by_hand = np.mean(
+        [render(scene, offset=(x / 4 - 3 / 8, y / 4 - 3 / 8)) for x in range(4) for y in range(4)],
+        axis=0,
+    )
+    monkeypatch.setattr(speed_accuracy, "MAX_PIXELS", 4 * 16 * 9)
+    # The same rays, but for the last bit, that decides no pixel here.
+    np.testing.assert_allclose(speed_accuracy.supersampled(scene, 4), whole, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_hand, whole, rtol=0, atol=1e-12)
+
+
+def test_truth_is_rows_of_the_whole_picture(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scene = small("sticks-perspective", 16, 9)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    monkeypatch.setattr(speed_accuracy, "_PIXELS", 16 * 9 // 4)
+    truth = Truth.of(scene, 5)
+    assert truth.radiance.shape == (2, 16, 3)
+    whole = speed_accuracy.supersampled(scene, 5)
+    # The same rays, but for the last bit, that decides no pixel here.
+    assert truth.error(whole) < 1e-12
+    assert truth.error(whole + 0.1) == pytest.approx(0.1)
+    stored = Truth.of(scene, 5)
+    assert np.array_equal(stored.radiance, truth.radiance)
+
+
+def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]:
+    return [
+        Point("any", method, 4**k, False, error, Timing.of([seconds]))
+        for k, (error, seconds) in enumerate(errors_and_seconds)
+    ]
+
+
+def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
+    ours = _curve("this tracer", (1e-2, 1.0), (5e-4, 2.0), (1e-4, 4.0))
+    slow = _curve("Mitsuba scalar", (1e-2, 9.0), (1e-4, 9.0))
+    fast = _curve("Mitsuba stratified", (1e-2, 3.0), (1e-5, 3.0))
+    numpy = _curve("uniform grid", (1e-2, 0.1), (1e-5, 0.1))
+    lead = Lead.of([*ours, *slow, *fast, *numpy])
+    assert lead is not None
+    assert (lead.level, lead.ours, lead.theirs) == pytest.approx((1e-3, 2.0, 3.0))
+    assert lead.speedup == pytest.approx(1.5)
+    # Rivals take any number of samples; this tracer those of its points.
+    between = Lead.of([*ours, *_curve("Mitsuba scalar", (1e-2, 1.0), (1e-4, 4.0))])
+    assert between is not None
+    assert (between.level, between.ours, between.theirs) == pytest.approx((1e-3, 2.0, 2.0))
+    # Where a rival does not come so far, it is met where it comes; to be better is as good.
+    rough = Lead.of([*ours, *_curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))])
+    assert rough is not None
+    assert (rough.level, rough.ours, rough.theirs) == pytest.approx((0.1, 1.0, 2.0))
+    # One that ends a little above the others is met there, if it is faster; not one that ends far.
+    early = _curve("Mitsuba independent", (1e-2, 0.5), (1.2e-3, 1.5))
+    near = Lead.of([*ours, *fast, *early])
+    assert near is not None
+    assert (near.level, near.ours, near.theirs) == pytest.approx((1.2e-3, 2.0, 1.5))
+    far = Lead.of([*ours, *fast, *_curve("Mitsuba independent", (1e-2, 0.5), (2e-3, 1.5))])
+    assert far is not None
+    assert far.theirs == pytest.approx(3.0)
+    # The first picture of ours that is as good counts, whatever the noise of later ones.
+    noisy = Lead.of([*_curve("this tracer", (5e-4, 2.0), (1e-4, 1.0)), *fast])
+    assert noisy is not None
+    assert noisy.ours == 2.0
+    assert Lead.of([*ours, *numpy]) is None
+
+
+def test_what_is_expected_to_take_too_long() -> None:
+    # Four times the samples take four times as long, but for starting up; POV-Ray has thresholds.
+    assert speed_accuracy._next("Mitsuba scalar", []) == 0
+    assert speed_accuracy._next("Mitsuba scalar", [1.0]) == 2
+    assert speed_accuracy._next("Mitsuba scalar", [1.0, 1.5]) == 3.5
+    assert speed_accuracy._next("POV-Ray adaptive", [1.0, 1.5]) == 2
+    assert speed_accuracy._next("POV-Ray adaptive", [1.0, 0.5]) == 0.5
+
+
+def test_names_of_curves_keep_apart_and_move_no_farther_than_they_must() -> None:
+    assert charts._spread([0, 5], 1) == [0, 5]
+    assert charts._spread([0, 0.5, 5], 1) == [-0.25, 0.75, 5]
+    assert charts._spread([0, 0, 1.2], 1) == pytest.approx([-0.6, 0.4, 1.4])
+
+
+def test_the_chart_says_what_was_measured() -> None:
+    def lead(speedup: float) -> Lead:
+        return Lead(1e-3, 1.0, speedup)
+
+    found = {False: [lead(0.5), lead(0.2)], True: [lead(2.0), lead(0.9), lead(1.05)]}
+    title = speed_accuracy._title(found, "Mitsuba")
+    assert "faster than Mitsuba" in title
+    assert "in 1 of 3 pictures from file to picture, in 0 of 2 pictures at rendering alone" in title
+    assert speed_accuracy._title({False: [], True: []}, "Mitsuba") == "Time against error"
+    assert speed_accuracy._in_words(0.5, 0.2) == "2.0–5.0× slower"
+    assert speed_accuracy._in_words(0.9, 3.0, 2.0) == "1.1× slower, 2.0–3.0× faster"
+    assert speed_accuracy._in_words(0.5, 1.05, 3.0) == "2.0× slower, level, 3.0× faster"
+    assert speed_accuracy._in_words(0.95) == "level"
+
+
+def test_speed_accuracy_of_a_small_picture(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    scene = small("four-spheres", 32, 18)
+    monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
+    monkeypatch.setattr(speed_accuracy, "_ROUNDS", 2)
+    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
+    if use().variant != LLVM:
+        with pytest.raises(SystemExit, match="1"):
+            speed_accuracy.main()
+        assert LLVM in capsys.readouterr().err
+        return
+    speed_accuracy.main()
+    drawn = tmp_path.glob("speed_accuracy.*")
+    assert {path.suffix for path in drawn} == {".svg", ".png", ".csv"}
+    rows = [
+        line.split(",") for line in (tmp_path / "speed_accuracy.csv").read_text().splitlines()[2:]
+    ]
+    alone = [row for row in rows if row[1] == "this tracer" and row[3] == "False"]
+    ours = {int(row[2]): float(row[4]) for row in alone}
+    assert sorted(ours) == [1, 4, 9, 16, 36, 144]
+    assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
+    # The error is that of the scene as it is, not of a copy that a later round has drawn.
+    truth = Truth.of(scene, speed_accuracy.truth_side(quick=True))
+    assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
+    chart = tmp_path / "speed_accuracy.svg"
+    chart.unlink()
+    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick", "--redraw"])
+    monkeypatch.delattr(speed_accuracy, "measure")
+    speed_accuracy.main()
+    assert chart.exists()
