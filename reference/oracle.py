@@ -259,7 +259,7 @@ def _meet_sphere(sphere: Sphere, eye: Vector, d: Vector, inside: bool) -> _Hit |
         # On the surface, looking away: t = 0 is no root.
         return _Miss(_ZERO, abs(middle))
     outward = _scale(_sub(_scale(d, t), to_center), 1 / radius)
-    clear = gap if not inside else (-end if end < -_EQUAL * radius else abs(middle))
+    clear = min(gap, end) if not inside else (-end if end < -_EQUAL * radius else abs(middle))
     return _Hit(t, _scale(outward, -_ONE) if inside else outward, clear)
 
 

@@ -124,6 +124,13 @@ class TestByHand:
         assert verdict.surface is None
         assert verdict.margin == pytest.approx(1e-9 / 15, rel=1e-3)
 
+    @pytest.mark.parametrize("off", [1e-9, -1e-9])
+    def test_margin_of_an_eye_near_a_ball(self, off: float) -> None:
+        # At 1e-9 over its top, or under it: nearly on it, where it would see the far side.
+        verdict = verdict_along((0, 1 + off, 0), (0.6, -0.8, 0), (9, 9, 0), BALL)
+        assert verdict.surface == 0
+        assert verdict.margin == pytest.approx(1e-9 / 2, rel=0.5)
+
 
 def disagreements(scene: Scene, tolerance: float) -> tuple[list[str], int, int]:
     """Where tracer and oracle differ, how many pixels are ties, and how many are not."""
