@@ -18,6 +18,7 @@ BOX = '<surface type="Box">{}</surface>'
 PHONG = '<surface type="Sphere"><shader type="Phong">{}</shader></surface>'
 
 LENGTHS = "lengths other than 0 are from 1e-75 to 1e+75"
+TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 DECIMAL = "is no decimal number; write it as 2, -.5 or 1e-3"
 
 
@@ -82,14 +83,51 @@ NOT_XML = [
     (
         "<scene>\n<image>don't <</image></scene>",
         "2: not XML: not well-formed (invalid token) at column 15;"
-        " in text, < is written &lt; and & is written &amp;",
+        " in text, < is written &lt;, and a tag has its name right after <",
+    ),
+    *(
+        (
+            f"<scene>\n{tag}</scene>".encode(encoding),
+            f"2: not XML: not well-formed (invalid token) at column {column}; {remedy}",
+        )
+        for encoding in ("utf-8", "utf-16")
+        for tag, column, remedy in (
+            ('<surface type="Box",/>', 20, TAGS),
+            ('<shader name="a"type="Phong"/>', 17, TAGS),
+            ('<surface type:"Box"/>', 15, TAGS),
+            ("<surface type/>", 14, TAGS),
+            ("</ light>", 3, TAGS),
+            ('<shader name="a&b"/>', 18, "in text, < is written &lt; and & is written &amp;"),
+            ("< light/>", 2, "in text, < is written &lt;, and a tag has its name right after <"),
+            ("<\\light>", 2, "in text, < is written &lt;, and a tag has its name right after <"),
+            ("<!- a ->", 4, "a comment is written <!-- ... -->"),
+        )
+    ),
+    *(
+        (
+            f'<scene>\n<surface{odd}type="Box"/></scene>',
+            "2: not XML: not well-formed (invalid token) at column 9;"
+            f" write a plain character in place of {odd!r} (U+{ord(odd):04X})",
+        )
+        for odd in "\u00a0\u200b\u3000\uff0f"
+    ),
+    (
+        "<scene>\n<camera></Camera></scene>",
+        "2: not XML: mismatched tag at column 11;"
+        " only <camera> of line 2 can be closed here: no <Camera> is open",
+    ),
+    (
+        "<scene>\n</light></scene>".encode("utf-16"),
+        "2: not XML: mismatched tag at column 3;"
+        " only <scene> of line 1 can be closed here: no <light> is open",
     ),
     (
         "<scene>\n<camera>\n</scene>",
         "3: not XML: mismatched tag at column 3; close <camera> of line 2",
     ),
     ("<scene>\n<camera>", "2: not XML: no element found at column 9; close <camera> of line 2"),
-    ("<scene>\n<camera", "2: not XML: unclosed token at column 1; close <scene> of line 1"),
+    ("<scene>\n<camera", "2: not XML: unclosed token at column 1; end it with >"),
+    ('\n<?xml version="1.0">\n', "2: not XML: unclosed token at column 1; end it with ?>"),
     (
         "<scene>\na & b</scene>",
         "2: not XML: not well-formed (invalid token) at column 4;"
@@ -172,7 +210,7 @@ NOT_XML = [
     ),
     (
         "<scene>\n<camera><!-- a </scene>".encode("utf-16"),
-        "2: not XML: unclosed token at column 9; end the comment with -->",
+        "2: not XML: unclosed token at column 9; end it with -->",
     ),
     (
         "<scene><image>\n<![CDATA[ a </scene>",

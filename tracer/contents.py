@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
-from tracer.messages import quoted, short
+from tracer.messages import character, quoted, short
 from tracer.scene import (
     MAX_PIXELS,
     Camera,
@@ -601,7 +601,7 @@ def _odd(text: str) -> str:
     found = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
     if found == [","]:
         return "commas"
-    return " and ".join(repr(c) if c.isascii() else f"{c!r} (U+{ord(c):04X})" for c in found)
+    return " and ".join(map(character, found))
 
 
 def _line(element: _Element) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["number", "printable", "quoted", "short"]
+__all__ = ["character", "number", "printable", "quoted", "short"]
 
 
 def printable(text: str) -> str:
@@ -18,6 +18,11 @@ def short(text: str) -> str:
 def quoted(text: str) -> str:
     """The same in quotes, on one line that any terminal can show."""
     return repr(short(text))
+
+
+def character(odd: str) -> str:
+    """A character in quotes; one beyond ASCII, which may look like another, also by its number."""
+    return repr(odd) if odd.isascii() else f"{odd!r} (U+{ord(odd):04X})"
 
 
 def number(value: float) -> str:

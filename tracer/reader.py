@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from tracer.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
-from tracer.messages import printable, quoted, short
+from tracer.messages import character, printable, quoted, short
 from tracer.scene import Scene
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ _REMEDIES = {
     expat.errors.XML_ERROR_UNKNOWN_ENCODING: "save the file as UTF-8",
     expat.errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
+
+_TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
 
 class SceneFileError(ValueError):
@@ -183,14 +185,15 @@ class _LineReader:
         file.seek(start)
         # Without its NULs, UTF-16 reads like ASCII.
         before = file.read(index - start).replace(b"\0", b"")
-        after = file.read(8)[big_endian:]
+        after = file.read(256)[big_endian:]
         if after.startswith(b"\0"):  # UTF-32, taken for another encoding, has some as well
             return "save the file as UTF-8, and without a NUL"
         after = after.replace(b"\0", b"")
         if index == 0 and not after.startswith(b"<"):  # a picture, say
             return "a scene file holds <scene> ... </scene>"
-        if message == expat.errors.XML_ERROR_UNCLOSED_TOKEN and after.startswith(b"<!--"):
-            return "end the comment with -->"
+        if message == expat.errors.XML_ERROR_UNCLOSED_TOKEN and after.startswith(b"<"):
+            end = "-->" if after.startswith(b"<!--") else "?>" if after.startswith(b"<?") else ">"
+            return f"end it with {end}"
         if before.endswith(b"--") and before.rfind(b"<!--") > before.rfind(b"-->"):
             return "in a comment, write - in place of --"
         if before.rstrip().endswith(b"=") and after[:1].isalnum():
@@ -198,16 +201,32 @@ class _LineReader:
         if after[:3].decode(errors="ignore") in tuple("\u201c\u201d\u2018\u2019"):
             return 'write straight quotes, as in type="Sphere"'
         if after >= b"\x80":
-            return "save the file as UTF-8"
+            odd = after.decode(errors="replace")[0]
+            if odd == "\ufffd":
+                return "save the file as UTF-8"
+            return f"write a plain character in place of {character(odd)}"
         tag = before[before.rfind(b"<") :]
+        unclosed = tag.count(b'"') % 2 or tag.count(b"'") % 2
         if after.startswith(b"<") and (tag[1:2].isalpha() or tag.startswith(b"</")):
             line = self.parser.ErrorLineNumber - tag.count(b"\n")
             if b">" not in tag:
                 return f"end the tag of line {line} with >"
-            if tag.count(b'"') % 2 or tag.count(b"'") % 2:
+            if unclosed:
                 return f"close the quotes of line {line}"
         if b"\0" < after[:1] < b" " and not after[:1].isspace():
             return "remove the control character"
+        if message == expat.errors.XML_ERROR_INVALID_TOKEN and b">" not in tag and not unclosed:
+            if tag == b"<":
+                return "in text, < is written &lt;, and a tag has its name right after <"
+            if tag.startswith(b"<!"):
+                return "a comment is written <!-- ... -->"
+            if tag.startswith(b"<"):
+                return _TAGS
+        if message == expat.errors.XML_ERROR_TAG_MISMATCH:
+            name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
+            if all(name != element.tag for element in self.open):
+                last = f"<{short(self.open[-1].tag)}> of line {self.open[-1].line}"
+                return f"only {last} can be closed here: no <{short(name)}> is open"
         # Outside all elements and tags there is no text in which < or & could be escaped.
         outside = not self.open and before.rfind(b"<") <= before.rfind(b">")
         if message in _REMEDIES and not (
