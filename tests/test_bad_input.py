@@ -454,7 +454,7 @@ VALUES = [
     (SPHERE.format("<radius>--1</radius>"), [f"radius: '--1' {DECIMAL}"]),
     # Digits of another script, and a space that XML does not know.
     (SPHERE.format("<radius>\u0663</radius>"), [f"radius: '\u0663' {DECIMAL}"]),
-    (SPHERE.format("<center>1\u30002 3</center>"), [f"center: '1\\u30002' {DECIMAL}"]),
+    (SPHERE.format("<center>1\u20032 3</center>"), [f"center: '1\\u20032' {DECIMAL}"]),
     # As copied from a page or a program.
     (
         SPHERE.format("<center>1\u00a02 3</center>"),
@@ -463,6 +463,13 @@ VALUES = [
     (
         SPHERE.format("<center>\u22121 \u20132 3</center>"),
         ["center: has '\u2212' (U+2212) and '\u2013' (U+2013); write it as '-1 -2 3'"],
+    ),
+    (
+        SPHERE.format("<center>\ufeff1\u30002 \uff0d\uff13</center>"),
+        [
+            "center: has '\\ufeff' (U+FEFF) and '\\u3000' (U+3000) and '\uff0d' (U+FF0D)"
+            " and '\uff13' (U+FF13); write it as '1 2 -3'"
+        ],
     ),
     (
         SPHERE.format("<center>(1, 2, 3)</center>"),

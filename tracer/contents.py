@@ -88,7 +88,10 @@ _NAN = float("nan")
 
 # What numbers copied from a page or a program come with, and what to write in its place.
 _COPIED = str.maketrans(
-    dict.fromkeys("\u2010\u2011\u2013\u2212", "-") | dict.fromkeys("\u00a0\u2009\u202f()[]{}", " ")
+    dict.fromkeys("\u2010\u2011\u2013\u2212", "-")
+    | dict.fromkeys("\u00a0\u2009\u202f\u3000()[]{}", " ")
+    | dict.fromkeys("\u200b\u2060\ufeff", "")
+    | {chr(0xFEE0 + ord(c)): c for c in "0123456789+-.,eE"}  # full width
 )
 
 _Made = TypeVar("_Made")
