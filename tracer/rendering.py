@@ -340,12 +340,12 @@ class _Renderer(NamedTuple):
         width, lattice = picture.scene.width, picture.lattice
         if out is None:
             out = np.zeros((rows.stop - rows.start, width, 3))
-        if not self.columns(number).stop:
-            return out
         at_once = self.lighting.view.at_once(self.bands.at_once)
         tall = max(1, at_once // width)
-        for top, left in product(range(rows.start, rows.stop, tall), range(0, width, at_once)):
-            part = out[top - rows.start :][:tall, left : left + at_once]
+        window, _ = self.window
+        first, last = np.clip([window.start, window.stop], rows.start, rows.stop).tolist()
+        for top, left in product(range(first, last, tall), range(0, width, at_once)):
+            part = out[top - rows.start : last - rows.start][:tall, left : left + at_once]
             here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
             if picture.split:
                 antialiased(self.lighting, *here, picture.per_side, part)
