@@ -116,7 +116,7 @@ def antialiased(
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
     _refine(lighting, pixels, seen, mean, per_side, inside.ravel())
-    out[:] = np.moveaxis(mean.reshape(3, height, width)[:, 1:-1, 1:-1], 0, 2)
+    np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2, out=out)
 
 
 def _refine(
