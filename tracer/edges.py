@@ -114,6 +114,8 @@ class Lines(NamedTuple):
         kept = np.ones(lines.cell.size, dtype=np.bool_)
         for back in range(1, _COMPARED):
             at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
+            if not at.size:
+                break
             same = ~lines.take(at + back).differ(lines.take(at))
             kept[at[same] + back] = False
         return lines.take(np.flatnonzero(kept))
