@@ -48,6 +48,10 @@ _CURVATURE = 1e-2
 # has been split gets no fewer samples than this.
 _LAST = 3
 
+# From so many samples along each side on, what lies beyond lines is looked at: a coarser grid errs
+# more than samples there, whatever these miss.
+_LOOK_BEYOND = 3
+
 # With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than looks.
 _DENSE = 0.006
@@ -145,7 +149,8 @@ def _refine(
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
     colors = np.empty((3, sides.cell.size))
     divided = np.ones(unresolved.size, dtype=np.bool_)
-    beyond = np.flatnonzero(sides.beyond)
+    looked = sides.beyond & (per_side >= _LOOK_BEYOND)
+    beyond = np.flatnonzero(looked)
     if beyond.size:
         there = sides.take(beyond)
         colors[:, beyond], key, found, more = _look_beyond(lighting, cells, there)
@@ -160,7 +165,7 @@ def _refine(
     rest = np.flatnonzero(unresolved & wanted)
     lighting_in = seen.lighting_in(lighting)
     # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
-    beside = np.flatnonzero(~sides.beyond)
+    beside = np.flatnonzero(~looked[kept])
     near = sides.take(beside)
     if per_side <= _LAST:
         colors[:, beside] = _sample(lighting, lighting_in, cells, lines, rest, per_side, near, mean)
