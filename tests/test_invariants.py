@@ -161,7 +161,9 @@ def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("kind", KINDS)
-def test_antialiased_in_another_order_and_in_bands(kind: str) -> None:
+def test_antialiased_in_another_order_and_in_bands(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # Of edges in one place any may be found first.
     rng = np.random.default_rng(1)
     for seed in (*range(4), 18):
