@@ -412,6 +412,18 @@ def test_light_on_a_ball_as_wide_as_a_pixel() -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
+def test_a_ball_under_a_lamp_at_the_eye() -> None:
+    # Light falls off towards the limb, also in parts of pixels whose middles see past the ball.
+    eye, ahead = (2, 1, 4), (-2, 0, -4)
+    camera = Camera(view_point=eye, view_dir=ahead, view_width=0.5, view_height=1 / 3)
+    ball = Sphere(center=(-0.5, 1, 0.5), radius=0.5)
+    scene = Scene(
+        camera=camera, width=24, height=16, lights=[PointLight(position=eye)], surfaces=[ball]
+    )
+    error = render(scene, samples=256) - uniform(scene, 129)
+    assert np.sqrt((error**2).mean()) <= 4e-5
+
+
 def test_a_surface_one_pixel_high() -> None:
     # A highlight bends from row to row, and no row beside it says how.
     half = (0.5 + 1 / 41) * 2 / 13

@@ -270,6 +270,9 @@ def _split(
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )
+        # What the whole says of one surface does not hold for a quarter that sees another one.
+        elsewhere = (closer.key != seen.key[inside]) & (closer.key >= 0)
+        quarters.error[elsewhere & (quarters.error <= cells.tolerance)] = np.nan
         # What was not known of the whole (NaN), the quarters tell.
         quarters = quarters._replace(error=np.fmax(quarters.error, error))
         radiance = np.add(closer.radiance, bend, out=bend)
