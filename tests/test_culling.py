@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, lighting, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, lighting, render, rendering
 from tracer.arrays import Floats
 from tracer.camera import raster_of
 from tracer.outlines import frames_of
@@ -217,6 +217,7 @@ def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
         return visible(view, samples)
 
     monkeypatch.setattr(lighting, "visible", counted)
+    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 40 * 30)
     image = render(scene, threads=1)
     assert 0 < most <= 40 * 30 * 8 / 60
     assert np.array_equal(image, brute_force(scene))
