@@ -1,4 +1,4 @@
-"""Renders of one ray, lights told apart by colour, and scenes moved and scaled."""
+"""Scenes made of a few objects, moved and scaled; renders of one ray."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ import numpy as np
 from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
-__all__ = ["EPS", "Surface", "Vector", "colored", "moved", "radiance_along", "scene_of"]
+__all__ = ["EPS", "Surface", "Vector", "close_up", "colored", "moved", "radiance_along", "scene_of"]
 
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
 
-EPS = float(np.finfo(np.float64).eps)
-
-
 Lights = list[PointLight] | Vector
 """A bare position is that of one white light."""
+
+EPS = float(np.finfo(np.float64).eps)
 
 
 def scene_of(
@@ -33,6 +32,12 @@ def scene_of(
         lights=lights if isinstance(lights, list) else [PointLight(position=lights)],
         surfaces=surfaces,
     )
+
+
+def close_up(*surfaces: Surface, **camera: object) -> Scene:
+    """Surfaces before a camera at (0, 0, 5), with a light beside it."""
+    view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)  # type: ignore[arg-type]
+    return scene_of(*surfaces, camera=view, size=(24, 24), lights=(3, 4, 5))
 
 
 def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:

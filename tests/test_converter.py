@@ -17,15 +17,14 @@ import numpy as np
 import pytest
 from messages import told
 from PIL import Image
-from probe import moved, scene_of
+from probe import close_up, moved
 from scene_files import ONE_SPHERE, overflowing, small_one
 
 from converters.flavours import WRITTEN, exact, normalisation, square_height, stock
-from converters.rendering import Rendering, render_mitsuba
+from converters.rendering import render_mitsuba
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, use
 from converters.visible import bounds, visible_points
-from reference.check import check_scene, compare, doubts, edge_mask
 from reference.command import own_scenes
 from reference.compare import figures
 from reference.regenerate import load_small
@@ -45,12 +44,6 @@ from tracer.image import PNG
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = own_scenes()
-
-
-def close_up(*surfaces: Sphere | Box, **camera: object) -> Scene:
-    """Surfaces before a camera at (0, 0, 5), with a light beside it."""
-    view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)  # type: ignore[arg-type]
-    return scene_of(*surfaces, camera=view, size=(24, 24), lights=(3, 4, 5))
 
 
 def command(*arguments: str) -> list[str]:
@@ -614,108 +607,6 @@ def test_stock_highlight_has_the_right_height() -> None:
     assert approximate[50, 50, 0] == pytest.approx(0.6, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    "surfaces",
-    [
-        pytest.param((Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0)),), id="flat box"),
-        pytest.param((), id="nothing"),
-        pytest.param((Sphere(radius=0.3), Sphere(radius=0.3)), id="twice the same"),
-        pytest.param(
-            (Sphere(radius=0.3, shader=Phong(exponent=0, specular=(2, 0, 0))),), id="bright"
-        ),
-    ],
-)
-def test_odd_scenes_agree(surfaces: tuple[Sphere | Box, ...]) -> None:
-    result = check_scene(close_up(*surfaces), "odd")
-    assert result.faults == ()
-
-
-def test_a_narrow_highlight_keeps_its_digits_in_float32() -> None:
-    shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=1e5)
-    floor = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0), shader=shader)
-    light = PointLight(position=(0.02, 0.01, 5))
-    result = check_scene(replace(close_up(floor), lights=(light,), width=200, height=200), "narrow")
-    assert (result.tracer > 0.1).sum() > 100
-    assert result.faults == ()
-
-
-def test_doubted_pixels_are_judged_by_the_oracle_and_named() -> None:
-    """A red plate lies on the face of a white box: float32 cannot tell which is seen."""
-    red = Lambertian(diffuse=(1, 0, 0))
-    result = check_scene(
-        close_up(
-            Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0), shader=red),
-            Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0)),
-        ),
-        "plate",
-    )
-    assert result.faults == ()
-    assert result.judged > 0
-    assert "there the oracle is the judge" in result.report()
-    assert "zero-thickness boxes, coincident faces of boxes" in result.report()
-
-
-def test_of_pixels_that_differ_the_oracle_says_who_is_right() -> None:
-    scene = replace(close_up(Sphere()), width=40, height=40)
-    image = render(scene)
-    other = image.copy()
-    other[:20] += 0.01
-    result = compare(scene, "off", Rendering(other, "scalar_rgb", 0.0))
-    assert result.faults != ()
-    assert (result.judged, result.differing, result.agreed) == (0, 800, result.asked)
-    assert 100 <= result.asked <= 200
-    assert f"asked about {result.asked} of the 800 pixels that differ" in result.report()
-
-
-def test_the_oracle_is_not_asked_about_pixels_that_are_masked() -> None:
-    scene = load_small(ROOT / "scenes" / "four-spheres.xml")
-    image = render(scene)
-    edges = edge_mask(scene, image)
-    assert edges.any()
-    other = image + edges[:, :, None]
-    result = compare(scene, "edges", Rendering(other, "scalar_rgb", 0.0))
-    assert np.array_equal(result.mask, edges)
-    assert (result.differing, result.asked, result.remark) == (0, 0, "")
-
-
-def test_limits_are_relative_in_bright_pictures() -> None:
-    light = PointLight(position=(3, 4, 5), intensity=(300, 300, 300))
-    result = check_scene(replace(close_up(Sphere()), lights=(light,)), "bright")
-    assert result.tracer.max() > 200
-    assert result.faults == ()
-
-
-def test_edges_are_as_wide_in_bright_pictures() -> None:
-    dim = load_small(ROOT / "scenes" / "four-spheres.xml")
-    image = render(dim)
-    masks = []
-    # Powers of two, so that nothing is rounded otherwise; both pictures are brighter than 1.
-    for times in (4.0, 1024.0):
-        lights = [replace(m, intensity=[times * c for c in m.intensity]) for m in dim.lights]
-        masks.append(edge_mask(replace(dim, lights=lights), times * image))
-    assert (times * image).max() > 4 * image.max() > 1
-    assert 0 < masks[0].mean() < 0.01
-    assert np.array_equal(*masks)
-
-
-def test_what_is_hard_for_mitsuba_is_named() -> None:
-    box = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 1))
-    flat, above = (
-        replace(box, max_pt=(1, 1, 0)),
-        replace(box, min_pt=(0.5, 0.5, 1), max_pt=(2, 2, 2)),
-    )
-    beside = replace(above, min_pt=(1, 1, 1))
-    ball, ground = Sphere(center=(5, 5, 5)), Sphere(center=(0, -1e6, 0), radius=1e6)
-    for surfaces, reasons in (
-        ((box, beside, ball, Sphere()), ()),
-        ((flat,), ("zero-thickness boxes",)),
-        ((box, above), ("coincident faces of boxes",)),
-        ((ball, ball), ("coincident spheres",)),
-        ((ball, ground), ("surfaces a thousand times larger than what is seen",)),
-    ):
-        assert doubts(close_up(*surfaces)) == reasons
-
-
 def test_boxes_keep_their_thickness_wherever_they_are() -> None:
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
@@ -796,37 +687,6 @@ def test_a_picture_of_too_many_square_pixels_is_told(
 
 def test_a_picture_of_square_pixels_has_a_row() -> None:
     assert square_height(Scene(camera=Camera(view_height=1e-3), width=9, height=9)) == 1
-
-
-def scaled(size: float) -> Scene:
-    camera = Camera(view_point=(0, 0, 5 * size), proj_distance=size, view_width=0.3 * size,
-                    view_height=0.3 * size)  # fmt: skip
-    light = PointLight(position=(3 * size, 4 * size, 5 * size))
-    return replace(close_up(Sphere(radius=0.5 * size)), camera=camera, lights=(light,))
-
-
-@pytest.mark.parametrize(("width", "height"), [(1, 96), (96, 1)])
-def test_edges_on_which_both_agree_are_not_masked(width: int, height: int) -> None:
-    """In pixels so tall or wide a sample that moves a little meets an edge in many."""
-    scene = replace(load_scene(ROOT / "scenes" / "room.xml"), width=width, height=height)
-    result = check_scene(scene, "thin")
-    assert edge_mask(scene, result.tracer).mean() > 0.05
-    assert result.faults == ()
-    assert not result.mask.any()
-
-
-@pytest.mark.parametrize("size", [1e-45, 1e45])
-def test_scenes_of_any_size_agree(size: float) -> None:
-    """What is written is ten units large, even where float32 could not hold the scene."""
-    result = check_scene(scaled(size), "size")
-    assert result.faults == ()
-    assert result.tracer.max() > 0.5
-
-
-@pytest.mark.parametrize("size", [1e-73, 1e73])
-def test_the_smallest_and_largest_scenes_raise_no_doubts(size: float) -> None:
-    """Nor a warning, which would be an error here."""
-    assert doubts(scaled(size)) == ()
 
 
 # Normalisation.
