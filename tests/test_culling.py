@@ -310,6 +310,19 @@ def test_thin_tiny_and_enormous(hair: Sphere | Box, light: tuple[float, float, f
     assert_same(scene(hair, FLOOR, light=light))
 
 
+@pytest.mark.parametrize("thickness", [0, 1])
+@pytest.mark.parametrize("size", [1e18, 1e30, 1e75])
+def test_a_floor_without_end(size: float, thickness: float) -> None:
+    # Its corners are so far away that, along the camera's axes, they do not tell the eye's height.
+    def picture_of(size: float) -> Scene:
+        floor = Box(min_pt=(-size, -thickness, -size), max_pt=(size, 0, size))
+        camera = replace(CAMERA, view_point=(0, 1, 0), view_dir=(0.3, -0.2, -1))
+        return scene(floor, Sphere(center=(0, 0.5, -3), radius=0.5), camera=camera)
+
+    assert_same(picture_of(size))
+    assert np.array_equal(render(picture_of(size)), render(picture_of(1e6)))
+
+
 @pytest.mark.parametrize("size", [1.0, 2.0**27, 2.0**60])
 def test_light_straight_over_an_enormous_floor(size: float) -> None:
     # Straight up, the inverse of the direction is infinite, or nearly so.

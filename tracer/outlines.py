@@ -386,8 +386,10 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     return np.where(miss, np.inf, low), np.where(miss, -np.inf, high)
 
 
-def _silhouette_table() -> tuple[Ints, Ints]:
-    """Corner pairs (27, 6) of the silhouette edges, by where the eye is.
+def _silhouette_table() -> tuple[Ints, Ints, Ints]:
+    """Corner pairs (27, 6) of the silhouette edges a b, by where the eye is; sides of the box.
+
+    A side is 1 where a x b, seen from the eye, points to the box's side of the edge, else -1.
 
     The eye is below, between or above the two planes of each axis: 27 regions
     (Schmalstieg and Tobler, Real-time bounding box area computation, 1999).
@@ -396,21 +398,22 @@ def _silhouette_table() -> tuple[Ints, Ints]:
     """
     start = np.zeros((27, 6), dtype=np.intp)
     end = np.zeros((27, 6), dtype=np.intp)
+    side = np.ones((27, 6), dtype=np.intp)
     for region, code in enumerate(product((-1, 0, 1), repeat=3)):
-        pairs = [
-            (corner, corner | 1 << k)
-            for k in range(3)
-            for corner in range(8)
-            if not corner >> k & 1
+        pairs = []
+        for k, corner in product(range(3), range(8)):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            outward_i, outward_j = (1 if corner >> m & 1 else -1 for m in (i, j))
             # Of the two faces at an edge along k, one is seen and one is not.
-            and sum(code[j] == (1 if corner >> j & 1 else -1) for j in range(3) if j != k) == 1
-        ]
+            seen = code[i] == outward_i
+            if not corner >> k & 1 and seen != (code[j] == outward_j):
+                pairs.append((corner, corner | 1 << k, outward_i * outward_j * (-1) ** seen))
         if pairs:
-            start[region], end[region] = np.transpose((pairs * 2)[:6])
-    return start, end
+            start[region], end[region], side[region] = np.transpose((pairs * 2)[:6])
+    return start, end, side
 
 
-_EDGE_START, _EDGE_END = _silhouette_table()
+_EDGE_START, _EDGE_END, _EDGE_SIDE = _silhouette_table()
 
 
 def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Floats) -> Triple:
@@ -419,7 +422,7 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     Parameters
     ----------
     corners : three (8, n)
-        The boxes' corners seen from the apex, in any axes.
+        The boxes' corners seen from the apex, in any axes that are right-handed.
     apex : (3,), or (n, 3)
     min_pt, max_pt : (n, 3)
 
@@ -441,10 +444,9 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     near = each(lambda a, b: np.asarray(np.where(a2 < b2, a, b)), a, b)
     normal = cross(near, each(np.subtract, b, a))
     doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * a2 * b2
-    normal = each(lambda n: np.where(doubtful, 0.0, n), normal)
-    middle = [m.mean(axis=0) for m in corners]
-    sign = np.where(dot(normal, (middle[0], middle[1], middle[2])) < 0, -1.0, 1.0)
-    return sign * normal[0], sign * normal[1], sign * normal[2]
+    # Not by where the box's middle is: seen from near a vast box, that is little but rounding.
+    sign = np.where(doubtful, 0, _EDGE_SIDE[region].T)
+    return each(lambda n: sign * n, normal)
 
 
 def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> Bools:
