@@ -424,6 +424,17 @@ def test_a_ball_under_a_lamp_at_the_eye() -> None:
     assert np.sqrt((error**2).mean()) <= 4e-5
 
 
+def test_a_shadow_right_behind_an_outline() -> None:
+    # By a hundredth of a pixel, all along it: two lines, however near each other.
+    aside = 0.004
+    wall = Box(min_pt=(-9, -9, -4), max_pt=(9, 9, -2.5))
+    plate = Box(min_pt=(-0.3, -0.3, -2), max_pt=(0.3, 0.3, -1.9))
+    lights = [PointLight(position=(aside, aside, 0))]
+    camera = Camera(view_up=(0.3, 1, 0))
+    scene = Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[plate, wall])
+    no_worse_than_the_uniform_grid(scene, numbers=(16, 64, 256))
+
+
 def test_a_surface_one_pixel_high() -> None:
     # A highlight bends from row to row, and no row beside it says how.
     half = (0.5 + 1 / 41) * 2 / 13

@@ -57,7 +57,7 @@ def test_the_share_beside_an_upright_line(a: float, b: float) -> None:
 def test_lines_that_are_the_same() -> None:
     cell, a = np.array([1, 1, 1, 0, 0]), np.array([1.0, -2.0, 1.0, 1.0, 1.0])
     c = np.array([0.1, -0.2, 0.3, 0.1, -0.1])
-    distinct = Lines(cell, np.full(5, Kind.EDGE), a, 0 * a, c).distinct()
+    distinct = Lines(cell, np.full(5, Kind.EDGE), a, 0 * a, c).distinct(0.02)
     assert distinct.cell.tolist() == [0, 0, 1, 1]
     assert (distinct.c / distinct.a).tolist() == [-0.1, 0.1, 0.1, 0.3]
 
@@ -67,10 +67,10 @@ def test_which_line_is_kept_does_not_depend_on_their_order() -> None:
     lines = some_lines(rng, 40)._replace(cell=rng.integers(0, 4, 40), kind=rng.integers(0, 3, 40))
     near = lines._replace(c=lines.c + 1e-3 * rng.normal(size=40), kind=rng.integers(0, 3, 40))
     both = joined([lines, near])
-    expected = both.distinct()
+    expected = both.distinct(0.02)
     assert 4 < expected.cell.size < 80
     for _ in range(20):
-        shuffled = both.take(rng.permutation(80)).distinct()
+        shuffled = both.take(rng.permutation(80)).distinct(0.02)
         for mine, its in zip(shuffled, expected, strict=True):
             assert np.array_equal(mine, its)
 
@@ -78,7 +78,7 @@ def test_which_line_is_kept_does_not_depend_on_their_order() -> None:
 def test_of_an_edge_and_a_shadow_in_the_same_place_the_edge_is_kept() -> None:
     one, cell = np.ones(2), np.zeros(2, dtype=np.intp)
     kinds = np.array([Kind.SHADOW, Kind.EDGE])
-    kept = Lines(cell, kinds, one, 0 * one, np.array([0.1, 0.101])).distinct()
+    kept = Lines(cell, kinds, one, 0 * one, np.array([0.1, 0.101])).distinct(0.02)
     assert kept.kind.tolist() == [Kind.EDGE]
 
 

@@ -56,6 +56,9 @@ _LOOK_BEYOND = 3
 # everywhere cost less than looks.
 _DENSE = 0.006
 
+# Lines in a cell that differ by no more than this, times the tolerance, count as one.
+_SAME = 6.0
+
 # Of the lines in a cell, this many divide it into regions; the others are left to its samples.
 _LINES = 4
 
@@ -141,12 +144,13 @@ def _refine(
     unresolved[within_limbs] = False
     unresolved |= seen.unresolved
     lines = joined([outlines, *seen.lines])
-    lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), unresolved)
+    same = _SAME * cells.tolerance
+    lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), same, unresolved)
     # Each side of a line has samples of its own; what is not divided needs to be known as a whole.
     unknown = np.isnan(cells.error)
     unknown[lines.cell] = False
     unresolved |= unknown
-    sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])))
+    sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
     colors = np.empty((3, sides.cell.size))
     divided = np.ones(unresolved.size, dtype=np.bool_)
     looked = sides.beyond & (per_side >= _LOOK_BEYOND)
@@ -159,7 +163,7 @@ def _refine(
         divided[there.cell] = False
         divided[there.cell[key != seen.key[there.cell]]] = True
     # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
-    lines = _few(lines, unresolved)
+    lines = _few(lines, same, unresolved)
     kept = np.flatnonzero(~unresolved[sides.cell])
     sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
@@ -191,9 +195,9 @@ def _total(sides: Points, colors: Floats) -> tuple[Ints, Floats]:
     return cell[first], np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
 
 
-def _few(lines: Lines, unresolved: Bools) -> Lines:
+def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
     """Different lines, at most `_LINES` a cell, sorted by cell; several leave it `unresolved`."""
-    lines = lines.distinct()
+    lines = lines.distinct(same)
     first, count = equal_runs(lines.cell)
     unresolved[lines.cell[first[count > 1]]] = True
     return lines.take(np.flatnonzero(ranges(0, count) < _LINES))

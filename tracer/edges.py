@@ -19,14 +19,10 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["MOST_TURN", "SAME", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
+__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
 MOST_TURN = 0.2
 """A line that turns by less (in radians) across a cell passes for straight."""
-
-SAME = 0.02
-"""Lines that differ by no more than this count as one (c, and a and b, where `reach` is 1): a light
-near the eye throws its shadows right behind the outlines."""
 
 # The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
 _LEAST_SLOPE = 1e-4
@@ -86,27 +82,30 @@ class Lines(NamedTuple):
         """The lines that pass through their cells."""
         return self.take(np.flatnonzero(self.crosses()))
 
-    def differ(self, other: Lines) -> Bools:
-        """Whether each is another line than its counterpart."""
+    def differ(self, other: Lines, same: float) -> Bools:
+        """Whether each is another line than its counterpart; `same`: see `distinct`."""
         mine, its = self._unit(), other._unit()
         sign = np.where(mine[0] * its[0] + mine[1] * its[1] < 0, -1.0, 1.0)
         a, b, c = (np.abs(sign * m - n) for m, n in zip(mine, its, strict=True))
-        differ: Bools = a + b + c > SAME
+        differ: Bools = a + b + c > same
         return differ
 
     def _unit(self) -> Triple:
         """a, b and c, scaled so that `reach` is 1."""
         return scaled((self.a, self.b, self.c), 1 / self.reach())
 
-    def distinct(self) -> Lines:
+    def distinct(self, same: float) -> Lines:
         """Sorted by cell: of lines that are the same only the first, by kind, then a, b and c.
 
         So the order in which they were found changes nothing; and of an edge and a shadow in one
         place the edge is kept, for less is known of what lies beyond it.
+
+        Lines that differ by no more than `same` count as one (c, and a and b, where `reach` is 1):
+        a light near the eye throws its shadows right behind the outlines.
         """
         order = np.argsort(self.cell, kind="stable")
-        same = np.diff(self.cell[order]) == 0
-        at = np.flatnonzero(np.append(same, False) | np.append(False, same))
+        beside = np.diff(self.cell[order]) == 0
+        at = np.flatnonzero(np.append(beside, False) | np.append(False, beside))
         shared = self.take(order[at])
         a, b, c = shared._unit()
         order[at] = order[at[np.lexsort((c, b, a, shared.kind, shared.cell))]]
@@ -116,8 +115,8 @@ class Lines(NamedTuple):
             at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
             if not at.size:
                 break
-            same = ~lines.take(at + back).differ(lines.take(at))
-            kept[at[same] + back] = False
+            again = ~lines.take(at + back).differ(lines.take(at), same)
+            kept[at[again] + back] = False
         return lines.take(np.flatnonzero(kept))
 
     def reach(self) -> Floats:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, equal_runs
-from tracer.edges import SAME, Kind, Lines
+from tracer.edges import Kind, Lines
 
 __all__ = ["Points", "post_stratified", "sides_of"]
 
@@ -52,8 +52,8 @@ class Points(NamedTuple):
         return Points._make(map(np.append, self, other))
 
 
-def sides_of(lines: Lines) -> Points:
-    """Points on both sides of lines, each line being the only one in its cell.
+def sides_of(lines: Lines, same: float) -> Points:
+    """Points on both sides of lines, each line being the only one in its cell, or the `same`.
 
     One in the middle of each side; on the sphere's side of a limb, where light falls off, two.
     """
@@ -69,7 +69,7 @@ def sides_of(lines: Lines) -> Points:
     # a shadow's edge.
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
-    beyond = other & (side * np.tile(lines.c, 2) <= SAME * np.tile(lines.reach(), 2))
+    beyond = other & (side * np.tile(lines.c, 2) <= same * np.tile(lines.reach(), 2))
     limb = np.flatnonzero(lines.kind == Kind.LIMB)
     within = share.size + limb
     shares[within] = 0  # two points stand for that side
