@@ -56,6 +56,15 @@ def test_the_shadow_of_a_box_on_a_small_ball() -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(64,))
 
 
+def test_the_shadow_of_a_box_that_hardly_bends_within_a_pixel() -> None:
+    # For as many samples it bends too much.
+    box = Box(min_pt=(0.9, 1.2, 1.5), max_pt=(1.5, 1.8, 2.1))
+    camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=3, view_height=3)
+    lights = [PointLight(position=(3, 4, 5))]
+    scene = Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[Sphere(), box])
+    no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
+
+
 @pytest.mark.usefixtures("pixels_are_split")
 def test_the_shadow_of_a_box_on_a_ball_in_tall_pixels() -> None:
     # The plane that touches the ball in a pixel's middle is far from it in the corners.

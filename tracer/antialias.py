@@ -105,7 +105,7 @@ def antialiased(
     for first in range(0, height, step):
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
         places = np.arange(first * width, first * width + strip.size)
-        look(lighting, strip, 1.0, seen, places)
+        look(lighting, strip, 1.0, tolerance, seen, places)
     bend, error, unknown = curvature(seen.radiance, seen.key, width)
     # What is known does not ask for a closer look; what is not, may.
     error[unknown & (error <= tolerance)] = np.nan
@@ -210,7 +210,7 @@ def _look_beyond(
     cell, x, y = sides.cell, sides.x, sides.y
     # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
-    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, 0.5)
+    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = joined(seen.lines)
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
@@ -270,7 +270,7 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), np.repeat(part, 4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = look_at(lighting_in, x, y, inside, size)
+        closer = look_at(lighting_in, x, y, inside, size, cells.tolerance)
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

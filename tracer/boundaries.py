@@ -29,7 +29,7 @@ from tracer.arrays import (
     select,
 )
 from tracer.camera import Raster
-from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined, sagitta_error
+from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined, sagitta_error, straight
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
@@ -85,7 +85,13 @@ def near_lights(incoming: Incoming, footprint: Floats) -> Ints:
 
 
 def intersections(
-    hits: Hits, behind: Hits, surfaces: Surfaces, cell: Ints, size: float, unresolved: Bools
+    hits: Hits,
+    behind: Hits,
+    surfaces: Surfaces,
+    cell: Ints,
+    size: float,
+    tolerance: float,
+    unresolved: Bools,
 ) -> Lines:
     """Where surfaces meet those close `behind`; marks `unresolved` where that is no straight line.
 
@@ -107,9 +113,10 @@ def intersections(
     a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
     lines = Lines(cell[sample], np.full(sample.size, Kind.EDGE), a, b, c)
     off = off_first + off_second
-    straight = lines.turn(off) <= MOST_TURN
-    unresolved[lines.cell[~straight & (np.abs(c) <= lines.reach() + off)]] = True
-    return lines.take(np.flatnonzero(straight & lines.crosses()))
+    turn = lines.turn(off)
+    bent = ~straight(turn, tolerance)
+    unresolved[lines.cell[bent & (np.abs(c) <= lines.reach() + off)]] = True
+    return lines.take(np.flatnonzero((turn <= MOST_TURN) & lines.crosses()))
 
 
 def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Triple, Floats]:
@@ -144,6 +151,8 @@ class Patches(NamedTuple):
         See `footprints_of`.
     size : float
         Width of the cells, in pixels.
+    tolerance : float
+        See `looks.Cells`.
     """
 
     lighting: Lighting
@@ -152,6 +161,7 @@ class Patches(NamedTuple):
     cell: Ints
     footprint: Floats
     size: float
+    tolerance: float
 
     def height(self, at: Ints) -> Floats:
         """Height of the eye over the surface's tangent planes at some points: a number, or (n,)."""
@@ -223,7 +233,8 @@ class Patches(NamedTuple):
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         # A footprint larger than the sphere may hold the whole of its shadow.
         odd = (turn > MOST_TURN) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
-        unresolved[discs.cell[odd & near]] = True
+        bent = ~straight(turn, self.tolerance)
+        unresolved[discs.cell[(odd | bent) & near]] = True
         discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
         on = np.flatnonzero(occluder >= spheres)
         if not on.size:
@@ -237,7 +248,7 @@ class Patches(NamedTuple):
         planes = each(lambda m: m.take(place, axis=1), planes)
         edges, turn, unknown = pencil.take(on).boxes(planes)
         unresolved[pencil.cell[on[unknown]]] = True
-        unresolved[edges.cell[turn > MOST_TURN]] = True
+        unresolved[edges.cell[~straight(turn, self.tolerance)]] = True
         return joined([discs, edges.take(np.flatnonzero(turn <= MOST_TURN))])
 
     def _near_terminator(self, incoming: Incoming) -> tuple[Ints, Ints]:
@@ -268,9 +279,10 @@ class Patches(NamedTuple):
         normal = self.hits.raster.vector_to_scene(pick(group.n, at))
         gradient = each(lambda d, n: d / r + n, ray, normal)
         off = sagitta_error(gradient, self.sagitta(at))
-        bent = lines.turn(off) > MOST_TURN
+        turn = lines.turn(off)
+        bent = ~straight(turn, self.tolerance)
         unresolved[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
-        return lines.take(np.flatnonzero(~bent & lines.crosses()))
+        return lines.take(np.flatnonzero((turn <= MOST_TURN) & lines.crosses()))
 
     def ridges(self) -> Lines:
         """Where a box's face meets another that is seen as well."""

@@ -19,10 +19,13 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
+__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error", "straight"]
 
 MOST_TURN = 0.2
-"""A line that turns by less (in radians) across a cell passes for straight."""
+"""A line that turns by less (in radians) across a cell can stand for what bends there."""
+
+# Such a line passes for straight if it turns by less than this, in radians, times the tolerance.
+_TURN = 400.0
 
 # The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
 _LEAST_SLOPE = 1e-4
@@ -201,6 +204,12 @@ def joined(lines: Iterable[Lines]) -> Lines:
     none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
     parts = [Lines(none, none, nothing, nothing, nothing), *lines]
     return Lines._make(map(np.concatenate, zip(*parts, strict=True)))
+
+
+def straight(turn: Floats, tolerance: float) -> Bools:
+    """Whether lines that turn so far (n,) pass for straight where cells may be off by so much."""
+    passes: Bools = turn <= min(MOST_TURN, _TURN * tolerance)
+    return passes
 
 
 def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:

@@ -138,6 +138,7 @@ def look_at(
     y: Floats,
     cell: Ints,
     size: float,
+    tolerance: float,
     share: float = 1.0,
 ) -> Seen:
     """Look at cells of a size around positions in any order.
@@ -147,7 +148,7 @@ def look_at(
     """
     samples, order = Scattered.of(x, y)
     seen = Seen.of(order.size)
-    look(lighting_in(cell[order]), samples, size, seen, order, share)
+    look(lighting_in(cell[order]), samples, size, tolerance, seen, order, share)
     return seen
 
 
@@ -155,6 +156,7 @@ def look(
     lighting: Lighting,
     samples: Samples,
     size: float,
+    tolerance: float,
     seen: Seen,
     cell: Ints,
     share: float = 1.0,
@@ -166,7 +168,8 @@ def look(
     """
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
-    seen.lines.append(intersections(hits, behind, surfaces, cell, size, seen.unresolved))
+    meet = intersections(hits, behind, surfaces, cell, size, tolerance, seen.unresolved)
+    seen.lines.append(meet)
     incoming = incoming_at(lighting, hits)
     facing = incoming.n_dot_l > 0
     footprint = footprints_of(hits, surfaces.radius, size)
@@ -192,7 +195,7 @@ def look(
         seen.key[inside] = key
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
             seen.unresolved[inside[places]] = True
-        patches = Patches(lighting, hits, group, inside, footprint[part], size)
+        patches = Patches(lighting, hits, group, inside, footprint[part], size, tolerance)
         seen.lines.append(patches.shadows(found, seen.unresolved))
         if group.flat:
             seen.lines.append(patches.ridges())
