@@ -150,6 +150,8 @@ def _refine(
     unknown = np.isnan(cells.error)
     unknown[lines.cell] = False
     unresolved |= unknown
+    if not (lines.cell.size or (unresolved & wanted).any()):
+        return  # one smooth surface
     sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
     colors = np.empty((3, sides.cell.size))
     divided = np.ones(unresolved.size, dtype=np.bool_)
