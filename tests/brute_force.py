@@ -29,8 +29,6 @@ from tracer.intersection import (
 from tracer.scene import Box, Phong, Scene, Sphere
 from tracer.shading import highlight
 
-__all__ = ["blocks", "brute_force", "light_side", "size_of"]
-
 
 @np.errstate(all="ignore")
 def brute_force(scene: Scene) -> Floats:

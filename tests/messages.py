@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["told"]
-
 
 def told(err: str) -> str:
     """What a command wrote to stderr, without Dr.Jit's lines there if it has found no libLLVM."""

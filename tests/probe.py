@@ -9,8 +9,6 @@ import numpy as np
 from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
 
-__all__ = ["EPS", "Surface", "Vector", "close_up", "colored", "moved", "radiance_along", "scene_of"]
-
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
 

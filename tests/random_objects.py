@@ -8,17 +8,6 @@ from probe import Vector
 from tracer import Box, Sphere
 from tracer.arrays import Floats, Triple
 
-__all__ = [
-    "a_box",
-    "a_direction",
-    "a_point",
-    "a_sphere",
-    "triple",
-    "unit",
-    "unit_vectors",
-    "vector",
-]
-
 
 def a_point(rng: np.random.Generator) -> Floats:
     """(3,): every other time on a grid, where things touch, line up and coincide."""

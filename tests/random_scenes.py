@@ -15,8 +15,6 @@ from random_objects import a_direction, vector
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, Surfaces
 
-__all__ = ["KINDS", "random_scene"]
-
 
 class Setting(NamedTuple):
     """Objects, and where to look at them from: at `target`, so far away."""

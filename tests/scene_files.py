@@ -8,8 +8,6 @@ from reference.command import SCENES
 from reference.workloads import resized
 from tracer import Scene, load_scene
 
-__all__ = ["ONE_SPHERE", "overflowing", "small", "small_one"]
-
 ONE_SPHERE = SCENES / "one-sphere.xml"
 
 

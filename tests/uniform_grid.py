@@ -13,8 +13,6 @@ from tracer import Scene, render, rendering
 from tracer.arrays import Floats
 from tracer.rendering import render_bands
 
-__all__ = ["no_worse_than_the_uniform_grid", "uniform"]
-
 
 @cache
 def uniform(scene: Scene, per_side: int) -> Floats:
