@@ -36,8 +36,9 @@ from reference.charts import (
     write_csv,
 )
 from reference.command import parser, result, run
-from tracer import Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats
+from tracer.scene import Vector
 
 __all__ = ["PANELS", "Panel", "measure", "methods_of"]
 
@@ -55,128 +56,87 @@ _ROOM = 48
 # --- Scenes that get harder ------------------------------------------------------------
 
 
+def _scene(camera: Camera, size: tuple[int, int], light: Vector, *spheres: Sphere) -> Scene:
+    """Spheres under one light."""
+    return Scene(
+        camera=camera,
+        width=size[0],
+        height=size[1],
+        lights=(PointLight(position=light),),
+        surfaces=Surfaces.of(spheres),
+    )
+
+
 def distant(distance: float) -> Scene:
     """A unit sphere, `distance` radii away; no silhouette and no shadow in view."""
-    away = np.array([2.0, -3.0, 6.0]) / 7
-    return Scene(
-        camera=Camera(
-            view_point=tuple(distance * away),
-            view_dir=tuple(-away),
-            proj_distance=distance,
-            view_width=1.0,
-            view_height=1.0,
-        ),
-        width=24,
-        height=24,
-        lights=(PointLight(position=(2.0, 0.0, 6.0)),),
-        surfaces=Surfaces.of([Sphere()]),
+    x, y, z = 2 / 7, -3 / 7, 6 / 7
+    camera = Camera(
+        view_point=(distance * x, distance * y, distance * z),
+        view_dir=(-x, -y, -z),
+        proj_distance=distance,
     )
+    return _scene(camera, (24, 24), (2.0, 0.0, 6.0), Sphere())
 
 
 def limb(distance: float) -> Scene:
     """A millionth of a radius on both sides of a sphere's limb; float64 holds the rays exactly."""
-    return Scene(
-        camera=Camera(
-            view_point=(1.0, 0.0, distance),
-            proj_distance=distance,
-            view_width=2.0**-19,
-            view_height=2.0**-19,
-        ),
-        width=64,
-        height=64,
-        lights=(PointLight(position=(8.0, 0.0, 2.0)),),
-        surfaces=Surfaces.of([Sphere()]),
+    camera = Camera(
+        view_point=(1.0, 0.0, distance),
+        proj_distance=distance,
+        view_width=2.0**-19,
+        view_height=2.0**-19,
     )
+    return _scene(camera, (64, 64), (8.0, 0.0, 2.0), Sphere())
 
 
 def moved(offset: float) -> Scene:
     """The sphere of `distant`, 4 radii away, with the whole scene moved."""
 
-    def at(x: float, y: float, z: float) -> tuple[float, float, float]:
+    def at(x: float, y: float, z: float) -> Vector:
         return (offset + x, y - 0.7 * offset, z + 0.4 * offset)
 
-    return Scene(
-        camera=Camera(
-            view_point=at(1, 0, 4),
-            view_dir=(-1.0, 0.0, -4.0),
-            proj_distance=4.0,
-            view_width=1.0,
-            view_height=1.0,
-        ),
-        width=24,
-        height=24,
-        lights=(PointLight(position=at(1, 2, 6)),),
-        surfaces=Surfaces.of([Sphere(center=at(0, 0, 0))]),
-    )
+    camera = Camera(view_point=at(1, 0, 4), view_dir=(-1.0, 0.0, -4.0), proj_distance=4.0)
+    return _scene(camera, (24, 24), at(1, 2, 6), Sphere(center=at(0, 0, 0)))
 
 
 def ground(radius: float) -> Scene:
     """The ground as a huge sphere, the eye 1 above it."""
-    return Scene(
-        camera=Camera(
-            view_point=(0.0, 1.0, 0.0),
-            view_dir=(3.0, -4.0, 0.0),
-            proj_distance=1.0,
-            view_width=0.5,
-            view_height=0.5,
-        ),
-        width=24,
-        height=24,
-        lights=(PointLight(position=(2.0, 3.0, 1.0)),),
-        surfaces=Surfaces.of([Sphere(center=(0.0, -radius, 0.0), radius=radius)]),
+    camera = Camera(
+        view_point=(0.0, 1.0, 0.0), view_dir=(3.0, -4.0, 0.0), view_width=0.5, view_height=0.5
     )
+    sphere = Sphere(center=(0.0, -radius, 0.0), radius=radius)
+    return _scene(camera, (24, 24), (2.0, 3.0, 1.0), sphere)
 
 
 def shiny(exponent: float) -> Scene:
     """A highlight that fills the picture, whatever its exponent."""
     size = 3 / np.sqrt(max(exponent, 36.0))
-    return Scene(
-        camera=Camera(
-            view_point=(3.0, 0.0, 4.0),
-            view_dir=(-3.0, 0.0, -3.0),
-            proj_distance=float(np.sqrt(18)),
-            view_width=size,
-            view_height=size,
-        ),
-        width=16,
-        height=16,
-        lights=(PointLight(position=(-3.0, 0.0, 4.0)),),
-        surfaces=Surfaces.of(
-            [
-                Sphere(
-                    shader=Phong(
-                        diffuse=(0.0, 0.0, 0.0), specular=(1.0, 1.0, 1.0), exponent=exponent
-                    )
-                )
-            ]
-        ),
+    camera = Camera(
+        view_point=(3.0, 0.0, 4.0),
+        view_dir=(-3.0, 0.0, -3.0),
+        proj_distance=float(np.sqrt(18)),
+        view_width=size,
+        view_height=size,
     )
+    gloss = Phong(diffuse=(0.0, 0.0, 0.0), specular=(1.0, 1.0, 1.0), exponent=exponent)
+    return _scene(camera, (16, 16), (-3.0, 0.0, 4.0), Sphere(shader=gloss))
 
 
 def ball_on_ground(scale: float = 1.0, offset: float = 0.0, radius: float = 128.0) -> Scene:
     """A ball that touches a ground sphere; with powers of two every number is exact."""
 
-    def at(x: float, y: float, z: float) -> tuple[float, float, float]:
+    def at(x: float, y: float, z: float) -> Vector:
         return (scale * x + offset, scale * y + offset, scale * z + offset)
 
-    white = Lambertian()
-    return Scene(
-        camera=Camera(
-            view_point=at(0, 1, 4),
-            proj_distance=2 * scale,
-            view_width=2 * scale,
-            view_height=1.125 * scale,
-        ),
-        width=128,
-        height=72,
-        lights=(PointLight(position=at(4, 5, 3)),),
-        surfaces=Surfaces.of(
-            [
-                Sphere(center=at(0, -radius, 0), radius=scale * radius, shader=white),
-                Sphere(center=at(0, 0.5, 0), radius=scale * 0.5, shader=white),
-            ]
-        ),
+    camera = Camera(
+        view_point=at(0, 1, 4),
+        proj_distance=2 * scale,
+        view_width=2 * scale,
+        view_height=1.125 * scale,
     )
+    ground = Sphere(center=at(0, -radius, 0), radius=scale * radius)
+    ball = Sphere(center=at(0, 0.5, 0), radius=scale * 0.5)
+    return _scene(camera, (128, 72), at(4, 5, 3), ground, ball)
 
 
 # --- What is measured ------------------------------------------------------------------
