@@ -20,9 +20,9 @@ import numpy as np
 
 from reference import machine
 from reference.command import HERE, SCENES, need_scenes, parser, result, run
-from reference.speed_accuracy import Truth, truth_side
 from reference.tables import Ratio, Table, quote, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
+from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import (
     Scene,

@@ -15,11 +15,9 @@ the same samples in LLVM.
 from __future__ import annotations
 
 import gc
-import hashlib
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -33,14 +31,13 @@ from reference import alternatives, machine, rivals
 from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
 from reference.command import SCENES, built, need_scenes, parser, result, run
 from reference.timing import Task, Timing, interleaved, on_copies, process
+from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 from tracer.image import quantise
-from tracer.rendering import render_bands
-from tracer.scene import MAX_PIXELS
 
-__all__ = ["Point", "Truth", "main", "measure", "supersampled"]
+__all__ = ["Lead", "Point", "main", "measure"]
 
 Curve: TypeAlias = tuple[str, bool]
 """A method, and whether its whole process is timed, or rendering alone."""
@@ -72,9 +69,6 @@ _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 # again and again, until its times add up to the second, at most `_ROUNDS` times.
 _TOO_LONG, _ENOUGH, _ROUNDS = 2.5, 0.3, 15
 
-# About how many pixels of a picture the error is measured over.
-_PIXELS = 1 << 15
-
 # The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
 _LEVEL = 1e-3
 
@@ -100,64 +94,6 @@ class Point:
     process: bool
     error: float
     time: Timing
-
-
-# --- The truth ---------------------------------------------------------------------------
-
-
-def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0)) -> Floats:
-    """`side` x `side` samples spread evenly over every pixel, by brute force.
-
-    They are the pixels of a picture `side` times as large, rendered at one
-    sample a pixel and averaged; of several smaller ones, where that is too large.
-    """
-    width, height = scene.width, scene.height
-    apart = 1
-    while width * height * (side // apart) ** 2 > MAX_PIXELS:
-        apart *= 2
-    if side % apart:
-        raise ValueError(f"{side} x {side} samples cannot be split into parts of {apart}")
-    step = side // apart
-    large = resized(scene, width * step, height * step)
-    total = np.zeros((height, width, 3))
-    shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
-    for dx, dy in product(shifts, shifts):
-        moved = (dx + step * offset[0], dy + step * offset[1])
-        top = 0
-        for band in render_bands(large, offset=moved):
-            sums = band.reshape(len(band), width, step, 3).sum(axis=2)
-            np.add.at(total, (top + np.arange(len(band))) // step, sums)
-            top += len(band)
-    return total / side**2
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """Some rows of a converged picture."""
-
-    rows: slice
-    radiance: Floats
-
-    @classmethod
-    def of(cls, scene: Scene, side: int) -> Truth:
-        """`supersampled` rows, kept in the build folder for the next time."""
-        apart = math.ceil(scene.width * scene.height / _PIXELS)
-        rows = slice(apart // 2, None, apart)
-        name = hashlib.sha256(f"{side} {rows} {to_xml(scene)}".encode()).hexdigest()[:16]
-        path = built(f"truth-{name}.npy")
-        if not path.exists():
-            window = replace(scene.camera, view_height=scene.camera.view_height / scene.height)
-            row = replace(scene, height=1, camera=window)
-            middle = (scene.height - 1) / 2
-            picture = [
-                supersampled(row, side, offset=(0.0, y - middle)) for y in range(scene.height)[rows]
-            ]
-            np.save(path, np.concatenate(picture))
-        return cls(rows, np.load(path))
-
-    def error(self, image: Floats) -> float:
-        """Root mean square of the difference."""
-        return float(np.sqrt(np.mean((image[self.rows] - self.radiance) ** 2)))
 
 
 # --- What is measured --------------------------------------------------------------------
@@ -293,11 +229,6 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             if method in errors:
                 shown, times = (_OURS, 9) if method == _BETWEEN else (method, 1)
                 yield Point(name, shown, times * 4**k, whole, errors[method], timing)
-
-
-def truth_side(quick: bool) -> int:
-    """Samples a side of the pixel that count as the truth; odd, like no method's."""
-    return 17 if quick else 129
 
 
 # --- The chart ---------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def test_a_command_without_the_scenes_says_what_it_needs(
 
 
 @pytest.mark.parametrize(
-    "module", ["ablation", "benchmark", "regenerate", "report", "speed_accuracy", "stability"]
+    "module", ["benchmark", "regenerate", "report", "speed_accuracy", "stability"]
 )
 def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, module: str) -> None:
     (tmp_path / "mitsuba.py").write_text("raise ModuleNotFoundError('No module named mitsuba')")

@@ -1,52 +1,19 @@
-"""The speed-accuracy chart: its truth, whom it compares, and what it says of that."""
+"""The speed-accuracy chart: whom it compares, and what it says of that."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from scene_files import small
 
 from converters.variant import LLVM, use
-from reference import (
-    charts,
-    command,
-    speed_accuracy,
-)
-from reference.speed_accuracy import Lead, Point, Truth
+from reference import charts, command, speed_accuracy
+from reference.speed_accuracy import Lead, Point
 from reference.timing import Timing
+from reference.truth import Truth, truth_side
 from tracer import render
-
-
-def test_supersampling_in_parts_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = small("sticks-perspective", 16, 9)
-    whole = speed_accuracy.supersampled(scene, 4)
-    by_hand = np.mean(
-        [render(scene, offset=(x / 4 - 3 / 8, y / 4 - 3 / 8)) for x in range(4) for y in range(4)],
-        axis=0,
-    )
-    monkeypatch.setattr(speed_accuracy, "MAX_PIXELS", 4 * 16 * 9)
-    # The same rays, but for the last bit, that decides no pixel here.
-    np.testing.assert_allclose(speed_accuracy.supersampled(scene, 4), whole, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(by_hand, whole, rtol=0, atol=1e-12)
-
-
-def test_truth_is_rows_of_the_whole_picture(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    scene = small("sticks-perspective", 16, 9)
-    monkeypatch.setattr(command, "BUILD", tmp_path)
-    monkeypatch.setattr(speed_accuracy, "_PIXELS", 16 * 9 // 4)
-    truth = Truth.of(scene, 5)
-    assert truth.radiance.shape == (2, 16, 3)
-    whole = speed_accuracy.supersampled(scene, 5)
-    # The same rays, but for the last bit, that decides no pixel here.
-    assert truth.error(whole) < 1e-12
-    assert truth.error(whole + 0.1) == pytest.approx(0.1)
-    stored = Truth.of(scene, 5)
-    assert np.array_equal(stored.radiance, truth.radiance)
 
 
 def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]:
@@ -142,7 +109,7 @@ def test_speed_accuracy_of_a_small_picture(
     assert sorted(ours) == [1, 4, 9, 16, 36, 144]
     assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
     # The error is that of the scene as it is, not of a copy that a later round has drawn.
-    truth = Truth.of(scene, speed_accuracy.truth_side(quick=True))
+    truth = Truth.of(scene, truth_side(quick=True))
     assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
     chart = tmp_path / "speed_accuracy.svg"
     chart.unlink()
