@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from scene_files import small
 
-from reference import (
-    ablation,
-    command,
-)
+from reference import ablation, command
 from reference.tables import Table
 from reference.timing import Timing
 from reference.workloads import crowd, resized, rods

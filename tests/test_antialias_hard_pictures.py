@@ -14,17 +14,7 @@ from probe import scene_of
 from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
-from tracer import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    PointLight,
-    Scene,
-    Sphere,
-    antialias,
-    render,
-)
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, antialias, render
 from tracer.arrays import Bools, Floats, Ints
 from tracer.curvature import curvature
 from tracer.scene import Vector

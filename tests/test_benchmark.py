@@ -13,11 +13,7 @@ import numpy as np
 import pytest
 from scene_files import small
 
-from reference import (
-    benchmark,
-    minimal,
-    rivals,
-)
+from reference import benchmark, minimal, rivals
 from reference.benchmark import growth_exponent
 from reference.povray import to_pov
 from reference.rivals import povray_trace

@@ -15,17 +15,7 @@ from converters.rendering import Rendering
 from reference.check import check_scene, compare, doubts, edge_mask
 from reference.command import SCENES
 from reference.regenerate import load_small
-from tracer import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    PointLight,
-    Scene,
-    Sphere,
-    load_scene,
-    render,
-)
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 
 
 @pytest.mark.parametrize(

@@ -10,16 +10,7 @@ from probe import EPS, moved
 from random_scenes import KINDS, random_scene
 
 from reference.oracle import Oracle
-from tracer import (
-    Box,
-    Lambertian,
-    PointLight,
-    Scene,
-    Sphere,
-    antialias,
-    render,
-    rendering,
-)
+from tracer import Box, Lambertian, PointLight, Scene, Sphere, antialias, render, rendering
 from tracer.arrays import Floats, Ints
 from tracer.rendering import render_bands
 

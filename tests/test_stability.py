@@ -12,11 +12,7 @@ import pytest
 from scene_files import small
 
 from converters.variant import LLVM, use
-from reference import (
-    alternatives,
-    command,
-    stability,
-)
+from reference import alternatives, command, stability
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
 from tracer import render
 from tracer.arrays import Floats
