@@ -102,8 +102,8 @@ def test_sizes_that_are_none(width: Any, fault: str) -> None:
 
 
 def test_numbers_that_are_none() -> None:
-    """NumPy would make them NaN, or drop their imaginary parts."""
-    for value in (None, np.complex128(1 + 2j), np.datetime64("2000-01-01")):
+    """NumPy would read texts, make others NaN, or drop their imaginary parts."""
+    for value in (None, "2", b"2", np.complex128(1 + 2j), np.datetime64("2000-01-01")):
         with pytest.raises(SceneError, match=r"^radius: must be given in numbers, is "):
             Sphere(radius=value)
     with pytest.raises(SceneError, match=r"^center: must be given in numbers, is "):
@@ -139,6 +139,7 @@ def test_too_many_pixels_are_counted_without_overflow() -> None:
         ("4", TypeError, "must be an int, is '4'"),
         (-1, ValueError, "must be at least {}, is -1"),
         (np.int8(-1), ValueError, "must be at least {}, is -1"),
+        (10**9, ValueError, "must be at most 999999999"),
     ],
 )
 def test_numbers_of_samples_and_threads_that_are_none(
@@ -180,6 +181,7 @@ def test_surfaces_of_arrays() -> None:
         ([[1, 2, 3]], "needs 3 numbers, has shape (1, 3)"),
         ("abc", "must be given in numbers, is 'abc'"),
         ((1, (2, 3)), "must be given in numbers, is (1, (2, 3))"),
+        ((1, 2, "3"), "must be given in numbers, is (1, 2, '3')"),
         ((0, 10**400, 0), "must be finite"),
     ],
 )

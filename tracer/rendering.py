@@ -48,6 +48,9 @@ _SPLIT_BANDS = 4
 _FEW_OBJECTS, _SPLIT = 8, 3
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
 
+# Of samples and of processors: with 1e18 samples a picture would never end.
+_MOST = 999_999_999
+
 
 def render(
     scene: Scene,
@@ -81,7 +84,8 @@ def render(
     TypeError
         If `scene` is not a Scene, or `samples` or `threads` is not an integer.
     ValueError
-        If `samples` is less than 1, `threads` is negative, or `offset` is not two finite numbers.
+        If `samples` is less than 1, `threads` is negative, either is more than 999,999,999, or
+        `offset` is not two finite numbers.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
@@ -178,6 +182,8 @@ def _integer(value: int, name: str, least: int) -> int:
         raise TypeError(f"{name} must be an int, is {value!r}") from None
     if number < least:
         raise ValueError(f"{name} must be at least {least}, is {number}")
+    if number > _MOST:
+        raise ValueError(f"{name} must be at most {_MOST}")
     return number
 
 

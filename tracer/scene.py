@@ -690,12 +690,11 @@ def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
 def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
     """As an array; None after a fault."""
     try:
-        # NumPy would make these NaN, or drop a part of them.
-        if value is None or (
-            isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "cmM"
-        ):
+        array = np.asarray(value)
+        # NumPy would read texts, make NaN of None and of times, and drop a part of complex numbers.
+        if value is None or array.dtype.kind in "USmMc":
             raise TypeError
-        return np.asarray(value, dtype=np.float64)
+        return np.asarray(array, dtype=np.float64)
     except OverflowError:
         faults.append(Fault(name, "must be finite"))
     except (TypeError, ValueError):
