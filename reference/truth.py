@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from reference.command import built
-from reference.workloads import resized, to_xml
+from reference.workloads import to_xml
 from tracer import Scene
 from tracer.arrays import Floats
 from tracer.rendering import render_bands
@@ -27,11 +27,18 @@ def truth_side(quick: bool) -> int:
     return 17 if quick else 129
 
 
-def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0)) -> Floats:
+def supersampled(
+    scene: Scene,
+    side: int,
+    offset: tuple[float, float] = (0.0, 0.0),
+    *,
+    threads: int | None = None,
+) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 
     They are the pixels of a picture `side` times as large, rendered at one
     sample a pixel and averaged; of several smaller ones, where that is too large.
+    `offset` and `threads`: see `tracer.render`.
     """
     width, height = scene.width, scene.height
     apart = 1
@@ -40,13 +47,13 @@ def supersampled(scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.
     if side % apart:
         raise ValueError(f"{side} x {side} samples cannot be split into parts of {apart}")
     step = side // apart
-    large = resized(scene, width * step, height * step)
+    large = replace(scene, width=width * step, height=height * step)
     total = np.zeros((height, width, 3))
     shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
     for dx, dy in product(shifts, shifts):
         moved = (dx + step * offset[0], dy + step * offset[1])
         top = 0
-        for band in render_bands(large, offset=moved):
+        for band in render_bands(large, threads=threads, offset=moved):
             sums = band.reshape(len(band), width, step, 3).sum(axis=2)
             np.add.at(total, (top + np.arange(len(band))) // step, sums)
             top += len(band)
