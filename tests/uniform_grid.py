@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
-from unittest import mock
 
 import numpy as np
 
-from tracer import Scene, render, rendering
+from reference.truth import supersampled
+from tracer import Scene, render
 from tracer.arrays import Floats
-from tracer.rendering import render_bands
 
 
 @cache
 def uniform(scene: Scene, per_side: int) -> Floats:
-    """The mean of a grid of samples in every pixel: a picture as many times as large.
+    """The mean of a grid of samples in every pixel, by this process alone.
 
     Kept for the next test: nothing that antialiasing does, or leaves out there, changes it.
     """
-    width, height = per_side * scene.width, per_side * scene.height
-    # A few of its rows at a time.
-    rows = per_side * max(1, 50_000 // (per_side * width))
-    fine = replace(scene, width=width, height=height)
-    with mock.patch.object(rendering, "_BAND_SAMPLES", rows * width):
-        bands = render_bands(fine, threads=1)
-        return np.concatenate(
-            [b.reshape(-1, per_side, scene.width, per_side, 3).mean(axis=(1, 3)) for b in bands]
-        )
+    return supersampled(scene, per_side, threads=1)
 
 
 def no_worse_than_the_uniform_grid(
