@@ -170,7 +170,8 @@ def _refine(
     sides, colors = sides.take(kept), colors[:, kept]
     rest = np.flatnonzero(unresolved & wanted)
     lighting_in = seen.lighting_in(lighting)
-    # Points on the middle's side, or across a shadow's edge, are covered by the look: only sample.
+    # Points on the middle's side, or across a shadow's edge, are covered by the look, and where few
+    # samples are asked for no others are looked at: only sample.
     beside = np.flatnonzero(~looked[kept])
     near = sides.take(beside)
     if per_side <= _LAST:

@@ -48,7 +48,7 @@ _SPLIT_BANDS = 4
 _FEW_OBJECTS, _SPLIT = 8, 3
 _WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
 
-# Of samples and of processors: with 1e18 samples a picture would never end.
+# Of samples and of processors, as in the command: with 1e18 samples a picture would never end.
 _MOST = 999_999_999
 
 
