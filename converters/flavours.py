@@ -12,7 +12,8 @@ import numpy as np
 from converters.visible import bounds, visible_points, window_point
 from tracer.arrays import Floats
 from tracer.camera import raster_of
-from tracer.scene import MAX_PIXELS, Phong, PointLight, Scene, Shader, Surfaces
+from tracer.checks import MAX_PIXELS
+from tracer.scene import Phong, PointLight, Scene, Shader, Surfaces
 
 __all__ = ["WRITTEN", "Normalisation", "exact", "normalisation", "square_height", "stock"]
 

@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 
 from reference.command import SCENES, need_scenes, parser, run
-from tracer.scene import Vector
+from tracer.arrays import Vector
 
 __all__ = ["main", "many_objects", "sunflower"]
 

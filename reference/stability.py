@@ -37,8 +37,7 @@ from reference.charts import (
 )
 from reference.command import parser, result, run
 from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
-from tracer.arrays import Floats
-from tracer.scene import Vector
+from tracer.arrays import Floats, Vector
 
 __all__ = ["PANELS", "Panel", "measure", "methods_of"]
 

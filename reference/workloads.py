@@ -8,8 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
-from tracer.arrays import Floats
-from tracer.scene import Vector
+from tracer.arrays import Floats, Vector
 
 __all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "rods", "to_xml"]
 

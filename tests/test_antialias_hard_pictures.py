@@ -15,9 +15,8 @@ from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, antialias, render
-from tracer.arrays import Bools, Floats, Ints
+from tracer.arrays import Bools, Floats, Ints, Vector
 from tracer.curvature import curvature
-from tracer.scene import Vector
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
 RED = Lambertian(diffuse=(1, 0, 0))

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tracer.checks import SceneError
     from tracer.image import write_png
     from tracer.reader import SceneFileError, load_scene
     from tracer.rendering import render
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
         Phong,
         PointLight,
         Scene,
-        SceneError,
         Shader,
         Sphere,
         Surfaces,
@@ -47,6 +47,7 @@ __version__ = "1.0.0"
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
+        "SceneError": "tracer.checks",
         "SceneFileError": "tracer.reader",
         "load_scene": "tracer.reader",
         "render": "tracer.rendering",

@@ -28,6 +28,7 @@ __all__ = [
     "Index",
     "Ints",
     "Triple",
+    "Vector",
     "batches",
     "columns",
     "cross",
@@ -50,6 +51,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
+Vector: TypeAlias = tuple[float, float, float]
 Index: TypeAlias = int | Ints
 
 T = TypeVar("T")

@@ -14,20 +14,18 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
+from tracer.arrays import Vector
+from tracer.checks import MAX_PIXELS, Fault, SceneError
 from tracer.messages import character, quoted, short
 from tracer.scene import (
-    MAX_PIXELS,
     Camera,
-    Fault,
     Lambertian,
     Phong,
     PointLight,
     Scene,
-    SceneError,
     Shader,
     Sphere,
     Surfaces,
-    Vector,
 )
 
 if TYPE_CHECKING:

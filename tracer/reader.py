@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from tracer.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
-from tracer.messages import character, printable, quoted, short
+from tracer.messages import printable, quoted, short
 from tracer.scene import Scene
 
 if TYPE_CHECKING:
@@ -41,22 +41,6 @@ _CHUNK = 1 << 14
 
 # From this many bytes on, reading without line numbers saves more time than its imports take.
 _LARGE = 1 << 17
-
-# What would be right, for errors where expat's message alone tells.
-_REMEDIES = {
-    expat.errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
-    expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
-    expat.errors.XML_ERROR_INCORRECT_ENCODING: "save the file as UTF-8, and declare no other",
-    expat.errors.XML_ERROR_INVALID_TOKEN: "in text, < is written &lt; and & is written &amp;",
-    expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "nothing may follow </scene>",
-    expat.errors.XML_ERROR_MISPLACED_XML_PI: "nothing may stand before <?xml ... ?>",
-    expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION: "end it with ]]>",
-    expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write out what the entity stands for",
-    expat.errors.XML_ERROR_UNKNOWN_ENCODING: "save the file as UTF-8",
-    expat.errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
-}
-
-_TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
 
 class SceneFileError(ValueError):
@@ -165,77 +149,17 @@ class _LineReader:
                     )
             parser.Parse(b"", True)
         except expat.ExpatError as error:
+            from tracer.malformed import remedy  # after a fault only
+
             message = expat.ErrorString(error.code)
-            self.faults.give_up(
-                error.lineno,
-                f"not XML: {message} at column {error.offset + 1}; {self.remedy(message, file)}",
-            )
+            right = remedy(message, error.lineno, parser.ErrorByteIndex, self.open, file)
+            where = f"at column {error.offset + 1}"
+            self.faults.give_up(error.lineno, f"not XML: {message} {where}; {right}")
         except (LookupError, ValueError, Warning):  # of the codec that the file asks for
             self.faults.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
         finally:
             del self.parser  # it holds this reader by its handlers: a cycle
         return self.contents.scene()
-
-    def remedy(self, message: str, file: IO[bytes]) -> str:
-        """What would make the file XML, given what expat says is wrong."""
-        index = self.parser.ErrorByteIndex
-        file.seek(0)
-        big_endian = file.read(2) in (b"\xfe\xff", b"\0<")
-        start = max(0, index - MAX_TOKEN)
-        file.seek(start)
-        # Without its NULs, UTF-16 reads like ASCII.
-        before = file.read(index - start).replace(b"\0", b"")
-        after = file.read(256)[big_endian:]
-        if after.startswith(b"\0"):  # UTF-32, taken for another encoding, has some as well
-            return "save the file as UTF-8, and without a NUL"
-        after = after.replace(b"\0", b"")
-        if index == 0 and not after.startswith(b"<"):  # a picture, say
-            return "a scene file holds <scene> ... </scene>"
-        if message == expat.errors.XML_ERROR_UNCLOSED_TOKEN and after.startswith(b"<"):
-            end = "-->" if after.startswith(b"<!--") else "?>" if after.startswith(b"<?") else ">"
-            return f"end it with {end}"
-        if before.endswith(b"--") and before.rfind(b"<!--") > before.rfind(b"-->"):
-            return "in a comment, write - in place of --"
-        if before.rstrip().endswith(b"=") and after[:1].isalnum():
-            return 'put the value of an attribute in quotes, as in type="Sphere"'
-        if after[:3].decode(errors="ignore") in tuple("\u201c\u201d\u2018\u2019"):
-            return 'write straight quotes, as in type="Sphere"'
-        if after >= b"\x80":
-            odd = after.decode(errors="replace")[0]
-            if odd == "\ufffd":
-                return "save the file as UTF-8"
-            return f"write a plain character in place of {character(odd)}"
-        tag = before[before.rfind(b"<") :]
-        unclosed = tag.count(b'"') % 2 or tag.count(b"'") % 2
-        if after.startswith(b"<") and (tag[1:2].isalpha() or tag.startswith(b"</")):
-            line = self.parser.ErrorLineNumber - tag.count(b"\n")
-            if b">" not in tag:
-                return f"end the tag of line {line} with >"
-            if unclosed:
-                return f"close the quotes of line {line}"
-        if b"\0" < after[:1] < b" " and not after[:1].isspace():
-            return "remove the control character"
-        if message == expat.errors.XML_ERROR_INVALID_TOKEN and b">" not in tag and not unclosed:
-            if tag == b"<":
-                return "in text, < is written &lt;, and a tag has its name right after <"
-            if tag.startswith(b"<!"):
-                return "a comment is written <!-- ... -->"
-            if tag.startswith(b"<"):
-                return _TAGS
-        if message == expat.errors.XML_ERROR_TAG_MISMATCH:
-            name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-            if all(name != element.tag for element in self.open):
-                last = f"<{short(self.open[-1].tag)}> of line {self.open[-1].line}"
-                return f"only {last} can be closed here: no <{short(name)}> is open"
-        # Outside all elements and tags there is no text in which < or & could be escaped.
-        outside = not self.open and before.rfind(b"<") <= before.rfind(b">")
-        if message in _REMEDIES and not (
-            outside and message == expat.errors.XML_ERROR_INVALID_TOKEN
-        ):
-            return _REMEDIES[message]
-        if self.open:
-            return f"close <{short(self.open[-1].tag)}> of line {self.open[-1].line}"
-        return "a scene file holds <scene> ... </scene>"
 
     def doctype(self, _name: str, system: str | None, _public: str | None, declares: bool) -> None:
         # Nested entities grow exponentially, and declared attributes take quadratic time.

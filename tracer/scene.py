@@ -12,78 +12,32 @@ checks them whole; it still reads like a sequence of :class:`Sphere` and
 
 from __future__ import annotations
 
-import operator
-import reprlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats, Ints
-from tracer.messages import number
+from tracer import checks
+from tracer.arrays import Floats, Ints, Vector
+from tracer.checks import Fault, SceneError
 
 __all__ = [
-    "LARGEST",
-    "MAX_PIXELS",
-    "SMALLEST",
     "Box",
     "Camera",
-    "Fault",
     "Lambertian",
     "Phong",
     "PointLight",
     "Scene",
-    "SceneError",
     "Shader",
     "Sphere",
     "Surfaces",
-    "Vector",
     "unit",
 ]
 
-Vector: TypeAlias = tuple[float, float, float]
-
-MAX_PIXELS = 1 << 28
-"""Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
-
-SMALLEST, LARGEST = 1e-75, 1e75
-"""Between these in size are lengths and coordinates other than 0: float64 holds fourth powers."""
-
 # Below this sine or cosine the camera basis has no digit left worth trusting.
 _DEGENERATE = 1e-10
-
-
-class Fault(NamedTuple):
-    """One fault: the parameter, and what is wrong with it, and what would be right."""
-
-    field: str
-    message: str
-    surface: int | None = None
-    """Index, in file order, of the surface at fault, if the fault lies in one of many."""
-
-    def __str__(self) -> str:
-        where = "" if self.surface is None else f"surface {self.surface}: "
-        return f"{where}{self.field}: {self.message}"
-
-
-class SceneError(ValueError):
-    """An impossible scene.
-
-    Attributes
-    ----------
-    faults : tuple of Fault
-        Everything that is wrong, in the order it was found.
-    """
-
-    def __init__(self, faults: Iterable[Fault]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("\n".join(str(fault) for fault in self.faults))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # By default an exception is copied as cls(*args), and `args` holds only the message.
-        return type(self), (self.faults,), self.__dict__
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +64,7 @@ class Camera:
     ------
     SceneError
         For anything but finite numbers, a zero vector, a distance or size that is not positive, a
-        length or coordinate out of range (`LARGEST`), `view_up` parallel to `proj_normal` or
+        length or coordinate out of range (`checks.LARGEST`), `view_up` parallel to `proj_normal` or
         `proj_normal` perpendicular to `view_dir`.
     """
 
@@ -124,23 +78,27 @@ class Camera:
 
     @np.errstate(under="ignore")
     def __post_init__(self) -> None:
-        faults = _checked(self, view_point=_point, view_dir=_direction, view_up=_direction)
-        if self.proj_normal is not None:
-            faults += _checked(self, proj_normal=_direction)
-        faults += _checked(
-            self, proj_distance=_positive, view_width=_positive, view_height=_positive
+        checks.apply(
+            self,
+            view_point=checks.point,
+            view_dir=checks.direction,
+            view_up=checks.direction,
+            proj_normal=checks.optional(checks.direction),
+            proj_distance=checks.positive,
+            view_width=checks.positive,
+            view_height=checks.positive,
         )
-        if not faults:
-            normal = unit(self.normal)
-            sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
-            if sine < _DEGENERATE:
-                of = "view_dir" if self.proj_normal is None else "proj_normal"
-                wrong = f"must not be parallel to {of}; choose another view_up"
-                faults.append(Fault("view_up", wrong))
-            if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-                wrong = "must not be perpendicular to view_dir: no ray would meet it"
-                faults.append(Fault("proj_normal", wrong))
-        _raise_any(faults)
+        faults = []
+        normal = unit(self.normal)
+        sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
+        if sine < _DEGENERATE:
+            of = "view_dir" if self.proj_normal is None else "proj_normal"
+            wrong = f"must not be parallel to {of}; choose another view_up"
+            faults.append(Fault("view_up", wrong))
+        if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
+            wrong = "must not be perpendicular to view_dir: no ray would meet it"
+            faults.append(Fault("proj_normal", wrong))
+        checks.raise_any(faults)
 
     @property
     def normal(self) -> Vector:
@@ -161,15 +119,15 @@ class PointLight:
     Raises
     ------
     SceneError
-        For anything but three finite numbers, a coordinate out of range (`LARGEST`), or a negative
-        intensity.
+        For anything but three finite numbers, a coordinate out of range (`checks.LARGEST`), or a
+        negative intensity.
     """
 
     position: Vector
     intensity: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        _raise_any(_checked(self, position=_point, intensity=_color))
+        checks.apply(self, position=checks.point, intensity=checks.color)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +150,7 @@ class Lambertian:
     diffuse: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        _raise_any(_checked(self, diffuse=_color))
+        checks.apply(self, diffuse=checks.color)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,10 +179,14 @@ class Phong:
     exponent: float = 1.0
 
     def __post_init__(self) -> None:
-        _raise_any(_checked(self, diffuse=_color, specular=_color, exponent=_not_negative))
+        checks.apply(
+            self, diffuse=checks.color, specular=checks.color, exponent=checks.not_negative
+        )
 
 
 Shader: TypeAlias = Lambertian | Phong
+
+_A_SHADER = checks.one_of(Lambertian, Phong)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,7 +203,7 @@ class Sphere:
     ------
     SceneError
         For a centre that is not three finite numbers, a radius that is not positive and finite, a
-        length or coordinate out of range (`LARGEST`), or a shader of another type.
+        length or coordinate out of range (`checks.LARGEST`), or a shader of another type.
     """
 
     center: Vector = (0.0, 0.0, 0.0)
@@ -249,8 +211,7 @@ class Sphere:
     shader: Shader = field(default_factory=Lambertian)
 
     def __post_init__(self) -> None:
-        shader = _one_of(Lambertian, Phong)
-        _raise_any(_checked(self, center=_point, radius=_positive, shader=shader))
+        checks.apply(self, center=checks.point, radius=checks.positive, shader=_A_SHADER)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,7 +227,7 @@ class Box:
     Raises
     ------
     SceneError
-        For corners that are not three finite numbers, a coordinate out of range (`LARGEST`),
+        For corners that are not three finite numbers, a coordinate out of range (`checks.LARGEST`),
         `min_pt` beyond `max_pt` along any axis, or a shader of another type.
     """
 
@@ -275,11 +236,8 @@ class Box:
     shader: Shader = field(default_factory=Lambertian)
 
     def __post_init__(self) -> None:
-        faults = _checked(self, min_pt=_point, max_pt=_point)
-        if not faults:
-            low, high = np.array([self.min_pt]), np.array([self.max_pt])
-            faults += _order_faults(low, high, _ALONE)
-        _raise_any(faults + _checked(self, shader=_one_of(Lambertian, Phong)))
+        checks.apply(self, min_pt=checks.point, max_pt=checks.point, shader=_A_SHADER)
+        checks.raise_any(checks.order_faults(np.array([self.min_pt]), np.array([self.max_pt])))
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -304,7 +262,7 @@ class Surfaces(Sequence[Sphere | Box]):
     ------
     SceneError
         For arrays that do not fit together; for a radius that is not positive, `min_pt` beyond
-        `max_pt`, or a number that is not finite or out of range (`LARGEST`).
+        `max_pt`, or a number that is not finite or out of range (`checks.LARGEST`).
     """
 
     def __init__(
@@ -321,29 +279,29 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...] = (),
     ) -> None:
         faults: list[Fault] = []
-        self.center = _rows(center, "center", faults)
-        self.radius = _values(radius, "radius", faults)
-        self.min_pt = _rows(min_pt, "min_pt", faults)
-        self.max_pt = _rows(max_pt, "max_pt", faults)
-        self.sphere_shader = _integers(sphere_shader, "sphere_shader", faults)
-        self.box_shader = _integers(box_shader, "box_shader", faults)
+        self.center = checks.rows(center, "center", faults)
+        self.radius = checks.values(radius, "radius", faults)
+        self.min_pt = checks.rows(min_pt, "min_pt", faults)
+        self.max_pt = checks.rows(max_pt, "max_pt", faults)
+        self.sphere_shader = checks.integers(sphere_shader, "sphere_shader", faults)
+        self.box_shader = checks.integers(box_shader, "box_shader", faults)
         spheres, boxes = len(self.center), len(self.min_pt)
         if sphere_index is None:
             sphere_index = np.arange(spheres)
         if box_index is None:
             box_index = np.arange(spheres, spheres + boxes)
-        self.sphere_index = _integers(sphere_index, "sphere_index", faults)
-        self.box_index = _integers(box_index, "box_index", faults)
-        self.shaders = _list_of(Lambertian, Phong)(shaders, "shaders", faults)
+        self.sphere_index = checks.integers(sphere_index, "sphere_index", faults)
+        self.box_index = checks.integers(box_index, "box_index", faults)
+        self.shaders = checks.list_of(Lambertian, Phong)(shaders, "shaders", faults)
         # What does not fit together cannot be checked further.
         faults = faults or self._misfits()
         if not faults:
-            faults += _positive_faults("radius", self.radius, self.sphere_index)
-            faults += _point_faults("center", self.center, self.sphere_index)
-            faults += _point_faults("min_pt", self.min_pt, self.box_index)
-            faults += _point_faults("max_pt", self.max_pt, self.box_index)
-            faults += _order_faults(self.min_pt, self.max_pt, self.box_index)
-        _raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
+            faults += checks.positive_faults("radius", self.radius, self.sphere_index)
+            faults += checks.point_faults("center", self.center, self.sphere_index)
+            faults += checks.point_faults("min_pt", self.min_pt, self.box_index)
+            faults += checks.point_faults("max_pt", self.max_pt, self.box_index)
+            faults += checks.order_faults(self.min_pt, self.max_pt, self.box_index)
+        checks.raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
         self._protect()
 
     def _misfits(self) -> list[Fault]:
@@ -391,8 +349,8 @@ class Surfaces(Sequence[Sphere | Box]):
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
         faults: list[Fault] = []
-        items: tuple[Sphere | Box, ...] = _list_of(Sphere, Box)(surfaces, "surfaces", faults)
-        _raise_any(faults)
+        items: tuple[Sphere | Box, ...] = checks.list_of(Sphere, Box)(surfaces, "surfaces", faults)
+        checks.raise_any(faults)
         # By identity: objects that share a shader keep sharing it.
         place = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(place)}
@@ -487,15 +445,15 @@ class Scene:
     ----------
     camera : Camera
     width, height : int
-        Size of the picture in pixels; their product is at most `MAX_PIXELS`, 2^28.
+        Size of the picture in pixels; their product is at most `checks.MAX_PIXELS`, 2^28.
     lights : iterable of PointLight
     surfaces : iterable of Sphere and Box, or Surfaces
 
     Raises
     ------
     SceneError
-        For a picture of no pixels, or of more than `MAX_PIXELS`; for sizes that are not integers,
-        or parts of the wrong type.
+        For a picture of no pixels, or of more than `checks.MAX_PIXELS`; for sizes that are not
+        integers, or parts of the wrong type.
     """
 
     camera: Camera = field(default_factory=Camera)
@@ -505,22 +463,21 @@ class Scene:
     surfaces: Surfaces = field(default_factory=Surfaces)
 
     def __post_init__(self) -> None:
-        faults = _checked(
+        checks.apply(
             self,
-            camera=_one_of(Camera),
-            lights=_list_of(PointLight),
+            camera=checks.one_of(Camera),
+            lights=checks.list_of(PointLight),
             surfaces=_surfaces,
-            width=_size,
-            height=_size,
+            width=checks.size,
+            height=checks.size,
         )
-        if not faults and self.width * self.height > MAX_PIXELS:
+        if self.width * self.height > checks.MAX_PIXELS:
             gib = self.width * self.height * 24 / 2**30
             wrong = (
                 f"{self.width} x {self.height} pixels are too many: the picture would take"
-                f" {gib:.3g} GiB of memory; at most {MAX_PIXELS} pixels are allowed"
+                f" {gib:.3g} GiB of memory; at most {checks.MAX_PIXELS} pixels are allowed"
             )
-            faults.append(Fault("width, height", wrong))
-        _raise_any(faults)
+            raise SceneError([Fault("width, height", wrong)])
 
 
 @np.errstate(under="ignore")
@@ -532,126 +489,6 @@ def unit(vector: ArrayLike) -> Floats:
     return array / np.sqrt(array @ array)
 
 
-# How parameters are checked: from a value as given to the one to keep.  Told the parameter's name,
-# a check adds to the faults.
-_Check: TypeAlias = Callable[[Any, str, list[Fault]], Any]
-
-
-def _checked(made: object, **checks: _Check) -> list[Fault]:
-    """Set fields of a frozen dataclass to what their checks make of them; return all faults."""
-    faults: list[Fault] = []
-    for name, check in checks.items():
-        object.__setattr__(made, name, check(getattr(made, name), name, faults))
-    return faults
-
-
-def _raise_any(faults: Sequence[Fault]) -> None:
-    if faults:
-        raise SceneError(faults)
-
-
-def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    array = _floats(value, name, faults)
-    if array is None:
-        pass  # told already
-    elif array.shape != (3,):
-        has = array.size if array.ndim < 2 else f"shape {array.shape}"
-        faults.append(Fault(name, f"needs 3 numbers, has {has}"))
-    elif not np.isfinite(array).all():
-        faults.append(Fault(name, "must be finite"))
-    else:
-        x, y, z = array.tolist()
-        return (x, y, z)
-    # In place of what is at fault: a point, a direction and a colour with no fault to add.
-    return (0.0, 0.0, 1.0)
-
-
-def _point(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    point = _vector(value, name, faults)
-    faults += _size_faults(name, np.array([point]), _ALONE)
-    return point
-
-
-def _direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    vector = _vector(value, name, faults)
-    if vector == (0.0, 0.0, 0.0):
-        faults.append(Fault(name, "must not be the zero vector"))
-    return vector
-
-
-def _color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    color = _vector(value, name, faults)
-    if min(color) < 0:
-        faults.append(Fault(name, f"must not be negative, has {number(min(color))}"))
-    return color
-
-
-def _number(value: float, name: str, faults: list[Fault]) -> float:
-    array = _floats(value, name, faults)
-    if array is None:
-        return 1.0
-    if array.size != 1:
-        faults.append(Fault(name, f"must be a single number, has {array.size}"))
-        return 1.0
-    return array.item()
-
-
-def _positive(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    faults += _positive_faults(name, np.array([value]), _ALONE)
-    return value
-
-
-def _not_negative(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    if not (0 <= value < np.inf):
-        faults.append(Fault(name, f"must be finite and not negative, is {number(value)}"))
-    return value
-
-
-def _size(value: int, name: str, faults: list[Fault]) -> int:
-    """The size as a Python int: products of NumPy's integers may overflow."""
-    try:
-        size = int(operator.index(value))
-    except TypeError:
-        faults.append(Fault(name, f"must be an int, is {value!r}"))
-        return 1
-    # A message leaves out what may have more digits than float() or str() accepts.
-    if size < 1:
-        has = f", is {size}" if size > -MAX_PIXELS else ""
-        faults.append(Fault(name, f"must be a whole number of at least 1{has}"))
-    elif size > MAX_PIXELS:
-        faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
-    return size
-
-
-def _one_of(*types: type) -> _Check:
-    def check(value: object, name: str, faults: list[Fault]) -> object:
-        if not isinstance(value, types):
-            right = " or ".join(each.__name__ for each in types)
-            wrong = f"must be of type {right}, is of type {type(value).__name__}"
-            faults.append(Fault(name, wrong))
-        return value
-
-    return check
-
-
-def _list_of(*types: type) -> _Check:
-    check_one = _one_of(*types)
-
-    def check(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
-        try:
-            parts = tuple(values)
-        except TypeError:
-            faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
-            return ()
-        for part in {type(part): part for part in parts}.values():
-            check_one(part, name, faults)
-        return parts
-
-    return check
-
-
 def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
     if isinstance(value, Surfaces):
         return value
@@ -660,84 +497,3 @@ def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
     except SceneError as error:
         faults += error.faults
         return Surfaces()
-
-
-def _rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n, 3)."""
-    array = _floats(value, name, faults)
-    if array is not None and (array.size % 3 or array.shape[1:] not in ((), (3,))):
-        faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
-        array = None
-    return np.zeros((0, 3)) if array is None else array.reshape(-1, 3).copy()
-
-
-def _values(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n,)."""
-    array = _floats(value, name, faults)
-    return np.zeros(0) if array is None else array.flatten()
-
-
-def _integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
-    """A copy as (n,)."""
-    given = _values(value, name, faults)
-    with np.errstate(invalid="ignore"):
-        array = given.astype(np.intp)
-    if not np.array_equal(array, given):
-        faults.append(Fault(name, "must be whole numbers"))
-    return array
-
-
-def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
-    """As an array; None after a fault."""
-    try:
-        array = np.asarray(value)
-        # NumPy would read texts, make NaN of None and of times, and drop a part of complex numbers.
-        if value is None or array.dtype.kind in "USmMc":
-            raise TypeError
-        return np.asarray(array, dtype=np.float64)
-    except OverflowError:
-        faults.append(Fault(name, "must be finite"))
-    except (TypeError, ValueError):
-        faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
-    return None
-
-
-# The index of what is none of many.
-_ALONE = np.array([None])
-
-
-def _positive_faults(name: str, values: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    for i in np.flatnonzero(~((values > 0) & (values < np.inf))).tolist():
-        yield Fault(name, f"must be positive and finite, is {number(values[i])}", index.item(i))
-    yield from _size_faults(name, values[:, None], index)
-
-
-def _point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
-    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
-        yield Fault(name, "must be finite", index.item(i))
-    yield from _size_faults(name, points, index)
-
-
-def _size_faults(name: str, lengths: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    """Rows (n, k) of lengths or coordinates too large or too small to compute with.
-
-    `index` (n,): of the surface that each row is of.
-    """
-    size = np.abs(lengths)
-    # What is not finite is another fault.
-    wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        k = wrong[i].argmax()
-        too = "large" if size[i, k] > 1 else "small"
-        limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
-        yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))
-
-
-def _order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any]) -> Iterable[Fault]:
-    wrong = min_pt > max_pt
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        has = " and ".join(
-            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-            for axis in np.flatnonzero(wrong[i]).tolist()
-        )
-        yield Fault("min_pt", f"must not exceed max_pt, but {has}; swap these", index.item(i))
