@@ -353,6 +353,18 @@ def test_an_interrupt_that_the_shell_ignores(scene):
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
+def test_ends_of_children_that_the_caller_ignores(scene):
+    """As some servers do, whose commands inherit it: no process can wait for its children."""
+    done = subprocess.run(
+        command(scene, "--quiet", "--threads", 2),
+        capture_output=True,
+        env=ENVIRONMENT,
+        preexec_fn=lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN),
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
+
+
 def test_no_one_reads_the_output(scene):
     other = scene.with_name("other.xml")
     other.write_text(SCENE.format(3, 2))

@@ -308,7 +308,8 @@ class _Fork(Worker):
     def stop(self) -> None:
         """End it, whatever it does."""
         os.kill(self._process, signal.SIGKILL)
-        os.waitpid(self._process, 0)
+        with suppress(ChildProcessError):  # nobody waits for it where SIGCHLD is ignored
+            os.waitpid(self._process, 0)
         self.close()
 
 
