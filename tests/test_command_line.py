@@ -238,24 +238,34 @@ def test_what_cannot_be_written(scene, output, reason):
     assert Path("/dev/null").is_char_device()
 
 
-def test_too_little_memory(scene, tmp_path):
-    scene.write_text(SCENE.format(2**28, 1))  # one row is one band
-    limited = (
+def limited(scene: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
+    """Render with so much more memory than there is in use once all modules are loaded."""
+    script = (
         "import resource, sys, tracer.rendering\n"
         "from tracer.__main__ import main\n"
-        # The modules are loaded: from here on, 64 MB more than there is in use.
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (used + 2**26,) * 2)\n"
+        f"resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)\n"
         f"sys.exit(main([{str(scene)!r}, '--threads', '1']))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", limited], capture_output=True, text=True, env=ENVIRONMENT
+    return subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
     )
+
+
+def test_too_little_memory(scene, tmp_path):
+    scene.write_text(SCENE.format(2**28, 1))  # one row is one band
+    done = limited(scene, 64)
     assert done.stderr == (
         f"{scene}: not enough memory for 268435456 x 1 pixels; make the image smaller\n"
     )
     assert done.returncode == 1
     assert names(tmp_path) == ["ball.xml"]
+
+
+def test_memory_that_is_enough_for_a_small_picture(scene, tmp_path):
+    done = limited(scene, 16)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert names(tmp_path) == ["ball.xml", "ball.xml.png"]
 
 
 def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):

@@ -22,8 +22,9 @@ def keep_heap() -> None:
     from the heap, where NumPy thus asks for large pages (madvise(2)).  Neither
     block is ever touched.
     """
-    for size in (_MOST, _MOST - (1 << 16)):
-        np.empty(size, dtype=np.uint8)
+    with suppress(MemoryError):  # the picture may need far less
+        for size in (_MOST, _MOST - (1 << 16)):
+            np.empty(size, dtype=np.uint8)
 
 
 def renew_heap() -> None:
