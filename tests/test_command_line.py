@@ -272,7 +272,7 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
     def fail(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(sys.modules["tracer.rendering"], "render_each", fail)
+    monkeypatch.setattr("tracer.rendering.render_each", fail)
     assert command_line.main([str(scene), "--samples", "999999999"]) == 1
     assert capsys.readouterr().err == (
         f"{scene}: not enough memory for 40 x 30 pixels of 999999999 samples;"
@@ -283,8 +283,7 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
-        sys.modules["tracer.rendering"],
-        "render_each",
+        "tracer.rendering.render_each",
         lambda _, work, *__, **___: iter([work(np.full((30, 40, 3), np.nan))]),
     )
     assert command_line.main([str(scene)]) == 1
