@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import struct
@@ -240,10 +241,16 @@ class TestWhatIsThereAlready:
             signal.signal(signal.SIGXFSZ, handler)
         assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
 
-    def test_it_may_not_be_written(self, picture, monkeypatch):
-        """As for a user without privileges: root may write everything."""
+    @pytest.mark.parametrize("why", [errno.EACCES, errno.EROFS])
+    def test_it_may_not_be_written(self, picture, monkeypatch, why):
+        """As by a user without privileges, for root may write everything, or on a fixed disk."""
+
+        def refuses(path: str, _mode: str) -> None:
+            raise OSError(why, os.strerror(why), path)
+
         monkeypatch.setattr(os, "access", lambda *_: False)
-        with pytest.raises(PermissionError):
+        monkeypatch.setattr("tracer.image.open", refuses, raising=False)
+        with pytest.raises(OSError, match=os.strerror(why)):
             write_png(picture, np.zeros((1, 1, 3)))
         assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]
 
