@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import tracer.helpers
-from tracer.workers import Numbers, forked, keep_apart
+from tracer.workers import Channel, Numbers, Worker, forked
 
 COUNT = 11
 
@@ -93,7 +93,7 @@ def test_workers_for_whom_there_are_processes(monkeypatch: pytest.MonkeyPatch) -
 
 def test_workers_keep_off_this_processor() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
-        keep_apart(process.pid)
+        Worker(Channel(-1, -1), process.pid).keep_apart()
         mine, its = os.sched_getaffinity(0), os.sched_getaffinity(process.pid)
         process.communicate(b"\n")
     assert its <= mine
@@ -166,4 +166,4 @@ def test_nothing_is_left_when_no_more_is_asked_for() -> None:
         assert list(islice(team.results(patiently), 2)) == [0, 1]
         assert children() == 2
     assert children() == 0
-    assert not np.any([Path(f"/proc/self/fd/{w.results}").exists() for w in team.workers])
+    assert not np.any([Path(f"/proc/self/fd/{w.reads}").exists() for w in team.workers])

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from itertools import cycle
 from math import prod
 from mmap import mmap
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,16 +25,15 @@ from tracer.arrays import Floats
 from tracer.memory import keep_heap
 from tracer.workers import (
     POSSIBLE,
-    Caller,
+    Channel,
     Numbers,
     Team,
     Work,
     Worker,
-    keep_apart,
-    pipes,
-    readable,
+    channel,
     serve,
     shared,
+    take_part,
 )
 
 __all__ = ["Fill", "Job", "helped", "run_helper"]
@@ -61,8 +60,8 @@ _SHARED = 1 << 27
 _START = 1 << 23
 
 
-Fill: TypeAlias = Callable[[int, Floats], int]
-"""Writes the result for a number into the memory given, and returns how many rows it has."""
+Fill: TypeAlias = Callable[[int, Floats], None]
+"""Writes the result for a number into the memory given."""
 
 
 class Job(NamedTuple):
@@ -70,49 +69,27 @@ class Job(NamedTuple):
 
     Attributes
     ----------
-    make, arguments
-        make(*arguments) returns the `Fill`; `make` is a function of a module, and the arguments
-        can be pickled.
+    make
+        Returns the `Fill`; it can be pickled.
     shape : (AHEAD, ...)
         Of the memory for its results.
     """
 
-    make: Callable[..., Fill]
-    arguments: tuple[Any, ...]
+    make: Callable[[], Fill]
     shape: tuple[int, ...]
 
-    def slots(self, memory: mmap) -> Floats:
+    def slots(self, memory: memoryview | mmap) -> Floats:
         """The part of shared memory that its results go into."""
         return np.frombuffer(memory, count=prod(self.shape)).reshape(self.shape)
 
-    def packed(self, round: int, memory: mmap) -> bytes:
-        """The message that asks for this job in a round.
+    def work(self, memory: mmap) -> Work[int]:
+        """What a helper does: results go into one slot after the other; returns which."""
+        fill, slots = self.make(), cycle(enumerate(self.slots(memory)))
 
-        The job itself goes into the shared memory, after the results: for many objects a pipe would
-        take ten times as long.
-        """
-        start = self.slots(memory).nbytes
-        memory.seek(start)
-        pickle.dump(self, memory, protocol=5)
-        return pickle.dumps((round, start, memory.tell()))
-
-    @staticmethod
-    def unpacked(message: bytes, memory: mmap, numbers: Numbers) -> Job | None:
-        """The job that a message asks for; None if nothing of it is left to do."""
-        numbers.round, start, end = pickle.loads(message)
-        job = memory[start:end]
-        # Asked only now that the job is copied: when a round is over, the next one's may be written
-        # over it.
-        unpacked: Job | None = pickle.loads(job) if numbers.left() else None
-        return unpacked
-
-    def work(self, memory: mmap) -> Work[tuple[int, int]]:
-        """What a helper does: results go into one slot after the other; which, and their rows."""
-        fill, slots = self.make(*self.arguments), cycle(enumerate(self.slots(memory)))
-
-        def work(number: int) -> tuple[int, int]:
+        def work(number: int) -> int:
             place, slot = next(slots)
-            return place, fill(number, slot)
+            fill(number, slot)
+            return place
 
         return work
 
@@ -120,19 +97,18 @@ class Job(NamedTuple):
 class _Helper(Worker):
     """A worker that is a new interpreter, and stays for the next picture."""
 
-    __slots__ = ("_here", "_memory", "_message", "_process", "_slots")
+    __slots__ = ("_memory", "_slots")
 
     def __init__(self, numbers: int) -> None:
         """Start it; `numbers` is the file of the `Numbers` that it takes from."""
         import subprocess  # takes longer to import than a small picture to render
 
-        with pipes() as (calls_in, results_out, calls_out, results_in):
-            super().__init__(calls_out, results_in)
+        with channel() as (ours, theirs):
             file, self._memory = shared(_SHARED)
             path = [_FOLDER, *map(str, sys.path)]
-            ends = calls_in, results_out, numbers, file
+            ends = theirs.reads, theirs.writes, numbers, file
             try:
-                self._process = subprocess.Popen(
+                process = subprocess.Popen(
                     [sys.executable, "-c", _CODE.format(path=path, ends=ends)],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
@@ -142,50 +118,24 @@ class _Helper(Worker):
                 )
             finally:
                 os.close(file)
-        # Whether it has started.  None if it could not: it stays, for another could not either.
-        self._here: bool | None = False
-        self._message = b""
+        process.returncode = 0  # not for `Popen` to wait for, but for `stop`
+        super().__init__(ours, process.pid)
 
-    def begin(self, job: Job, round: int) -> None:
-        """Prepare a job, which is sent as soon as the helper `joins`."""
-        self._message = job.packed(round, self._memory)
-        self._slots = job.slots(self._memory)
+    def begin(self, job: Job, packed: bytes, round: int) -> None:
+        """Ask it to do a job, as soon as it has started; `packed`: the job, pickled.
 
-    def joins(self) -> bool:
-        """Whether it has started; if so, the job has been sent."""
-        if self._here is False and readable([self.results], 0):
-            try:
-                super().receive()
-                self._here = True
-            except ChildProcessError:
-                self._here = None
-                self._process.kill()
-                self._process.wait()
-        if self._here and self._message:
-            keep_apart(self._process.pid)
-            self.send(self._message)
-            self._message = b""
-        return bool(self._here)
+        That goes into the end of the shared memory: for many objects a pipe would take ten times as
+        long.
+        """
+        self._slots = job.slots(memoryview(self._memory)[: -len(packed)])
+        self._memory[-len(packed) :] = packed
+        self.keep_apart()
+        self.send((round, len(packed)))
 
-    def receive(self) -> tuple[int, Floats]:
+    def result(self) -> tuple[int, Floats]:
         """Its next result, valid until it is told that this has been used; see `Worker`."""
-        number, (slot, rows) = super().receive()
-        return number, self._slots[slot, :rows]
-
-    def died(self) -> bool:
-        """Whether it has ended after it had started."""
-        return bool(self._here) and self._process.poll() is not None
-
-    def stop(self) -> None:
-        """End it, whatever it does."""
-        self._process.kill()
-        self._process.wait()
-        self.close()
-
-    def forget(self) -> None:
-        """In a fork of the process that started it: leave it to that one."""
-        self._process.returncode = 0
-        self.close()
+        number, slot = super().result()
+        return number, self._slots[slot]
 
 
 class _Crew:
@@ -208,30 +158,26 @@ class _Crew:
         self._load += load
         if not self._helpers and self._load < _START:
             return Team.alone(count)
+        packed = pickle.dumps(job)
         numbers = self._numbers = self._numbers or Numbers()
         numbers.begin(count)
-        for helper in [helper for helper in self._helpers if helper.died()]:
-            self._helpers.remove(helper)
-            helper.stop()
         while len(self._helpers) < others:
             self._helpers.append(_Helper(numbers.file))
         helpers = self._helpers[:others]
         for helper in helpers:
-            helper.begin(job, numbers.round)
-        # Sent only when every message is made: if pickling fails, no helper has taken a number.
-        for helper in helpers:
-            helper.joins()
+            helper.begin(job, packed, numbers.round)
         return Team(count, numbers.take, [*helpers])
 
     def stop(self) -> None:
-        """End them all."""
+        """End them all; it must pay again to start others, which may be no better."""
+        self._load = 0.0
         while self._helpers:
             self._helpers.pop().stop()
 
     def forget(self) -> None:
-        """In a fork of the process that started them: have none."""
+        """In a fork of the process that started them: leave them to that one."""
         while self._helpers:
-            self._helpers.pop().forget()
+            self._helpers.pop().close()
         if self._numbers is not None:
             os.close(self._numbers.file)
         self._numbers = None
@@ -261,44 +207,52 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
     others, busy = min(others, count - 1), _crew.busy
     # In a program that embeds Python the executable is that program, not an interpreter.
     python = os.path.basename(sys.executable or "").startswith("python")
-    possible = POSSIBLE and python and 8 * prod(job.shape) <= _SHARED
-    if not (others > 0 and possible and busy.acquire(blocking=False)):
+    if not (others > 0 and POSSIBLE and python and busy.acquire(blocking=False)):
         yield Team.alone(count)
         return
+    read = False
     try:
         try:
             team = _crew.team(count, others, job, load)
         except Exception:
-            # Out of processes, files or memory, or a job cannot be pickled.
+            # Out of processes, files or memory, or a job cannot be pickled, or is too large.
             team = Team.alone(count)
         helpers = len(team.workers)
         yield team
-        if len(team.workers) < helpers:  # one was killed, and what the others did was not read
-            _crew.stop()
-    except BaseException:
-        # Helpers are at work on results that will not be read: the next picture needs new ones.
-        _crew.stop()
-        raise
+        # If one was killed, what the others did was not read.
+        read = len(team.workers) == helpers
     finally:
+        # Helpers may be at work on results that will not be read: the next picture needs new ones.
+        if not read:
+            _crew.stop()
         busy.release()
 
 
-def run_helper(calls: int, results: int, numbers: int, memory: int) -> None:
+def run_helper(reads: int, writes: int, numbers: int, memory: int) -> None:
     """Serve the process that started this one, until that ends; never returns."""
     keep_heap()
-    taken, shared = Numbers(numbers), mmap(memory, 0)
+    caller, taken, shared = Channel(reads, writes), Numbers(numbers), mmap(memory, 0)
 
-    def do_jobs(caller: Caller) -> None:
-        caller.tell(True, None)
-        while (message := caller.listen()) is not None:
-            if not message:  # a result of a round that is over has been used
-                continue
-            try:
-                job = Job.unpacked(message, shared, taken)
-                work = job and job.work(shared)
-            except Exception:  # this process lacks something: the one that calls does all
-                continue
+    def do_jobs() -> None:
+        while True:
+            work = received(caller.receive(), taken, shared)
             if work is not None:
-                caller.take_part(work, taken)
+                take_part(caller, work, taken)
 
-    serve(calls, results, do_jobs)
+    serve(caller, do_jobs)
+
+
+def received(message: tuple[int, int] | None, numbers: Numbers, memory: mmap) -> Work[int] | None:
+    """In a helper: what a message asks for; None if there is nothing to do."""
+    if message is None:  # a result of a round that is over has been used
+        return None
+    numbers.round, size = message
+    job = memory[-size:]
+    # Asked only now that the job is copied: the next round's may be written over it.
+    if not numbers.left():
+        return None
+    try:
+        unpacked: Job = pickle.loads(job)
+        return unpacked.work(memory)
+    except Exception:  # this process lacks something: the one that calls does all
+        return None

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise, product
 from math import inf, isqrt
 from typing import NamedTuple, TypeVar
@@ -155,7 +156,7 @@ def _rendered(
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
     bands = _Bands.of(picture, processes)
-    job = Job(_help, (bands,), (AHEAD, bands.tallest, scene.width, 3))
+    job = Job(partial(_help, bands), (AHEAD, bands.tallest, scene.width, 3))
     # Whoever asks for processors by number gets helpers from the first picture on.
     load = inf if threads else load
     with helped(bands.total, processes - 1, job, load) as team:
@@ -367,10 +368,10 @@ def _help(bands: _Bands) -> Fill:
     """What a helper does: render bands into the memory that it is given."""
     renderer = _Renderer.of(bands)
 
-    def fill(number: int, slot: Floats) -> int:
+    def fill(number: int, slot: Floats) -> None:
         rows = bands.rows(number)
         out = slot[: rows.stop - rows.start]
         out[:, renderer.columns(number)] = 0
-        return len(renderer(number, out))
+        renderer(number, out)
 
     return fill

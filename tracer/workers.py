@@ -11,16 +11,17 @@ The parts of a job are numbered, and whichever process is idle takes the next nu
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import pickle
 import select
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from mmap import PAGESIZE, mmap
 from struct import Struct
-from typing import IO, Any, NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,18 +30,17 @@ from tracer.memory import renew_heap
 __all__ = [
     "AHEAD",
     "POSSIBLE",
-    "Caller",
+    "Channel",
     "Numbers",
     "Team",
     "Work",
     "Worker",
+    "channel",
     "forked",
-    "keep_apart",
-    "pipes",
     "processors",
-    "readable",
     "serve",
     "shared",
+    "take_part",
 ]
 
 T = TypeVar("T")
@@ -116,50 +116,105 @@ class Numbers:
             lockf(self.file, LOCK_UN)
 
 
-class Worker:
-    """Another process that takes part, as this one sees it.
+class Channel:
+    """One end of two pipes between this process and another.
 
-    Attributes
+    Parameters
     ----------
-    calls, results : int
-        Pipes to it, and from it.
+    reads, writes : int
+        Descriptors of the pipes from the other process, and to it.
     """
 
-    __slots__ = ("calls", "results")
+    __slots__ = ("reads", "writes")
 
-    def __init__(self, calls: int, results: int) -> None:
-        self.calls, self.results = calls, results
+    def __init__(self, reads: int, writes: int) -> None:
+        self.reads, self.writes = reads, writes
 
-    def joins(self) -> bool:
-        """Whether it is ready to take part."""
-        return True
-
-    def send(self, message: bytes = b"") -> None:
-        """Send it a message; an empty one says that one of its results has been used."""
-        # All messages are far shorter than PIPE_BUF: a pipe takes them whole.
-        with suppress(BrokenPipeError):  # it was killed: `receive` will tell
-            os.write(self.calls, _LENGTH.pack(len(message)) + message)
+    def send(self, message: object) -> None:
+        """Send a message, which is pickled."""
+        data = pickle.dumps(message)
+        data = _LENGTH.pack(len(data)) + data
+        with suppress(BrokenPipeError):  # the other process has ended: `receive` will tell
+            while data:
+                data = data[os.write(self.writes, data) :]
 
     def receive(self) -> Any:
-        """Its next answer; raises the exception that ended its work, if that is the answer."""
-        well, answer = pickle.loads(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0]))
-        if not well:
-            raise answer
-        return answer
+        """The next message; waits for it.  Raises EOFError if the other process has ended."""
+        return pickle.loads(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0]))
 
     def close(self) -> None:
-        """Close the pipes: it ends when it finds out."""
-        os.close(self.calls)
-        os.close(self.results)
+        """Close the pipes: the other process finds out."""
+        os.close(self.reads)
+        os.close(self.writes)
 
     def _read(self, size: int) -> bytes:
         data = bytearray()
         while len(data) < size:
-            more = os.read(self.results, size - len(data))
+            more = os.read(self.reads, size - len(data))
             if not more:
-                raise ChildProcessError("a worker was killed")
+                raise EOFError
             data += more
         return bytes(data)
+
+
+@contextmanager
+def channel() -> Iterator[tuple[Channel, Channel]]:
+    """Both ends of a new channel: this process's, and a worker's.
+
+    On leaving, the worker's end is closed here; after an exception, the other as well.
+    """
+    with ExitStack() as theirs, ExitStack() as ours:
+        calls_in, calls_out = os.pipe()
+        theirs.callback(os.close, calls_in)
+        ours.callback(os.close, calls_out)
+        results_in, results_out = os.pipe()
+        theirs.callback(os.close, results_out)
+        ours.callback(os.close, results_in)
+        yield Channel(results_in, calls_out), Channel(calls_in, results_out)
+        ours.pop_all()
+
+
+class Worker(Channel):
+    """Another process that takes part, as this one sees it.
+
+    Parameters
+    ----------
+    end : Channel
+        This process's.
+    process : int
+        Its number.
+    """
+
+    __slots__ = ("_process",)
+
+    def __init__(self, end: Channel, process: int) -> None:
+        super().__init__(end.reads, end.writes)
+        self._process = process
+
+    def result(self) -> tuple[int, Any]:
+        """The next number it has worked on, and the result; raises what ended its work, if so."""
+        answer = self.receive()
+        if isinstance(answer, BaseException):
+            raise answer
+        number, result = answer
+        return number, result
+
+    def keep_apart(self) -> None:
+        """Keep it off the processor that this process runs on, if there are others.
+
+        Linux may wake it there and let it wait for milliseconds: half the time of a small picture.
+        """
+        with suppress(AttributeError, OSError):
+            others = os.sched_getaffinity(0) - {ctypes.CDLL(None).sched_getcpu()}
+            if others:
+                os.sched_setaffinity(self._process, others)
+
+    def stop(self) -> None:
+        """End it, whatever it does."""
+        with suppress(OSError):  # somebody else has waited for it
+            os.kill(self._process, signal.SIGKILL)
+            os.waitpid(self._process, 0)
+        self.close()
 
 
 class Team(NamedTuple):
@@ -199,22 +254,20 @@ class Team(NamedTuple):
             Whatever `work` raises.
         """
         done: dict[int, tuple[T, Worker | None]] = {}
-        left = True
         for number in range(self.total):
             while number not in done:
-                own = None
-                if not self.workers:
-                    own = number
-                elif left and len(done) < AHEAD and not self._answered(0):
-                    own = self.take()
-                    left = own is not None
+                own: int | None = number
+                if self.workers:
+                    # Results of others come first: these go on only when theirs have been used.
+                    busy = len(done) >= AHEAD or self._answered(0)
+                    own = None if busy else self.take()
                 if own is not None:
                     done[own] = work(own), None
                     continue
                 for worker in self._answered(None):
                     try:
-                        place, result = worker.receive()
-                    except ChildProcessError:
+                        place, result = worker.result()
+                    except EOFError:
                         # Which number it had taken is unknown: all that is not done is done here.
                         self.workers.clear()
                         break
@@ -222,14 +275,14 @@ class Team(NamedTuple):
             result, used = done.pop(number)
             yield result
             if used is not None:
-                used.send()
+                used.send(None)
 
     def _answered(self, timeout: int | None) -> list[Worker]:
-        """Workers with an answer to read, or with none any more as they have ended."""
-        by_pipe = {worker.results: worker for worker in self.workers if worker.joins()}
-        if not by_pipe:
-            return []
-        return [by_pipe[pipe] for pipe in readable(by_pipe, timeout)]
+        """Workers with an answer to read, or that have ended; waits for one, `timeout` ms."""
+        poll, by_pipe = select.poll(), {worker.reads: worker for worker in self.workers}
+        for pipe in by_pipe:
+            poll.register(pipe, select.POLLIN)
+        return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
 
 
 def shared(size: int) -> tuple[int, mmap]:
@@ -243,74 +296,10 @@ def shared(size: int) -> tuple[int, mmap]:
         raise
 
 
-@contextmanager
-def pipes() -> Iterator[tuple[int, int, int, int]]:
-    """Pipes to a worker and from it: first the worker's two ends, then those of this process.
-
-    On leaving, the worker's ends are closed here; after an exception, the others as well.
-    """
-    with ExitStack() as theirs, ExitStack() as ours:
-        calls_in, calls_out = os.pipe()
-        theirs.callback(os.close, calls_in)
-        ours.callback(os.close, calls_out)
-        results_in, results_out = os.pipe()
-        theirs.callback(os.close, results_out)
-        ours.callback(os.close, results_in)
-        yield calls_in, results_out, calls_out, results_in
-        ours.pop_all()
-
-
-def readable(pipes: Iterable[int], timeout: int | None) -> list[int]:
-    """Pipes with something to read, or at their end; waits for one, at most `timeout` ms."""
-    poll = select.poll()
-    for pipe in pipes:
-        poll.register(pipe, select.POLLIN)
-    return [pipe for pipe, _ in poll.poll(timeout)]
-
-
 def processors() -> int:
     """How many processors this process may use."""
     # Only some systems tell, Linux among them; others have no workers anyway.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-
-
-def keep_apart(process: int) -> None:
-    """Keep a process off the processor that this one runs on, if there are others.
-
-    Linux may wake it there and let it wait for milliseconds: half the time of a small picture.
-    """
-    with suppress(AttributeError, OSError):
-        others = os.sched_getaffinity(0) - {ctypes.CDLL(None).sched_getcpu()}
-        if others:
-            os.sched_setaffinity(process, others)
-
-
-class _Fork(Worker):
-    """A copy of this process."""
-
-    __slots__ = ("_process",)
-
-    def __init__(self, work: Work[Any], numbers: Numbers, others: list[Worker]) -> None:
-        """Fork; the copy closes this process's pipes to `others`, made before, and to itself."""
-        with pipes() as (calls_in, results_out, calls_out, results_in):
-            super().__init__(calls_out, results_in)
-            self._process = os.fork()
-            if not self._process:
-                try:
-                    for worker in (*others, self):
-                        worker.close()
-                    renew_heap()
-                    serve(calls_in, results_out, lambda caller: caller.take_part(work, numbers))
-                finally:  # whatever happens, it must not go on as if it were this process
-                    os._exit(1)
-        keep_apart(self._process)
-
-    def stop(self) -> None:
-        """End it, whatever it does."""
-        os.kill(self._process, signal.SIGKILL)
-        with suppress(ChildProcessError):  # nobody waits for it where SIGCHLD is ignored
-            os.waitpid(self._process, 0)
-        self.close()
 
 
 @contextmanager
@@ -330,58 +319,50 @@ def forked(work: Work[Any], count: int, others: int) -> Iterator[Team]:
                 numbers.begin(count)
                 team = Team(count, numbers.take, [])
                 for _ in range(others):
-                    worker = _Fork(work, numbers, team.workers)
+                    worker = _fork(work, numbers)
                     stack.callback(worker.stop)
                     team.workers.append(worker)
         yield team
 
 
-class Caller(NamedTuple):
-    """The process that a worker works for, as the worker sees it.
-
-    Attributes
-    ----------
-    calls, results : binary files
-        Pipes from it, and to it.
-    """
-
-    calls: IO[bytes]
-    results: IO[bytes]
-
-    def listen(self) -> bytes | None:
-        """Its next message; None once it has ended."""
-        length = self.calls.read(_LENGTH.size)
-        return self.calls.read(*_LENGTH.unpack(length)) if length else None
-
-    def tell(self, well: bool, answer: object) -> None:
-        """Answer; not `well` with the exception that ends this worker."""
-        message = pickle.dumps((well, answer))
-        self.results.write(_LENGTH.pack(len(message)) + message)
-        self.results.flush()
-
-    def take_part(self, work: Work[Any], numbers: Numbers) -> None:
-        """Work on numbers until none is left."""
-        done = 0
-        while done < AHEAD or self.listen() is not None:
-            number = numbers.take()
-            if number is None:
-                break
-            self.tell(True, (number, work(number)))
-            done += 1
+def _fork(work: Work[Any], numbers: Numbers) -> Worker:
+    """A copy of this process that takes part."""
+    with channel() as (ours, theirs):
+        process = os.fork()
+        if not process:
+            try:
+                # Only then does the channel end with the caller.  Copies made earlier have theirs
+                # held open by this one, and end after it.
+                ours.close()
+                renew_heap()
+                serve(theirs, lambda: take_part(theirs, work, numbers))
+            finally:  # whatever happens, it must not go on as if it were this process
+                os._exit(1)
+    worker = Worker(ours, process)
+    worker.keep_apart()
+    return worker
 
 
-def serve(calls: int, results: int, work: Callable[[Caller], None]) -> NoReturn:
-    """Be a worker: `work`, and stay until the pipe `calls` ends."""
+def take_part(caller: Channel, work: Work[Any], numbers: Numbers) -> None:
+    """In a worker: work on numbers until none is left."""
+    for done in itertools.count():
+        if done >= AHEAD:
+            caller.receive()  # a result has been used
+        number = numbers.take()
+        if number is None:
+            return
+        caller.send((number, work(number)))
+
+
+def serve(caller: Channel, work: Callable[[], None]) -> NoReturn:
+    """Be a worker: `work`, and stay until the caller ends."""
     try:
         # Ctrl-C reaches all processes of a terminal: the one that calls decides what it means.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with os.fdopen(calls, "rb") as heard, os.fdopen(results, "wb") as told:
-            caller = Caller(heard, told)
-            try:
-                work(caller)
-                while caller.listen() is not None:
-                    pass
-            except BaseException as error:
-                caller.tell(False, error)
+        work()
+        while True:
+            caller.receive()
+    except BaseException as error:
+        caller.send(error)
     finally:
         os._exit(0)
