@@ -14,7 +14,7 @@ from reference.workloads import to_xml
 from tracer import Scene
 from tracer.arrays import Floats
 from tracer.checks import MAX_PIXELS
-from tracer.rendering import render_bands
+from tracer.rendering import render_each
 
 __all__ = ["Truth", "supersampled", "truth_side"]
 
@@ -49,14 +49,18 @@ def supersampled(
     step = side // apart
     large = replace(scene, width=width * step, height=height * step)
     total = np.zeros((height, width, 3))
+
+    def sums_across(band: Floats) -> Floats:
+        sums: Floats = band.reshape(len(band), width, step, 3).sum(axis=2)
+        return sums
+
     shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
     for dx, dy in product(shifts, shifts):
         moved = (dx + step * offset[0], dy + step * offset[1])
         top = 0
-        for band in render_bands(large, threads=threads, offset=moved):
-            sums = band.reshape(len(band), width, step, 3).sum(axis=2)
-            np.add.at(total, (top + np.arange(len(band))) // step, sums)
-            top += len(band)
+        for sums in render_each(large, sums_across, threads=threads, offset=moved):
+            np.add.at(total, (top + np.arange(len(sums))) // step, sums)
+            top += len(sums)
     return total / side**2
 
 

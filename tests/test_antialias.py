@@ -28,7 +28,7 @@ from tracer import (
     render,
     rendering,
 )
-from tracer.rendering import render_bands
+from tracer.rendering import render_each
 from tracer.sampling import Lattice
 
 SCENES = own_scenes()
@@ -138,7 +138,7 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = small(SCENES[0].parent / "many-objects.xml")
     whole = render(scene, samples=16)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 3 * scene.width // 4)
-    bands = np.concatenate([band.copy() for band in render_bands(scene, 16)])
+    bands = np.concatenate(list(render_each(scene, np.copy, 16)))
     assert np.array_equal(bands, whole)
 
 

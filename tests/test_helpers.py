@@ -24,7 +24,6 @@ from jobs import SHAPE, add, die, fail, here, refuse
 import tracer.helpers
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.helpers import Job, helped, received
-from tracer.rendering import render_bands
 from tracer.scene import Surfaces
 from tracer.workers import AHEAD, Numbers, Team
 
@@ -312,9 +311,9 @@ def test_pictures_with_help(samples: int, monkeypatch: pytest.MonkeyPatch) -> No
     together(0.5)  # from here on there is one
     assert np.array_equal(render(scene, samples, threads=2), alone)
     monkeypatch.setattr(tracer.rendering, "_BAND_SAMPLES", 1000)
-    bands = [band.copy() for band in render_bands(scene, samples, threads=2)]
-    assert len(bands) > 10
-    assert np.array_equal(np.concatenate(bands), alone)
+    parts = tracer.rendering._Picture.of(scene, samples)
+    assert tracer.rendering._Bands.of(parts, 2).total > 10
+    assert np.array_equal(render(scene, samples, threads=2), alone)
 
 
 def test_pictures_in_threads() -> None:

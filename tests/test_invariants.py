@@ -12,7 +12,7 @@ from random_scenes import KINDS, random_scene
 from reference.oracle import Oracle
 from tracer import Box, Lambertian, PointLight, Scene, Sphere, antialias, render, rendering
 from tracer.arrays import Floats, Ints
-from tracer.rendering import render_bands
+from tracer.rendering import render_each
 
 
 def picture(kind: str, seed: int) -> tuple[Scene, Floats]:
@@ -134,7 +134,7 @@ def test_lights_in_another_order(kind: str) -> None:
 def test_bands(kind: str, band_pixels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, image = picture(kind, 5)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", band_pixels)
-    bands = list(render_bands(scene))
+    bands = list(render_each(scene, np.copy))
     assert len(bands) > 1
     assert np.array_equal(np.concatenate(bands), image)
 
@@ -145,9 +145,10 @@ def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(rendering, "processors", lambda: threads)
     scene, image = picture(kind, 6)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 31)
-    bands = [b.copy() for b in render_bands(scene, threads=threads)]
+    bands = list(render_each(scene, np.copy, threads=threads))
     assert len(bands) == scene.height
     assert np.array_equal(np.concatenate(bands), image)
+    assert np.array_equal(render(scene, threads=threads), image)
 
 
 @pytest.mark.usefixtures("pixels_are_split")
@@ -166,7 +167,7 @@ def test_antialiased_in_another_order_and_in_bands(
         assert np.array_equal(render(shuffled, 16, threads=1), image)
         with monkeypatch.context() as small:
             small.setattr(rendering, "_BAND_SAMPLES", 25)
-            bands = [b.copy() for b in render_bands(shuffled, 16, threads=1)]
+            bands = list(render_each(shuffled, np.copy, 16, threads=1))
         assert np.array_equal(np.concatenate(bands), image)
 
 
@@ -176,8 +177,9 @@ def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPa
     scene, _ = picture("scattered", 5)
     image = render(scene, samples, threads=1)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 25)
-    bands = [b.copy() for b in render_bands(scene, samples, threads=2)]
+    bands = list(render_each(scene, np.copy, samples, threads=2))
     assert np.array_equal(np.concatenate(bands), image)
+    assert np.array_equal(render(scene, samples, threads=2), image)
 
 
 @pytest.mark.usefixtures("pixels_are_split", "either_finder")

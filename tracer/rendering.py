@@ -32,7 +32,7 @@ from tracer.scene import Scene
 from tracer.visibility import view_of
 from tracer.workers import AHEAD, forked, processors
 
-__all__ = ["render", "render_bands", "render_each"]
+__all__ = ["render", "render_each"]
 
 T = TypeVar("T")
 
@@ -90,38 +90,35 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
+    picture = _Picture.of(scene, samples, offset)
+    load = picture.load()
+    processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
+    bands = _Bands.of(picture, processes)
+    job = Job(partial(_help, bands), (AHEAD, bands.tallest, scene.width, 3))
     # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
-    for rows, columns, band in _rendered(scene, samples, threads, offset, image):
-        if not np.may_share_memory(band, image):
-            image[rows, columns] = band[:, columns]
+    # Whoever asks for processors by number gets helpers from the first picture on.
+    with helped(bands.total, processes - 1, job, inf if threads else load) as team:
+        renderer = _Renderer.of(bands)
+
+        def work(number: int) -> Floats | None:
+            renderer(number, image[bands.rows(number)])
+            return None
+
+        for number, band in enumerate(team.results(work)):
+            if band is not None:  # a helper's
+                rows, columns = bands.rows(number), renderer.columns(number)
+                image[rows, columns] = band[: rows.stop - rows.start, columns]
     return image
 
 
-def render_bands(
+def render_each(
     scene: Scene,
+    work: Callable[[Floats], T],
     samples: int = 1,
     *,
     threads: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
-) -> Iterator[Floats]:
-    """Render a scene from the top, band by band.
-
-    Parameters are those of `render`, and checked when the first band is asked for.
-
-    Yields
-    ------
-    band : (rows, width, 3) float64
-        The next rows of the picture.
-    """
-    for _, columns, band in _rendered(scene, samples, threads, offset):
-        whole = np.zeros_like(band)
-        whole[:, columns] = band[:, columns]
-        yield whole
-
-
-def render_each(
-    scene: Scene, work: Callable[[Floats], T], samples: int = 1, *, threads: int | None = None
 ) -> Iterator[T]:
     """Render a scene from the top, band by band, and yield what becomes of each.
 
@@ -129,7 +126,7 @@ def render_each(
     this is for a program that does nothing else.  `work` is called with each band (rows, width,
     3) on the processor that renders it, and returns something small.
     """
-    picture = _Picture.of(scene, samples)
+    picture = _Picture.of(scene, samples, offset)
     processes = _processes(threads, picture.load() >= _WORTH_FORKING)
     bands = _Bands.of(picture, processes)
     renderer = _Renderer.of(bands)
@@ -139,34 +136,6 @@ def render_each(
 
     with forked(result, bands.total, processes - 1) as team:
         yield from team.results(result)
-
-
-def _rendered(
-    scene: Scene,
-    samples: int,
-    threads: int | None,
-    offset: tuple[float, float],
-    image: Floats | None = None,
-) -> Iterator[tuple[slice, slice, Floats]]:
-    """Each band's rows in the picture, the columns where something may be seen, and the band.
-
-    Bands that this process renders are parts of the `image`, if it is given.
-    """
-    picture = _Picture.of(scene, samples, offset)
-    load = picture.load()
-    processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
-    bands = _Bands.of(picture, processes)
-    job = Job(partial(_help, bands), (AHEAD, bands.tallest, scene.width, 3))
-    # Whoever asks for processors by number gets helpers from the first picture on.
-    load = inf if threads else load
-    with helped(bands.total, processes - 1, job, load) as team:
-        renderer = _Renderer.of(bands)
-
-        def work(number: int) -> Floats:
-            return renderer(number, None if image is None else image[bands.rows(number)])
-
-        for number, band in enumerate(team.results(work)):
-            yield bands.rows(number), renderer.columns(number), band
 
 
 def _processes(threads: int | None, pays: bool) -> int:
