@@ -293,6 +293,4 @@ def box_blocks(
 
 def _snap(x: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
     on_low, on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
-    if on_low.any() or on_high.any():
-        return np.where(on_low, low, np.where(on_high, high, x))
-    return x
+    return np.where(on_low, low, np.where(on_high, high, x))
