@@ -293,11 +293,10 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
         return None
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
-    for i, group in enumerate(groups):
+    for group in groups:
         if isinstance(group.owner, int):
             # No sample meets the same object twice, so there is no need for minimum.at.
-            before = nearest[group.sample] if i else np.finfo(np.float64).max
-            nearest[group.sample] = np.minimum(before, group.t)
+            nearest[group.sample] = np.minimum(nearest[group.sample], group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
     return nearest
