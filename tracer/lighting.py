@@ -141,21 +141,21 @@ class Highlights(NamedTuple):
             n_dot_v,
         )
 
-    def of_light(
-        self, number: int, at: Ints | slice, cosine: Floats, length: Floats, l_dot_p: Floats
-    ) -> Floats:
-        """(n.h)^exponent of a light at the points `at`; what follows `at` is of these alone."""
-        group, distance = self.group, self.distance[at]
+    def of_light(self, number: int, incoming: Incoming, at: Ints | slice) -> Floats:
+        """(n.h)^exponent of a light at some points; `incoming`: at all of the group."""
+        n_dot_l, length2, l_dot_p = (m[number][at] for m in incoming)
+        length, distance = np.sqrt(length2), self.distance[at]
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
             place = some if isinstance(at, slice) else at[some]
             p = rows(self.p, place)
             x, y, z = self.lighting.local[number].tolist()
             to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
-            return pick(group.n, place), to_light, scaled(p, -1 / distance[some])
+            return pick(self.group.n, place), to_light, scaled(p, -1 / distance[some])
 
         l_dot_v = l_dot_p / (-distance * length)
-        return highlight(cosine, self.n_dot_v[at], l_dot_v, select(self.exponent, at), vectors)
+        exponent = select(self.exponent, at)
+        return highlight(n_dot_l / length, self.n_dot_v[at], l_dot_v, exponent, vectors)
 
 
 def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
@@ -227,16 +227,13 @@ def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
     ):
         if not reached.any():
             continue
-        length = np.sqrt(incoming.length2[number])
-        cosine = incoming.n_dot_l[number] / length
+        cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
         if not reached.all():
             cosine = np.where(reached, cosine, 0.0)
         _add(fallen, intensity, cosine)
         if highlights.present:
             at = index_where(reached & highlights.glossy)
-            power = highlights.of_light(
-                number, at, cosine[at], length[at], incoming.l_dot_p[number][at]
-            )
+            power = highlights.of_light(number, incoming, at)
             if not isinstance(at, slice):
                 everywhere = np.zeros(cosine.size)
                 everywhere[at] = power
@@ -288,12 +285,8 @@ def narrow_highlights(
         bending += 1 / group.of(highlights.lighting.view.surfaces.radius)
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     for number, faces in enumerate(facing):
-        length = np.sqrt(incoming.length2[number])
-        change = footprint * (bending + 1 / length) * scale
+        change = footprint * (bending + 1 / np.sqrt(incoming.length2[number])) * scale
         at = np.flatnonzero((change > _SMOOTH) & faces)
         if at.size:
-            cosine = incoming.n_dot_l[number][at] / length[at]
-            power = highlights.of_light(
-                number, at, cosine, length[at], incoming.l_dot_p[number][at]
-            )
+            power = highlights.of_light(number, incoming, at)
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]

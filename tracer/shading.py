@@ -89,10 +89,7 @@ def highlight(
     square *= square
     square /= 2 * half2
     power: Floats = np.exp(0.5 * exponent * np.log(square))
-    closely = half2 < _CANCELLED
-    if np.any(exponent > _SHOWS):
-        closely |= exponent * power > _SHOWS
-    at = np.flatnonzero(closely)
+    at = np.flatnonzero((half2 < _CANCELLED) | (exponent * power > _SHOWS))
     if at.size:
         power[at] = _highlight(*vectors(at), select(exponent, at))
     return power
