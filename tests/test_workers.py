@@ -68,8 +68,8 @@ def test_workers_for_whom_there_are_files(
     count: int, files_left: Callable[[int], AbstractContextManager[None]]
 ) -> None:
     with files_left(count), forked(patiently, COUNT, 3) as team:
-        # One of the two of the numbers, both of theirs, and four while they are made.
-        assert len(team.workers) == min(3, max(0, count - 4) // 2)
+        # That of the numbers, both of theirs, and four while they are made.
+        assert len(team.workers) == min(3, max(0, count - 3) // 2)
         assert list(team.results(patiently)) == list(range(COUNT))
         del team
 

@@ -32,7 +32,6 @@ from tracer.workers import (
     Worker,
     channel,
     serve,
-    shared,
     take_part,
 )
 
@@ -104,10 +103,12 @@ class _Helper(Worker):
         import subprocess  # takes longer to import than a small picture to render
 
         with channel() as (ours, theirs):
-            file, self._memory = shared(_SHARED)
+            file = os.memfd_create("tracer")
             path = [_FOLDER, *map(str, sys.path)]
             ends = theirs.reads, theirs.writes, numbers, file
             try:
+                os.ftruncate(file, _SHARED)
+                self._memory = mmap(file, _SHARED)
                 process = subprocess.Popen(
                     [sys.executable, "-c", _CODE.format(path=path, ends=ends)],
                     stdin=subprocess.DEVNULL,

@@ -19,11 +19,8 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from mmap import PAGESIZE, mmap
 from struct import Struct
 from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
-
-import numpy as np
 
 from tracer.memory import renew_heap
 
@@ -39,7 +36,6 @@ __all__ = [
     "forked",
     "processors",
     "serve",
-    "shared",
     "take_part",
 ]
 
@@ -54,8 +50,8 @@ AHEAD = 4
 POSSIBLE = hasattr(os, "memfd_create")
 """Whether other processes can take part: only Linux has `memfd_create`, for shared memory."""
 
-# Before each message: its length in bytes.
-_LENGTH = Struct("=Q")
+# Before each message: its length in bytes.  And what is in the file of `Numbers`.
+_LENGTH, _STATE = Struct("=Q"), Struct("=3q")
 
 
 class Numbers:
@@ -66,7 +62,7 @@ class Numbers:
     Parameters
     ----------
     file : int, optional
-        Descriptor of the memory that the processes share; made if absent.
+        Descriptor of the file, in memory, that the processes share; made if absent.
 
     Attributes
     ----------
@@ -75,35 +71,39 @@ class Numbers:
         The round that this process takes part in.
     """
 
-    __slots__ = ("_state", "file", "round")
+    __slots__ = ("file", "round")
 
     def __init__(self, file: int | None = None) -> None:
-        if file is None:
-            self.file, memory = shared(PAGESIZE)
-        else:
-            self.file, memory = file, mmap(file, PAGESIZE)
+        self.file = os.memfd_create("tracer") if file is None else file
         self.round = 0
-        # The current round, how many numbers it has, and the next of them to be taken.
-        self._state = np.frombuffer(memory, np.int64, 3)
 
     def begin(self, count: int) -> None:
         """Begin another round, of this many numbers."""
         self.round += 1
         with self._locked():
-            self._state[:] = self.round, count, 0
+            self._write(self.round, count, 0)
 
     def left(self) -> bool:
         """Whether this process's round is still on, and has numbers left."""
-        now, count, number = self._state.tolist()
-        return bool(now == self.round and number < count)
+        now, count, number = self._read()
+        return now == self.round and number < count
 
     def take(self) -> int | None:
         """The next number, or None if none is left."""
         with self._locked():
             if not self.left():
                 return None
-            self._state[2] += 1
-            return int(self._state[2]) - 1
+            now, count, number = self._read()
+            self._write(now, count, number + 1)
+            return number
+
+    def _read(self) -> tuple[int, int, int]:
+        """The current round, how many numbers it has, and the next of them to be taken."""
+        now, count, number = _STATE.unpack(os.pread(self.file, _STATE.size, 0))
+        return now, count, number
+
+    def _write(self, *state: int) -> None:
+        os.pwrite(self.file, _STATE.pack(*state), 0)
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
@@ -283,17 +283,6 @@ class Team(NamedTuple):
         for pipe in by_pipe:
             poll.register(pipe, select.POLLIN)
         return [by_pipe[pipe] for pipe, _ in poll.poll(timeout)]
-
-
-def shared(size: int) -> tuple[int, mmap]:
-    """Memory of a size in bytes for several processes: its file, and the map of it in this one."""
-    file = os.memfd_create("tracer")
-    try:
-        os.ftruncate(file, size)
-        return file, mmap(file, size)
-    except BaseException:
-        os.close(file)
-        raise
 
 
 def processors() -> int:
