@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 from contextlib import suppress
 
 import numpy as np
 
-__all__ = ["keep_heap", "renew_heap"]
+__all__ = ["keep_heap"]
 
 # The largest block that glibc ever takes from the heap is 32 MB.
 _MOST = (1 << 25) - (1 << 16)
@@ -25,13 +24,3 @@ def keep_heap() -> None:
     with suppress(MemoryError):  # the picture may need far less
         for size in (_MOST, _MOST - (1 << 16)):
             np.empty(size, dtype=np.uint8)
-
-
-def renew_heap() -> None:
-    """In a forked process, give back what its parent had used and freed.
-
-    Pages of its own are made faster than copies of the parent's.
-    """
-    with suppress(AttributeError, OSError):  # glibc only
-        ctypes.CDLL(None).malloc_trim(0)
-    keep_heap()

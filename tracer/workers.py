@@ -22,8 +22,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from struct import Struct
 from typing import Any, NamedTuple, NoReturn, TypeAlias, TypeVar
 
-from tracer.memory import renew_heap
-
 __all__ = [
     "AHEAD",
     "POSSIBLE",
@@ -323,7 +321,6 @@ def _fork(work: Work[Any], numbers: Numbers) -> Worker:
                 # Only then does the channel end with the caller.  Copies made earlier have theirs
                 # held open by this one, and end after it.
                 ours.close()
-                renew_heap()
                 serve(theirs, lambda: take_part(theirs, work, numbers))
             finally:  # whatever happens, it must not go on as if it were this process
                 os._exit(1)
