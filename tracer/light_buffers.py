@@ -222,9 +222,8 @@ def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     # A row for each axis, in one piece: of columns, minima take ten times as long.
     low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
     high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
-    buffers = (
-        _buffer_around(light, low, high, surfaces, occluders.seen) for light in occluders.lights
-    )
+    seen = occluders.view.outlines.frames.in_picture()
+    buffers = (_buffer_around(light, low, high, surfaces, seen) for light in occluders.lights)
     return LightBufferFinder(occluders, tuple(buffers))
 
 

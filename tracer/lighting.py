@@ -192,7 +192,7 @@ def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
     occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
     result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
-        kept_out = occluders.eye_inside & (occluders.side[number] != INSIDE)
+        kept_out = lighting.view.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
             n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]

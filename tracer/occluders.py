@@ -43,15 +43,12 @@ class Occluders(NamedTuple):
 
     Attributes
     ----------
-    surfaces : Surfaces
-    eye : (3,)
+    view : View
     lights : (lights, 3)
     side : (lights, n)
         Where each light is to each object: `OUTSIDE` or `INSIDE`, of spheres also `ON`.
     on_plane : (lights, boxes)
         Whether each light may lie in the plane of a box's face.
-    eye_inside, seen : (n,)
-        Which surfaces are seen from inside, and which may be seen at all.
     middle, radius : three (n,) and (n,)
         A ball around each.
     size : (n,)
@@ -60,17 +57,19 @@ class Occluders(NamedTuple):
         More than rounding can displace a point on each object.
     """
 
-    surfaces: Surfaces
-    eye: Floats
+    view: View
     lights: Floats
     side: NDArray[np.int8]
     on_plane: Bools
-    eye_inside: Bools
-    seen: Bools
     middle: Triple
     radius: Floats
     size: Floats
     slack: Floats
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """What may cast shadows."""
+        return self.view.surfaces
 
 
 class Balls(NamedTuple):
@@ -223,13 +222,10 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
     of_spheres = sphere_side(distance, radius, SURFACE_TOLERANCE * around)
     of_boxes = np.where(inside, INSIDE, OUTSIDE).astype(np.int8)
     return Occluders(
-        surfaces=surfaces,
-        eye=eye,
+        view=view,
         lights=lights,
         side=np.concatenate([of_spheres, of_boxes], axis=1),
         on_plane=on_plane,
-        eye_inside=view.eye_inside,
-        seen=view.outlines.frames.in_picture(),
         middle=columns(np.concatenate([center, 0.5 * (low + high)]), slice(None)),
         radius=np.concatenate([radius, half]),
         size=size,

@@ -194,7 +194,7 @@ class Shadows(NamedTuple):
                 radius[at],
                 self._tolerance(pick(p, at), some),
                 entries(occluders.side, some.light, some.occluder),
-                occluders.eye_inside[some.occluder],
+                occluders.view.eye_inside[some.occluder],
             )
         return blocks
 
@@ -229,7 +229,7 @@ class Shadows(NamedTuple):
 
     def _tolerance(self, p: Triple, pairs: Pairs) -> Floats:
         """How near to an object points count as on it, pair by pair."""
-        x, y, z = self.occluders.eye.tolist()
+        x, y, z = self.occluders.view.raster.eye.tolist()
         ray = p[0] - x, p[1] - y, p[2] - z
         reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
         return SURFACE_TOLERANCE * (reach + self.occluders.size[pairs.occluder])

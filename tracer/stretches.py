@@ -113,6 +113,7 @@ def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
     lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
     around_light = SLACK * np.abs(lights).sum(axis=1)
     light, own = (m.ravel() for m in np.indices(occluders.side.shape))
+    seen = occluders.view.outlines.frames.in_picture()
     counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
     # A row for each light and each object it may light, a column for each that may shade it.
     for some in batches(np.full(light.size, occluder.size)):
@@ -120,7 +121,7 @@ def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
         thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
         middle = pick(occluders.middle, one)
         may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
-        may &= (one != occluder) & occluders.seen[one]
+        may &= (one != occluder) & seen[one]
         counts.append(np.count_nonzero(may, axis=1))
         listed.append(occluder[np.nonzero(may)[1]])
     first = np.cumsum(np.concatenate(counts))
@@ -253,10 +254,10 @@ def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     middle = hits.raster.point_to_scene(half)
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))
-    spheres = occluders.surfaces.sphere_count
-    if occluders.eye_inside[:spheres].any():
+    spheres, eye_inside = occluders.surfaces.sphere_count, occluders.view.eye_inside
+    if eye_inside[:spheres].any():
         # Seen from inside, an arc may be longer: then all of the sphere is the ball.
-        inside = np.flatnonzero(occluders.eye_inside[owner] & (owner < spheres) & (count > 1))
+        inside = np.flatnonzero(eye_inside[owner] & (owner < spheres) & (count > 1))
         center = hits.raster.to_camera(occluders.surfaces.center[owner[inside]])
         longer = inside[~_is_short(pick(half, inside), pick(across, inside), center)]
         for m, c in zip(middle, occluders.middle, strict=True):
