@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, equal_runs, ranges
-from tracer.crossings import crossed, ends_of, outlines_across
+from tracer.crossings import crossed, outlines_across
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Lines, joined
 from tracer.lighting import Lighting
@@ -83,19 +83,15 @@ def antialiased(
 
     Its RMSE is to be no larger than that of per_side x per_side samples in every pixel.
     """
-    # One pixel more on every side: curvature is found from neighbours.
-    top, height = rows.start - 1, rows.stop + 2 - rows.start
     view = lighting.view
-    ends = ends_of(view.outlines, view.surfaces, top, height)
-    if not ends.owner.size:
-        return
     # Nothing is seen to the left and to the right of all objects.
-    leftmost, rightmost = ends.columns()
-    begin = max(columns.start, int(leftmost) - 1)
-    end = min(columns.stop, int(rightmost) + 2)
+    _, seen_in = view.outlines.frames.window()
+    begin, end = max(columns.start, seen_in.start), min(columns.stop, seen_in.stop)
     if begin >= end:
         return
     out = out[:, begin - columns.start : end - columns.start]
+    # One pixel more on every side: curvature is found from neighbours.
+    top, height = rows.start - 1, rows.stop + 2 - rows.start
     left, width = begin - 1, end + 2 - begin
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
@@ -110,15 +106,14 @@ def antialiased(
     # What is known does not ask for a closer look; what is not, may.
     error[unknown & (error <= tolerance)] = np.nan
     mean = np.add(seen.radiance, bend, out=bend)
-    row, column, owner = crossed(ends, across)
-    inner = np.flatnonzero((row > 0) & (row < height - 1) & (column > 0) & (column < width - 1))
+    row, column, owner = crossed(view.outlines, view.surfaces, rows, slice(begin, end))
     pixels = Cells(
         1.0,
         tolerance,
         *CENTRES.samples(slice(top, top + height), across).positions(),
         error,
-        (row * width + column)[inner],
-        owner[inner],
+        (row - top) * width + column - left,
+        owner,
     )
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True

@@ -5,114 +5,67 @@ So objects are found as well that the samples in the middles of pixels miss.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, dot, each, equal_runs, expand, pick
+from tracer.arrays import Floats, Ints, dot, each, expand, pick
 from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
 from tracer.scene import Surfaces
 from tracer.visibility import View
 
-__all__ = ["Ends", "crossed", "ends_of", "outlines_across"]
+__all__ = ["crossed", "outlines_across"]
 
 # A limb passes for straight if it turns by less than this, in radians, times the tolerance: found
 # by trial.
 _LIMB_TURN = 57.0
 
-# What is so near to the line between two rows of pixels lies in both.
-_ON_LINE = 1e-6
+# A line so near to the top or bottom of an object, in pixels, may touch it and no more.
+_TOUCHING = 1e-6
 
 
-class Ends(NamedTuple):
-    """Where objects begin and end in rows of pixels.
+def crossed(
+    outlines: Outlines, surfaces: Surfaces, rows: slice, columns: slice
+) -> tuple[Ints, Ints, Ints]:
+    """Row, column and object: the pixels of a rectangle that an outline may cross.
 
-    Known are the spans on the lines above and below each row, and in between the places where an
-    outline turns: the corners of boxes, and the extreme points of spheres.
-
-    Attributes
-    ----------
-    owner : (n,)
-        The object, of all, spheres first.
-    row : (n,)
-        Which row of pixels.
-    begin, end : (n,)
-        In pixels from the picture's left edge; NaN for what is no beginning, or no end.
-    on_line : (n,)
-        Whether this is a span, and the outline known on its way to the next.
+    Being convex, an object fills the pixels of a row whose upper and lower sides it covers.  Its
+    outline may cross the others in which it is seen; or any of them, if it is not wholly known.
     """
-
-    owner: Ints
-    row: Ints
-    begin: Floats
-    end: Floats
-    on_line: Bools
-
-    def columns(self) -> tuple[float, float]:
-        """The leftmost and the rightmost place of all."""
-        both = np.append(self.begin, self.end)
-        return float(np.nanmin(both)), float(np.nanmax(both))
-
-
-def ends_of(outlines: Outlines, surfaces: Surfaces, top: int, height: int) -> Ends:
-    """The ends of all objects, in so many rows of pixels from the `top` on."""
-    lines = np.arange(top, top + height + 1, dtype=np.float64)
-    spheres, boxes = outlines.sphere_spans(lines), outlines.box_spans(lines)
-    owner = np.append(spheres.owner, boxes.owner + len(outlines.radius))
-    line, left, right = (
-        np.append(getattr(spheres, name), getattr(boxes, name)) for name in ("row", "left", "right")
-    )
-    broken = outlines.broken(surfaces)
-    known = np.append(np.ones(spheres.owner.size, dtype=np.bool_), ~broken[boxes.owner])
-    turned, x, y, begins, ends = outlines.turns(surfaces)
-    y = y - top
-    at = np.flatnonzero((y > -1) & (y < height + 1) & np.isfinite(x))
-    x, y, turned = np.clip(x[at], -1.0, outlines.raster.width + 1.0), y[at], turned[at]
-    begin, end = np.where(begins[at], x, np.nan), np.where(ends[at], x, np.nan)
-    # A line is the lower end of one row and the upper of the next; so is what lies on it.
-    row, above = (np.floor(y + m).astype(np.intp) for m in (_ON_LINE, -_ON_LINE))
-    both = np.flatnonzero(above != row)
-    found = Ends(
-        np.concatenate([owner, owner, turned, turned[both]]),
-        np.concatenate([line - 1, line, row, above[both]]),
-        np.concatenate([left, left, begin, begin[both]]),
-        np.concatenate([right, right, end, end[both]]),
-        np.append(np.tile(known, 2), np.zeros(at.size + both.size, dtype=np.bool_)),
-    )
-    inside = np.flatnonzero((found.row >= 0) & (found.row < height))
-    return Ends._make(m[inside] for m in found)
-
-
-def crossed(found: Ends, columns: slice) -> tuple[Ints, Ints, Ints]:
-    """Row, column and object: pixels that an outline may cross.
-
-    An outline crosses the pixels from the leftmost to the rightmost beginning of its object in a
-    row, and likewise of the ends.  If the object misses the line above or below, its outline closes
-    in between: then it may cross any pixel in which the object is.  So may an outline that is not
-    wholly known.
-    """
-    # One number for object and row.
-    key = found.owner * (found.row.max(initial=0) + 1) + found.row
-    order = np.argsort(key, kind="stable")
-    owner, row = found.owner[order], found.row[order]
-    begin, end = found.begin[order], found.end[order]
-    first, _ = equal_runs(key[order])
-    (left_min, left_max), (right_min, right_max) = (
-        (np.fmin.reduceat(m, first), np.fmax.reduceat(m, first)) for m in (begin, end)
-    )
-    closes = np.add.reduceat(found.on_line[order], first, dtype=np.intp) < 2
-    whole = closes | (left_max + 1 >= right_min)
-    apart = np.flatnonzero(~whole)
-    far = np.where(whole, np.fmax(left_max, right_max), left_max)
-    start = np.append(np.where(whole, np.fmin(left_min, right_min), left_min), right_min[apart])
-    stop = np.append(far, right_max[apart])
-    row, owner = (np.append(m, m[apart]) for m in (row[first], owner[first]))
-    start, stop = (np.floor(m).astype(np.intp) for m in (start, stop))
-    start = np.maximum(start, columns.start)
-    each_one, column = expand(np.maximum(np.minimum(stop + 1, columns.stop) - start, 0), start)
-    return row[each_one], column - columns.start, owner[each_one]
+    lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
+    _, top, bottom, _, _ = outlines.frames
+    spheres = outlines.radius.size
+    whole = np.append(np.ones(spheres, dtype=np.bool_), ~outlines.broken(surfaces))
+    found: list[tuple[Ints, Ints, Floats, Floats]] = []
+    for spans, kind in (
+        (outlines.sphere_spans, slice(0, spheres)),
+        (outlines.box_spans, slice(spheres, top.size)),
+    ):
+        if kind.start == kind.stop:
+            continue
+        owner, row, left, right = spans(lines[:-1], 1.0)
+        # Where a line just touches an object, rounding decides what that covers of it.
+        fills = top[kind][owner] < lines[row] - _TOUCHING
+        fills &= (bottom[kind][owner] > lines[row + 1] + _TOUCHING) & whole[kind][owner]
+        covering = spans(lines)
+        # One number for line and object: spans are sorted by it.  Last, a span of nothing.
+        key = np.append(covering.row * top.size + covering.owner, -1)
+        begin, end = np.append(covering.left, np.inf), np.append(covering.right, -np.inf)
+        full, full_end = left, right
+        for line in (row, row + 1):
+            wanted = line * top.size + owner
+            place = np.searchsorted(key[:-1], wanted)
+            place[(key[place] != wanted) | ~fills] = -1
+            full, full_end = np.maximum(full, begin[place]), np.minimum(full_end, end[place])
+        left, stop = np.floor(left), np.floor(right) + 1
+        full = np.clip(np.ceil(full), left, stop)
+        full_end = np.clip(np.floor(full_end), full, stop)
+        owner += kind.start
+        found += [(row, owner, left, full), (row, owner, full_end, stop)]
+    row, owner, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
+    start, stop = (np.clip(m, columns.start, columns.stop).astype(np.intp) for m in (start, stop))
+    span, column = expand(stop - start, start)
+    return row[span] + rows.start, column, owner[span]
 
 
 def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:

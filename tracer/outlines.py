@@ -23,7 +23,6 @@ __all__ = [
     "Frames",
     "Outlines",
     "Spans",
-    "Turns",
     "box_corners",
     "boxes_around",
     "frames_of",
@@ -142,26 +141,6 @@ class Frames(NamedTuple):
         return at[which], row
 
 
-class Turns(NamedTuple):
-    """Where outlines turn: the extreme points of spheres, and all corners of boxes.
-
-    Attributes
-    ----------
-    owner : (n,)
-        The object, of all, spheres first.
-    x, y : (n,)
-        In pixels from the picture's upper left corner; not finite for what is not before the eye.
-    begins, ends : (n,)
-        Whether the object may begin there in a row of pixels, and whether it may end.
-    """
-
-    owner: Ints
-    x: Floats
-    y: Floats
-    begins: Bools
-    ends: Bools
-
-
 class Outlines(NamedTuple):
     """What all rows share: each object's place in the camera's axes.
 
@@ -269,31 +248,6 @@ class Outlines(NamedTuple):
         depth = self.raster.depth
         found = self.center[2] + side * self.radius * slope / np.sqrt(slope * slope + depth**2)
         return np.where(found > 0, found, np.nan) / depth
-
-    def turns(self, surfaces: Surfaces) -> Turns:
-        """Where the outlines of all objects turn.
-
-        Corners to the left of their box's middle are taken for beginnings, the others for ends.  If
-        that is wrong, what lies between a corner and the true beginnings counts as crossed as well.
-        """
-        raster, spheres = self.raster, np.arange(self.radius.size)
-        boxes = np.arange(len(surfaces.min_pt)) + spheres.size
-        _, top, bottom, left, right = self.frames.take(slice(0, spheres.size))
-        highest, lowest = (
-            raster.column(self.center[0] / self._ahead(raster.down(y), side))
-            for y, side in ((top, 1), (bottom, -1))
-        )
-        u, v, w = _local_corners(raster, surfaces.min_pt, surfaces.max_pt)
-        ahead = np.where(w > 0, w, np.nan) / raster.depth
-        x, y = raster.column(u / ahead), raster.row(v / ahead)
-        before = x < x.mean(axis=0)
-        return Turns(
-            np.append(np.tile(spheres, 4), np.tile(boxes, 8)),
-            np.append([left, right, highest, lowest], x),
-            np.append([*self.widest(), top, bottom], y),
-            np.append(np.repeat([True, False, True, True], spheres.size), before),
-            np.append(np.repeat([False, True, True, True], spheres.size), ~before),
-        )
 
     def broken(self, surfaces: Surfaces) -> Bools:
         """Boxes (b,) of whose outline a part is unknown, as the eye is too near an edge."""
