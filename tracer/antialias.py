@@ -24,7 +24,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, equal_runs, ranges
 from tracer.crossings import crossed, outlines_across
 from tracer.curvature import curvature, extrapolated
-from tracer.edges import Lines, joined
+from tracer.edges import Kind, Lines, joined
 from tracer.lighting import Lighting
 from tracer.looks import Cells, LightingIn, Seen, look, look_at, radiance_in
 from tracer.outlines import Frames
@@ -134,11 +134,11 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    outlines, within_limbs = outlines_across(lighting.view, cells, seen)
+    lines = joined([outlines_across(lighting.view, cells, seen), *seen.lines])
     unresolved = cells.error > cells.tolerance
-    unresolved[within_limbs] = False
+    # Just within a limb light bends because it falls off towards that line: points there tell.
+    unresolved[lines.cell[(lines.kind == Kind.LIMB) & (lines.c < 0)]] = False
     unresolved |= seen.unresolved
-    lines = joined([outlines, *seen.lines])
     same = _SAME * cells.tolerance
     lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), same, unresolved)
     # Each side of a line has samples of its own; what is not divided needs to be known as a whole.

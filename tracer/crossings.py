@@ -68,14 +68,10 @@ def crossed(
     return row[span] + rows.start, column, owner[span]
 
 
-def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
-    """Lines that outlines draw across cells; marks in `seen` the cells where they are not straight.
-
-    Also returned are the cells whose middles see a sphere within its limb: there the light bends
-    as it falls off towards that line.
-    """
+def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
+    """Lines that outlines draw across cells; marks in `seen` where they are not straight."""
     outlines, spheres = view.outlines, view.surfaces.sphere_count
-    lines, within_limbs = [], np.zeros(0, dtype=np.intp)
+    lines = []
     at = np.flatnonzero(cells.owner < spheres)
     if at.size:
         cell, ball = cells.cell[at], cells.owner[at]
@@ -92,9 +88,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
         straight = turn <= min(MOST_TURN, _LIMB_TURN * cells.tolerance)
         seen.unresolved[cell[near & ~straight]] = True
-        crosses = discs.crosses()
-        lines.append(discs.take(np.flatnonzero((turn <= MOST_TURN) & crosses)))
-        within_limbs = cell[straight & crosses & (seen.spheres()[cell] == ball)]
+        lines.append(discs.take(np.flatnonzero((turn <= MOST_TURN) & discs.crosses())))
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
@@ -102,7 +96,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> tuple[Lines, Ints]:
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
         lines.append(edges)
-    return joined(lines), within_limbs
+    return joined(lines)
 
 
 def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:

@@ -102,15 +102,6 @@ class Seen(NamedTuple):
         none = np.zeros(count, dtype=np.bool_)
         return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
 
-    def spheres(self) -> Ints:
-        """The sphere (n,) that the sample in each cell's middle sees; -1 for what is none."""
-        seen = np.full(self.key.size, -1)
-        for found, cell in self.shadow_edges:
-            for group in found.hits.groups:
-                if not group.flat:
-                    seen[cell[group.sample]] = found.own[group.part]
-        return seen
-
     def lighting_in(self, lighting: Lighting) -> LightingIn:
         """The lighting for samples in cells, with what looks have found of shadows there."""
         if not lighting.shadows.caches:
