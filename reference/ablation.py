@@ -36,7 +36,7 @@ from tracer import (
     stretches,
     visibility,
 )
-from tracer.arrays import Bools, Floats, Ints
+from tracer.arrays import Floats, Ints
 from tracer.edges import Lines
 from tracer.lighting import Lighting
 from tracer.looks import LightingIn, Seen
@@ -77,9 +77,9 @@ def _uncertain(*arguments: Any, near: Any = stretches._near) -> tuple[Any, Any]:
     return meets, np.zeros_like(cuts)
 
 
-def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bools]:
+def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     """No curvature anywhere."""
-    return np.zeros_like(radiance), np.zeros(key.size), np.zeros(key.size, dtype=np.bool_)
+    return np.zeros_like(radiance), np.zeros(key.size)
 
 
 def _forgotten(_: Seen, lighting: Lighting) -> LightingIn:

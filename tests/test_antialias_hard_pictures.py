@@ -15,7 +15,7 @@ from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, antialias, render
-from tracer.arrays import Bools, Floats, Ints, Vector
+from tracer.arrays import Floats, Ints, Vector
 from tracer.curvature import curvature
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
@@ -486,7 +486,7 @@ def test_more_lights_than_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     # A key says what a pixel sees, and which lights reach it: the first of them counts, too.
     keys: set[int] = set()
 
-    def noted(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bools]:
+    def noted(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
         keys.update(key.tolist())
         return curvature(radiance, key, width)
 

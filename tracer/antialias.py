@@ -102,9 +102,7 @@ def antialiased(
         strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
         places = np.arange(first * width, first * width + strip.size)
         look(lighting, strip, 1.0, tolerance, seen, places)
-    bend, error, unknown = curvature(seen.radiance, seen.key, width)
-    # What is known does not ask for a closer look; what is not, may.
-    error[unknown & (error <= tolerance)] = np.nan
+    bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(view.outlines, view.surfaces, rows, slice(begin, end))
     pixels = Cells(

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints
+from tracer.arrays import Floats, Ints
 
 __all__ = ["curvature", "extrapolated"]
 
 
-def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, Bools]:
+def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     """What to add to the samples at pixels' centres for the pixels' means, and its error (n,).
 
-    `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.  The third
-    array (n,) says where nothing is known in a direction, which the error leaves out.
+    `radiance` (3, n) and `key` (n,) are what `looks.Seen` says, with n = height * width.
 
     The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
     are differences between a pixel and its neighbours, where both of these see the same as it
-    does; where only one does, the difference counts as error; where neither does, nothing is known.
+    does; where only one does, the difference counts as error; where neither does, that is NaN.
     Results for pixels on the rim are meaningless.
     """
     count = key.size
     total, error = np.zeros(radiance.shape), np.zeros(count)
-    unknown = np.zeros(count, dtype=np.bool_)
     for stride in (1, width):
         middle = slice(stride, count - stride)
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
-        unknown[middle] |= ~(before | after)
         # Edges are few: differences are taken everywhere, and those across edges put right.
         edge = np.flatnonzero(~same)
         one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
@@ -41,11 +38,12 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats, 
             out[middle] += bend
         at = one_sided + stride
         error[at] = np.maximum(error[at], change)
+        error[np.flatnonzero(~(before | after)) + stride] = np.nan
     total *= 1 / 24
     error *= 1 / 24
     for channel in total:
         np.maximum(error, np.abs(channel), out=error)
-    return total, error, unknown
+    return total, error
 
 
 def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple[Floats, Floats]:
