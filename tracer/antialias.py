@@ -174,10 +174,8 @@ def _refine(
         at = cells.at(near.cell, near.x, near.y)
         colors[:, beside] = radiance_in(lighting_in, *at, near.cell)
     cell, total = _total(sides, colors)
-    # A hidden outline divides nothing: there the sample in the middle, corrected, is better, unless
-    # the two differ.
-    differ = np.any(np.abs(total - mean[:, cell]) > cells.tolerance, axis=0)
-    shown = np.flatnonzero(divided[cell] | differ)
+    # A hidden outline divides nothing: there the sample in the middle, corrected, is better.
+    shown = np.flatnonzero(divided[cell])
     mean[:, cell[shown]] = total[:, shown]
 
 
