@@ -87,12 +87,10 @@ def _forgotten(_: Seen, lighting: Lighting) -> LightingIn:
     return lambda _: lighting
 
 
-def _alike(_: Lines, cells: Ints, x: Floats, __: Floats) -> tuple[Floats, Points]:
+def _alike(_: Lines, cells: Ints, x: Floats, y: Floats) -> Points:
     """All points in a cell have the same share, whatever lines lie between them."""
-    none = np.zeros(0)
-    nowhere = none.astype(np.intp)
-    shares = np.full((cells.size, x.size), 1 / x.size)
-    return shares, Points(nowhere, none, none, none, nowhere > 0)
+    shares = np.full(cells.size * x.size, 1 / x.size)
+    return Points(np.repeat(cells, x.size), shares, np.tile(x, cells.size), np.tile(y, cells.size))
 
 
 def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:

@@ -145,48 +145,32 @@ def _refine(
     unresolved |= unknown
     if not (lines.cell.size or (unresolved & wanted).any()):
         return  # one smooth surface
-    sides = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
-    colors = np.empty((3, sides.cell.size))
-    divided = np.ones(unresolved.size, dtype=np.bool_)
-    looked = sides.beyond & (per_side >= _LOOK_BEYOND)
-    beyond = np.flatnonzero(looked)
-    if beyond.size:
-        there = sides.take(beyond)
-        colors[:, beyond], key, found, more = _look_beyond(lighting, cells, there)
+    sides, beyond = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
+    # Points on the middle's side, or across a shadow's edge, are covered by the look, and where few
+    # samples are asked for no others are looked at: only sampled.
+    looked = beyond & (per_side >= _LOOK_BEYOND)
+    beside, there = (sides.take(np.flatnonzero(m)) for m in (~looked, looked))
+    colors, hidden = np.empty((3, 0)), np.zeros(unresolved.size, dtype=np.bool_)
+    if there.cell.size:
+        colors, key, found, more = _look_beyond(lighting, cells, there)
         unresolved[more] = True
         lines = joined([lines, found])
-        divided[there.cell] = False
-        divided[there.cell[key != seen.key[there.cell]]] = True
+        # A hidden outline divides nothing: there the sample in the middle, corrected, is better.
+        hidden[there.cell] = True
+        hidden[there.cell[key != seen.key[there.cell]]] = False
     # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
     lines = _few(lines, same, unresolved)
-    kept = np.flatnonzero(~unresolved[sides.cell])
-    sides, colors = sides.take(kept), colors[:, kept]
-    rest = np.flatnonzero(unresolved & wanted)
+    divided, rest = ~(unresolved | hidden), np.flatnonzero(unresolved & wanted)
+    mean[:, rest] = 0
+    mean[:, sides.cell[divided[sides.cell]]] = 0
+    kept = np.flatnonzero(divided[there.cell])
+    there.take(kept).add(colors[:, kept], mean)
+    beside = beside.take(np.flatnonzero(divided[beside.cell]))
     lighting_in = seen.lighting_in(lighting)
-    # Points on the middle's side, or across a shadow's edge, are covered by the look, and where few
-    # samples are asked for no others are looked at: only sample.
-    beside = np.flatnonzero(~looked[kept])
-    near = sides.take(beside)
-    if per_side <= _LAST:
-        colors[:, beside] = _sample(lighting, lighting_in, cells, lines, rest, per_side, near, mean)
-    else:
+    if per_side > _LAST:
         _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
-        at = cells.at(near.cell, near.x, near.y)
-        colors[:, beside] = radiance_in(lighting_in, *at, near.cell)
-    cell, total = _total(sides, colors)
-    # A hidden outline divides nothing: there the sample in the middle, corrected, is better.
-    shown = np.flatnonzero(divided[cell])
-    mean[:, cell[shown]] = total[:, shown]
-
-
-def _total(sides: Points, colors: Floats) -> tuple[Ints, Floats]:
-    """Cells (m,), and the sums (3, m) of the colours (3, n) of their sides, weighted by shares."""
-    order = np.argsort(sides.cell, kind="stable")
-    cell = sides.cell[order]
-    first, _ = equal_runs(cell)
-    if not first.size:
-        return cell, colors
-    return cell[first], np.add.reduceat((sides.share * colors)[:, order], first, axis=1)
+        rest = rest[:0]
+    _sample(lighting, lighting_in, cells, lines, rest, per_side, beside, mean)
 
 
 def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
@@ -219,34 +203,25 @@ def _sample(
     lines: Lines,
     some: Ints,
     per_side: int,
-    near: Points,
+    beside: Points,
     mean: Floats,
-) -> Floats:
-    """Replace the mean radiance (3, n) of some cells by that of a lattice of samples in each.
+) -> None:
+    """Add to the mean radiance (3, n) that of a lattice of samples in some cells.
 
-    Returned is the radiance at the points `near`: they are sampled together with the first cells,
-    for one long array takes less time than two.
+    So is that of the points `beside`: together with the first cells, for one long array takes less
+    time than two.
     """
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
     step = max(1, lighting.view.at_once(_CHUNK) // lattice.size)
-    colors = np.empty((3, near.cell.size))
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
         held = np.flatnonzero(np.isin(lines.cell, part))
-        weights, empty = post_stratified(lines.take(held), part, x, y)
-        lone = empty if begin else empty.joined(near)
-        inside = np.append(np.repeat(part, lattice.size), lone.cell)
-        at = np.append(np.tile(x, part.size), lone.x), np.append(np.tile(y, part.size), lone.y)
-        radiance = radiance_in(lighting_in, *cells.at(inside, *at), inside)
-        ends = np.cumsum([weights.size, empty.cell.size])
-        spread, single, others = np.split(radiance, ends, axis=1)
-        mean[:, part] = (spread.reshape(3, *weights.shape) * weights).sum(axis=2)
-        for channel, values in zip(mean, single, strict=True):
-            np.add.at(channel, empty.cell, empty.share * values)
+        points = post_stratified(lines.take(held), part, x, y)
         if not begin:
-            colors[:] = others
-    return colors
+            points = points.joined(beside)
+        at = cells.at(points.cell, points.x, points.y)
+        points.add(radiance_in(lighting_in, *at, points.cell), mean)
 
 
 def _split(

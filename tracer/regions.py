@@ -32,16 +32,12 @@ class Points(NamedTuple):
         The part of the cell's area that each stands for.
     x, y : (n,)
         Where they are in their cells, from -1/2 to 1/2.
-    beyond : (n,)
-        Whether they lie beyond a line, seen from the cell's middle, where the look at the cell
-        says nothing: they may see another surface, or light that was not sought.
     """
 
     cell: Ints
     share: Floats
     x: Floats
     y: Floats
-    beyond: Bools
 
     def take(self, index: Ints) -> Points:
         """Some of them."""
@@ -51,11 +47,18 @@ class Points(NamedTuple):
         """These, then others."""
         return Points._make(map(np.append, self, other))
 
+    def add(self, radiance: Floats, mean: Floats) -> None:
+        """Add radiance (3, n) at the points, by their shares, to the mean (3, cells) of cells."""
+        for channel, values in zip(mean, radiance, strict=True):
+            np.add.at(channel, self.cell, self.share * values)
 
-def sides_of(lines: Lines, same: float) -> Points:
+
+def sides_of(lines: Lines, same: float) -> tuple[Points, Bools]:
     """Points on both sides of lines, each line being the only one in its cell, or the `same`.
 
     One in the middle of each side; on the sphere's side of a limb, where light falls off, two.
+    Those beyond the line, seen from the cell's middle, are marked (n,): there the look at the cell
+    says nothing, and they may see another surface, or light that was not sought.
     """
     share, moment_x, moment_y = lines.areas_and_moments()
     shares, x, y = (
@@ -73,24 +76,19 @@ def sides_of(lines: Lines, same: float) -> Points:
     limb = np.flatnonzero(lines.kind == Kind.LIMB)
     within = share.size + limb
     shares[within] = 0  # two points stand for that side
-    sides = Points(np.tile(lines.cell, 2), shares, x, y, beyond)
-    shares, x, y = lines.take(limb).gauss_points()
-    roots = Points(
-        np.tile(lines.cell[limb], 2),
-        shares.ravel(),
-        x.ravel(),
-        y.ravel(),
-        np.tile(beyond[within], 2),
-    )
-    sides = sides.joined(roots)
-    return sides.take(np.flatnonzero(sides.share > _NOTHING))
+    sides = Points(np.tile(lines.cell, 2), shares, x, y)
+    roots = (m.ravel() for m in lines.take(limb).gauss_points())
+    sides = sides.joined(Points(np.tile(lines.cell[limb], 2), *roots))
+    beyond = np.append(beyond, np.tile(beyond[within], 2))
+    some = np.flatnonzero(sides.share > _NOTHING)
+    return sides.take(some), beyond[some]
 
 
-def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Floats, Points]:
-    """Shares (cells, points) of the same points in all cells, given lines sorted by cell.
+def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> Points:
+    """The same points in all cells, cell after cell, given lines sorted by cell.
 
-    The points in a region have equal parts of its share.  For the regions without any, points in
-    their middles are returned.
+    The points in a region have equal parts of its share.  The regions without any have a point in
+    the middle of each: these come last.
     """
     first, count = equal_runs(lines.cell)
     weights = np.full((cells.size, x.size), 1 / x.size)
@@ -104,16 +102,16 @@ def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Fl
         z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
         code[some] |= (z < 0) << number
         polygons = polygons.divided(lines, first + number, count > number, number)
-    share, x, y = polygons.centroids()
+    share, middle_x, middle_y = polygons.centroids()
     region = polygons.code + (polygons.cell << bits)
     held = np.bincount(code.ravel(), minlength=first.size << bits)
     shares = np.bincount(region, share, minlength=held.size) / np.maximum(held, 1)
     crossed = lines.cell[first]
     weights[np.searchsorted(cells, crossed)] = shares[code]
     empty = np.flatnonzero((held[region] == 0) & (share > _NOTHING))
-    beyond = np.ones(empty.size, dtype=np.bool_)
-    cell = crossed[polygons.cell[empty]]
-    return weights, Points(cell, share[empty], x[empty], y[empty], beyond)
+    lone = Points(crossed[polygons.cell[empty]], share[empty], middle_x[empty], middle_y[empty])
+    x, y = np.tile(x, cells.size), np.tile(y, cells.size)
+    return Points(np.repeat(cells, weights.shape[1]), weights.ravel(), x, y).joined(lone)
 
 
 class _Polygons(NamedTuple):
