@@ -29,7 +29,7 @@ from tracer.arrays import (
     select,
 )
 from tracer.camera import Raster
-from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined, sagitta_error, straight
+from tracer.edges import Kind, Lines, Pencil, joined, sagitta_error
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
 from tracer.outlines import box_corners, silhouette_planes
@@ -113,10 +113,7 @@ def intersections(
     a, b, c = u * raster.step_u * size, v * raster.step_v * size, dot((u, v, w), d)
     lines = Lines(cell[sample], np.full(sample.size, Kind.EDGE), a, b, c)
     off = off_first + off_second
-    turn = lines.turn(off)
-    bent = ~straight(turn, tolerance)
-    unresolved[lines.cell[bent & (np.abs(c) <= lines.reach() + off)]] = True
-    return lines.take(np.flatnonzero((turn <= MOST_TURN) & lines.crosses()))
+    return lines.straightened(lines.turn(off), tolerance, unresolved)
 
 
 def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Triple, Floats]:
@@ -232,10 +229,8 @@ class Patches(NamedTuple):
         discs, turn, near = pencil.take(on).discs(center, radius)
         side = entries(self.lighting.shadows.occluders.side, light[on], ball)
         # A footprint larger than the sphere may hold the whole of its shadow.
-        odd = (turn > MOST_TURN) | (side != OUTSIDE) | (self.footprint[at[on]] > radius)
-        bent = ~straight(turn, self.tolerance)
-        unresolved[discs.cell[(odd | bent) & near]] = True
-        discs = discs.take(np.flatnonzero(~odd & discs.crosses()))
+        turn[(side != OUTSIDE) | (self.footprint[at[on]] > radius)] = np.inf
+        discs = discs.straightened(turn, self.tolerance, unresolved, near)
         on = np.flatnonzero(occluder >= spheres)
         if not on.size:
             return discs
@@ -248,8 +243,7 @@ class Patches(NamedTuple):
         planes = each(lambda m: m.take(place, axis=1), planes)
         edges, turn, unknown = pencil.take(on).boxes(planes)
         unresolved[pencil.cell[on[unknown]]] = True
-        unresolved[edges.cell[~straight(turn, self.tolerance)]] = True
-        return joined([discs, edges.take(np.flatnonzero(turn <= MOST_TURN))])
+        return joined([discs, edges.straightened(turn, self.tolerance, unresolved)])
 
     def _near_terminator(self, incoming: Incoming) -> tuple[Ints, Ints]:
         """Pairs of a light and a point of a sphere whose footprint the terminator may cross."""
@@ -279,10 +273,7 @@ class Patches(NamedTuple):
         normal = self.hits.raster.vector_to_scene(pick(group.n, at))
         gradient = each(lambda d, n: d / r + n, ray, normal)
         off = sagitta_error(gradient, self.sagitta(at))
-        turn = lines.turn(off)
-        bent = ~straight(turn, self.tolerance)
-        unresolved[lines.cell[bent & (np.abs(lines.c) <= lines.reach() + off)]] = True
-        return lines.take(np.flatnonzero((turn <= MOST_TURN) & lines.crosses()))
+        return lines.straightened(lines.turn(off), self.tolerance, unresolved)
 
     def ridges(self) -> Lines:
         """Where a box's face meets another that is seen as well."""

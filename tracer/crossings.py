@@ -8,17 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.arrays import Floats, Ints, dot, each, expand, pick
-from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
+from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
 from tracer.scene import Surfaces
 from tracer.visibility import View
 
 __all__ = ["crossed", "outlines_across"]
-
-# A limb passes for straight if it turns by less than this, in radians, times the tolerance: found
-# by trial.
-_LIMB_TURN = 57.0
 
 # A line so near to the top or bottom of an object, in pixels, may touch it and no more.
 _TOUCHING = 1e-6
@@ -86,9 +82,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
             rest = np.flatnonzero(~touched)
             cell, ball, pencil = cell[rest], ball[rest], pencil.take(rest)
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
-        straight = turn <= min(MOST_TURN, _LIMB_TURN * cells.tolerance)
-        seen.unresolved[cell[near & ~straight]] = True
-        lines.append(discs.take(np.flatnonzero((turn <= MOST_TURN) & discs.crosses())))
+        lines.append(discs.straightened(turn, cells.tolerance, seen.unresolved, near))
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)

@@ -19,13 +19,14 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
 
-__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error", "straight"]
+__all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
 MOST_TURN = 0.2
 """A line that turns by less (in radians) across a cell can stand for what bends there."""
 
-# Such a line passes for straight if it turns by less than this, in radians, times the tolerance.
-_TURN = 400.0
+# Such a line passes for straight if it turns by less than this, in radians, times the tolerance: a
+# limb, or any other line.  Found by trial.
+_LIMB_TURN, _TURN = 57.0, 400.0
 
 # The smaller of |a| and |b| counts as at least this part of the larger: areas divide by both.
 _LEAST_SLOPE = 1e-4
@@ -137,6 +138,21 @@ class Lines(NamedTuple):
         turn: Floats = 4 * off / self.reach()
         return turn
 
+    def straightened(
+        self, turn: Floats, tolerance: float, unresolved: Bools, near: Bools | None = None
+    ) -> Lines:
+        """The lines that pass through their cells, where they can stand for the arcs that they are.
+
+        Marks `unresolved` the cells where arcs do not pass for straight if cells may be off by no
+        more than the tolerance.  `turn` (n,): how far each turns; `near` (n,): which may cross
+        their cells as arcs: by default, as far as `turn` says.
+        """
+        if near is None:
+            near = np.abs(self.c) <= self.reach() * (1 + turn / 4)
+        most = np.where(self.kind == Kind.LIMB, _LIMB_TURN, _TURN) * tolerance
+        unresolved[self.cell[near & ~(turn <= np.minimum(most, MOST_TURN))]] = True
+        return self.take(np.flatnonzero((turn <= MOST_TURN) & self.crosses()))
+
     def areas_and_moments(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
 
@@ -204,12 +220,6 @@ def joined(lines: Iterable[Lines]) -> Lines:
     none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
     parts = [Lines(none, none, nothing, nothing, nothing), *lines]
     return Lines._make(map(np.concatenate, zip(*parts, strict=True)))
-
-
-def straight(turn: Floats, tolerance: float) -> Bools:
-    """Whether lines that turn so far (n,) pass for straight where cells may be off by so much."""
-    passes: Bools = turn <= min(MOST_TURN, _TURN * tolerance)
-    return passes
 
 
 def sagitta_error(gradient: Triple, sagitta: Triple | None) -> Floats:
@@ -308,7 +318,7 @@ class Pencil(NamedTuple):
         return lines, turn, lines.crosses() | (within & (turn > MOST_TURN))
 
     def boxes(self, planes: Triple) -> tuple[Lines, Floats, Bools]:
-        """The outline of one box for each ray: lines that cross their cells, and their turns.
+        """The outline of one box for each ray: lines that may cross their cells, and their turns.
 
         `planes`: the normals, three (6, n), of the planes through the apex that hold the outline's
         edges, pointing inwards.  The third array (n,) says where one of them is missing (zero).
@@ -327,8 +337,8 @@ class Pencil(NamedTuple):
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
         at = [
-            np.flatnonzero(within & np.where(t > MOST_TURN, np.abs(edge.c) < m, edge.crosses()))
-            for edge, m, t in zip(edges, reach, turn, strict=True)
+            np.flatnonzero(within & (np.abs(edge.c) < m))
+            for edge, m in zip(edges, reach, strict=True)
         ]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         turns = np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
