@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, dot, each, expand, pick
+from tracer.arrays import Floats, Ints, each, expand, pick
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
@@ -72,16 +72,10 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
     if at.size:
         cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
-        touched = outlines.power[ball] == 0
-        if touched.any():
-            # The eye is on them: the plane that touches them there divides what it sees.
-            on = pencil.take(np.flatnonzero(touched))
-            center = pick(outlines.center, ball[touched])
-            a, b, c = (dot(center, m) for m in (on.across, on.down, on.ray))
-            lines.append(Lines(on.cell, np.full(on.cell.size, Kind.EDGE), a, b, c).crossing())
-            rest = np.flatnonzero(~touched)
-            cell, ball, pencil = cell[rest], ball[rest], pencil.take(rest)
         discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
+        # The outline of a sphere that the eye is on is no circle around its centre.
+        on = outlines.power[ball] == 0
+        turn[on], near[on] = np.inf, True
         lines.append(discs.straightened(turn, cells.tolerance, seen.unresolved, near))
     at = np.flatnonzero(cells.owner >= spheres)
     if at.size:
