@@ -42,9 +42,6 @@ __all__ = ["Patches", "footprints_of", "intersections", "near_lights"]
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
 
-# Least cosine between normal and sight that footprints are computed with: edge-on they have no end.
-_EDGE_ON = 1e-12
-
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
 
@@ -67,7 +64,6 @@ def footprints_of(hits: Hits, radius: Floats, size: float) -> Floats:
         _, n_dot_v = hits.distance_and_cosine(group)
         if group.flat:
             # The far end of the cell sees the face at a smaller cosine: by up to the angle.
-            n_dot_v = np.maximum(n_dot_v, _EDGE_ON)
             footprint[:] = half / n_dot_v / np.maximum(1 - angle / n_dot_v, _NEARLY)
             continue
         footprint[:] = half / n_dot_v
