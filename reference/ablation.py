@@ -129,10 +129,7 @@ ONE_SAMPLE = [
 
 ANTIALIASING = [
     Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
-    Part(
-        "no samples in the last cells: looks to the end",
-        [(antialias, "_LAST", 1), (antialias, "_LOOK_BEYOND", 1)],
-    ),
+    Part("no samples in the last cells: looks to the end", [(antialias, "_LAST", 1)]),
     Part("samples in cells twice as large", [(antialias, "_LAST", 4)]),
     Part(
         "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]

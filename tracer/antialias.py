@@ -48,10 +48,6 @@ _CURVATURE = 1e-2
 # has been split gets no fewer samples than this.
 _LAST = 3
 
-# From so many samples along each side on, what lies beyond lines is looked at: a coarser grid errs
-# more than samples there, whatever these miss.
-_LOOK_BEYOND = 3
-
 # With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than looks.
 _DENSE = 0.006
@@ -146,9 +142,10 @@ def _refine(
     if not (lines.cell.size or (unresolved & wanted).any()):
         return  # one smooth surface
     sides, beyond = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
-    # Points on the middle's side, or across a shadow's edge, are covered by the look, and where few
-    # samples are asked for no others are looked at: only sampled.
-    looked = beyond & (per_side >= _LOOK_BEYOND)
+    # Points on the middle's side, or across a shadow's edge, are covered by the look.  The others
+    # are looked at, too, unless few samples are asked for: so coarse a grid errs more than samples
+    # there, whatever these miss.
+    looked = beyond & (per_side >= _LAST)
     beside, there = (sides.take(np.flatnonzero(m)) for m in (~looked, looked))
     colors, hidden = np.empty((3, 0)), np.zeros(unresolved.size, dtype=np.bool_)
     if there.cell.size:
