@@ -183,11 +183,11 @@ def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("pixels_are_split", "either_finder")
-def test_strips(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Pixels of a large band are looked at strip by strip; what is found in all serves its samples.
+def test_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The cells of a large band are split and sampled some at a time.
     for seed in range(3):
         scene = random_scene("scattered", seed, 36, 24)
         image = render(scene, 16, threads=1)
-        with monkeypatch.context() as strips:
-            strips.setattr(antialias, "_STRIP", 200)
+        with monkeypatch.context() as chunks:
+            chunks.setattr(antialias, "_CHUNK", 200)
             assert np.array_equal(render(scene, 16, threads=1), image)

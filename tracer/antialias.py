@@ -36,9 +36,6 @@ __all__ = ["antialiased", "dense", "splittings"]
 # Samples that are taken at a time in unresolved cells.
 _CHUNK = 1 << 16
 
-# Pixels that are looked at together.
-_STRIP = 3 << 16
-
 # A cell is split where its correction for curvature may err by more than this, in radiance, over
 # the power 3/2 of the samples along each side: so fast the error of grids falls.
 _CURVATURE = 1e-2
@@ -92,19 +89,15 @@ def antialiased(
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
     seen = Seen.of(height * width)
-    # Strip by strip, each as large as the processor's cache holds.
-    step, across = max(1, _STRIP // width), slice(left, left + width)
-    for first in range(0, height, step):
-        strip = CENTRES.samples(slice(top + first, top + min(first + step, height)), across)
-        places = np.arange(first * width, first * width + strip.size)
-        look(lighting, strip, 1.0, tolerance, seen, places)
+    centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
+    look(lighting, centres, 1.0, tolerance, seen, np.arange(centres.size))
     bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(view.outlines, view.surfaces, rows, slice(begin, end))
     pixels = Cells(
         1.0,
         tolerance,
-        *CENTRES.samples(slice(top, top + height), across).positions(),
+        *centres.positions(),
         error,
         (row - top) * width + column - left,
         owner,
