@@ -88,9 +88,8 @@ def antialiased(
     left, width = begin - 1, end + 2 - begin
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
-    seen = Seen.of(height * width)
     centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
-    look(lighting, centres, 1.0, tolerance, seen, np.arange(centres.size))
+    seen = look(lighting, centres, np.arange(centres.size), 1.0, tolerance)
     bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
     row, column, owner = crossed(view.outlines, view.surfaces, rows, slice(begin, end))

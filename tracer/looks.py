@@ -74,7 +74,7 @@ class Cells(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What looks have found, n being the number of cells.
+    """What a look has found, n being the number of cells.
 
     Attributes
     ----------
@@ -84,8 +84,10 @@ class Seen(NamedTuple):
         A number for the object, its face, and the lights that reach it; -1 where nothing is seen.
     lines : list of Lines
         What divides the surfaces: where they meet, ridges, shadows and terminators.
-    shadow_edges : list of (ShadowEdges, (m,))
-        For each call of `look`: what may shade around its m samples, and the cell of each.
+    cell : (n,)
+        The cell of each sample that was taken.
+    shadow_edges : ShadowEdges
+        What may shade around the samples.
     unresolved : (n,)
         Whether a cell may hold more than straight lines.
     """
@@ -93,23 +95,18 @@ class Seen(NamedTuple):
     radiance: Floats
     key: Ints
     lines: list[Lines]
-    shadow_edges: list[tuple[ShadowEdges, Ints]]
+    cell: Ints
+    shadow_edges: ShadowEdges
     unresolved: Bools
 
-    @classmethod
-    def of(cls, count: int) -> Seen:
-        """Nothing so far, for this many cells."""
-        none = np.zeros(count, dtype=np.bool_)
-        return cls(np.zeros((3, count)), np.full(count, -1), [], [], none)
-
     def lighting_in(self, lighting: Lighting) -> LightingIn:
-        """The lighting for samples in cells, with what looks have found of shadows there."""
+        """The lighting for samples in cells, with what the look has found of shadows there."""
         if not lighting.shadows.caches:
             return lambda _: lighting
-        seen = np.concatenate([cell[found.hits.sample] for found, cell in self.shadow_edges])
+        seen = self.cell[self.shadow_edges.hits.sample]
         place = np.full(self.key.size, -1)
         place[seen] = np.arange(seen.size)
-        cached = lighting.shadows.cached([found for found, _ in self.shadow_edges])
+        cached = lighting.shadows.cached([self.shadow_edges])
         return lambda cell: lighting._replace(shadows=cached(place[cell]))
 
 
@@ -138,57 +135,52 @@ def look_at(
     `share`: see `look`.
     """
     samples, order = Scattered.of(x, y)
-    seen = Seen.of(order.size)
-    look(lighting_in(cell[order]), samples, size, tolerance, seen, order, share)
-    return seen
+    return look(lighting_in(cell[order]), samples, order, size, tolerance, share)
 
 
 def look(
     lighting: Lighting,
     samples: Samples,
+    cell: Ints,
     size: float,
     tolerance: float,
-    seen: Seen,
-    cell: Ints,
     share: float = 1.0,
-) -> None:
-    """Look at cells of a size around samples; what is found goes into `seen`.
+) -> Seen:
+    """Look at cells of a size around samples.
 
-    `cell` (n,): the cell of `seen` around each sample.  `share`: the part of its cell's width that
-    a sample stands for.
+    `cell` (n,): the cell around each, a number less than n.  `share`: the part of its cell's width
+    that a sample stands for.
     """
+    radiance, key = np.zeros((3, cell.size)), np.full(cell.size, -1)
+    unresolved = np.zeros(cell.size, dtype=np.bool_)
     surfaces = lighting.view.surfaces
     hits, behind = visible_and_behind(lighting.view, samples, size)
-    meet = intersections(hits, behind, surfaces, cell, size, tolerance, seen.unresolved)
-    seen.lines.append(meet)
+    lines = [intersections(hits, behind, surfaces, cell, size, tolerance, unresolved)]
     incoming = incoming_at(lighting, hits)
     facing = incoming.n_dot_l > 0
     footprint = footprints_of(hits, surfaces.radius, size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
     wide = near_lights(incoming, share * footprint)
-    seen.unresolved[cell[hits.sample[wide]]] = True
+    unresolved[cell[hits.sample[wide]]] = True
     reach = footprint.copy()
     reach[wide] = 0
     blocked, found = lighting.shadows.edges(hits, facing, reach)
     lit = facing & ~blocked
-    seen.shadow_edges.append((found, cell))
     for group in hits.groups:
         inside, part = cell[group.sample], group.part
         here, reached = incoming.part(part), lit[:, part]
         highlights = Highlights.of(lighting, hits, group)
         shaded = shade(highlights, here, reached)
-        for channel, values in zip(seen.radiance, shaded, strict=True):
+        for channel, values in zip(radiance, shaded, strict=True):
             channel[inside] = values
-        key = group.spread(group.owner * 4) + group.face
+        number = group.spread(group.owner * 4) + group.face
         for bit in reached:
             # An odd factor: with more lights than bits, the first are not shifted out.
-            key = key * 3 + bit
-        seen.key[inside] = key
+            number = number * 3 + bit
+        key[inside] = number
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
-            seen.unresolved[inside[places]] = True
+            unresolved[inside[places]] = True
         patches = Patches(lighting, hits, group, inside, footprint[part], size, tolerance)
-        seen.lines.append(patches.shadows(found, seen.unresolved))
-        if group.flat:
-            seen.lines.append(patches.ridges())
-        else:
-            seen.lines.append(patches.terminators(here, seen.unresolved))
+        lines.append(patches.shadows(found, unresolved))
+        lines.append(patches.ridges() if group.flat else patches.terminators(here, unresolved))
+    return Seen(radiance, key, lines, cell, found, unresolved)
