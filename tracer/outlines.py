@@ -229,25 +229,19 @@ class Outlines(NamedTuple):
         right = np.minimum(frames.right[owner], self.raster.column(high))
         return self._clip(owner, row, left, right, pad)
 
-    def widest(self) -> tuple[Floats, Floats]:
+    def widest(self) -> list[Floats]:
         """The heights (s,) at which spheres extend farthest to the left, and to the right.
 
-        In pixels from the top; NaN where they extend without end.
+        In pixels from the top; NaN where they extend without end.  A plane through the eye that
+        touches a sphere, and is upright in the picture, does so at the height of the centre.
         """
-        raster, (_, v, _) = self.raster, self.center
-        left, right = (raster.across(m[: v.size]) for m in (self.frames.left, self.frames.right))
-        return raster.row(v / self._ahead(left, 1)), raster.row(v / self._ahead(right, -1))
-
-    def _ahead(self, slope: Floats, side: int) -> Floats:
-        """How many times as far ahead as the window a plane touches spheres.
-
-        A plane through the eye that touches a sphere, and is parallel to an axis of the camera,
-        does so where the centre is along that axis.  `slope`: where it cuts the window along the
-        other axis; `side`: 1 if the sphere lies beyond, else -1.
-        """
-        depth = self.raster.depth
-        found = self.center[2] + side * self.radius * slope / np.sqrt(slope * slope + depth**2)
-        return np.where(found > 0, found, np.nan) / depth
+        raster, (_, v, w) = self.raster, self.center
+        heights = []
+        for end, side in ((self.frames.left, 1), (self.frames.right, -1)):
+            slope = raster.across(end[: v.size])
+            ahead = w + side * self.radius * slope / np.sqrt(slope * slope + raster.depth**2)
+            heights.append(raster.row(v / (np.where(ahead > 0, ahead, np.nan) / raster.depth)))
+        return heights
 
     def broken(self, surfaces: Surfaces) -> Bools:
         """Boxes (b,) of whose outline a part is unknown, as the eye is too near an edge."""
