@@ -22,6 +22,7 @@ __all__ = [
     "SCENES",
     "built",
     "need_scenes",
+    "need_table",
     "own_scenes",
     "parser",
     "result",
@@ -60,10 +61,19 @@ def result(name: str, *, quick: bool) -> Path:
     return built(name) if quick else HERE / name
 
 
-def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.ArgumentParser:
+def need_table(used: argparse.ArgumentParser, path: Path) -> None:
+    """End with status 2 where the measurements that a chart is drawn from are not stored."""
+    if not path.exists():
+        used.exit(2, printable(f"{used.prog}: {path} is missing; measure first") + "\n")
+
+
+def parser(
+    module: str, doc: str | None, quick: str | None = None, *, redraw: bool = False
+) -> argparse.ArgumentParser:
     """The parser of `python -m module`, described by its docstring.
 
-    `quick` is what the option `--quick` does, if there is one.
+    `quick` is what the option `--quick` does, if there is one; `redraw`: whether there is
+    an option to draw stored measurements again.
     """
     made = argparse.ArgumentParser(
         prog=f"python -m {module}",
@@ -73,6 +83,8 @@ def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.A
     if quick:
         where = f"{quick}; writes into {BUILD.name}/"
         made.add_argument("--quick", action="store_true", help=where)
+    if redraw:
+        made.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     return made
 
 

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from converters.variant import LLVM, SCALAR, mi, use
 from reference import alternatives, machine, rivals
 from reference.charts import HALO, LOOKS, End, headline, label_ends, plt, read_csv, save, write_csv
-from reference.command import SCENES, built, need_scenes, parser, result, run
+from reference.command import SCENES, built, need_scenes, need_table, parser, result, run
 from reference.timing import Task, Timing, interleaved, on_copies, process
 from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized, to_xml
@@ -457,33 +457,32 @@ def _stored(path: Path) -> list[Point]:
 
 def main() -> None:
     """Measure, and write the chart."""
-    options = parser("reference.speed_accuracy", __doc__, quick="one scene, few samples")
-    options.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
-    chosen = options.parse_args()
-    need_scenes(options)
-    scenes, chart = _scenes(chosen.quick), result("speed_accuracy.csv", quick=chosen.quick)
-    if not chosen.redraw:
+    used = parser("reference.speed_accuracy", __doc__, quick="one scene, few samples", redraw=True)
+    options = used.parse_args()
+    need_scenes(used)
+    scenes, chart = _scenes(options.quick), result("speed_accuracy.csv", quick=options.quick)
+    if options.redraw:
+        need_table(used, chart)
+    else:
         try:
             use(LLVM)
         except ImportError as error:
-            options.exit(1, f"{options.prog}: {error}\n")
+            used.exit(1, f"{used.prog}: {error}\n")
         mi.set_log_level(mi.LogLevel.Error)
         points: list[Point] = []
         where = machine.describe()
         minutes = 2 * len(scenes)
         print(f"About {minutes} minutes, or less where the build folder has the truth already")
         for name, scene in tqdm(scenes.items(), unit="scene"):
-            points += measure(name, scene, quick=chosen.quick)
+            points += measure(name, scene, quick=options.quick)
         write_csv(
             chart,
             where,
             _COLUMNS,
             ((p.scene, p.method, p.samples, p.process, p.error, *astuple(p.time)) for p in points),
         )
-    elif not chart.exists():
-        options.exit(2, f"{options.prog}: {chart} is missing; measure first\n")
     # As the file has them, rounded: drawn again, the chart is the same.
-    save(_draw(scenes, _stored(chart), truth_side(chosen.quick) ** 2), chart)
+    save(_draw(scenes, _stored(chart), truth_side(options.quick) ** 2), chart)
 
 
 if __name__ == "__main__":

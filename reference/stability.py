@@ -1,6 +1,6 @@
 """The stability chart: where each method fails, and that this tracer does not.
 
-    python -m reference.stability [--quick]
+    python -m reference.stability [--quick | --redraw]
 
 writes `stability.svg`, `.png` and `.csv` into this folder.  Every point is a
 small picture of a scene that gets harder along the axis, compared with the same
@@ -11,9 +11,11 @@ missed, lit or in shadow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -32,10 +34,11 @@ from reference.charts import (
     label_ends,
     label_losses,
     plt,
+    read_csv,
     save,
     write_csv,
 )
-from reference.command import parser, result, run
+from reference.command import need_table, parser, result, run
 from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats, Vector
 
@@ -378,10 +381,11 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
     axes.set_title(panel.title, pad=_ROOM if error else 10)
     if error:
         axes.axhspan(_VISIBLE, 1.6, color="#fbe8dd", lw=0, zorder=0)
+        # In an SVG, ordinary spaces at the beginning do not count.
+        label = "\u00a0\u00a0visible in the picture"
         axes.text(
-            at[0], _VISIBLE, "  visible in the picture", va="bottom", color="#a04000", fontsize=8.5,
-            style="italic",
-        )  # fmt: skip
+            at[0], _VISIBLE, label, va="bottom", color="#a04000", fontsize=8.5, style="italic"
+        )
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
         # Nothing is named above these, so they may be taller.
@@ -414,11 +418,21 @@ def _draw(axes: Any, panel: Panel, at: NDArray[np.floating[Any]], found: dict[st
     label_losses(axes, lost)
 
 
-def main() -> None:
-    """Measure, and write the chart."""
-    options = parser("reference.stability", __doc__, quick="every third point only").parse_args()
-    step = 3 if options.quick else 1
-    methods = methods_of()
+_COLUMNS = ("panel", "axis", "at", "method", "measure", "value")
+
+
+def _rows(methods: dict[str, Method], step: int) -> Iterator[tuple[object, ...]]:
+    """What is measured in all panels, at every so many points of their axes."""
+    for panel in tqdm(PANELS, disable=None):
+        at = panel.at[::step]
+        unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
+        for name, values in measure(panel, methods, at).items():
+            for x, value in zip(at, values, strict=True):
+                yield panel.title, panel.axis, float(x), name, unit, float(value)
+
+
+def _chart(path: Path) -> Any:
+    """The figure of a stored table: as the file has the numbers, rounded."""
     figure, grid = plt.subplots(4, 2, figsize=(14, 17))
     figure.subplots_adjust(left=0.06, right=0.865, top=0.895, bottom=0.04, wspace=0.52, hspace=0.62)
     headline(
@@ -427,21 +441,29 @@ def main() -> None:
         "Each point is a picture held against 50-digit arithmetic.  Left: largest error of the"
         " radiance (✕: useless from there on).  Right: share of pixels decided wrongly.",
     )
-    rows: list[tuple[object, ...]] = []
-    for axes, panel in zip(grid.ravel(), tqdm(PANELS, disable=None), strict=True):
-        at = panel.at[::step]
-        found = measure(panel, methods, at)
-        _draw(axes, panel, at, found)
-        unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
-        rows += [
-            (panel.title, panel.axis, float(x), name, unit, float(value))
-            for name, values in found.items()
-            for x, value in zip(at, values, strict=True)
-        ]
-    where = machine.describe()
+    curves: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+    for title, _, at, name, _, value in read_csv(path):
+        curves[title][name].append((float(at), float(value)))
+    for axes, panel in zip(grid.ravel(), PANELS, strict=True):
+        found = {name: np.array(points).T for name, points in curves[panel.title].items()}
+        at = next(iter(found.values()))[0]
+        _draw(axes, panel, at, {name: values for name, (_, values) in found.items()})
+    return figure
+
+
+def main() -> None:
+    """Measure, and write the chart."""
+    used = parser("reference.stability", __doc__, quick="every third point only", redraw=True)
+    options = used.parse_args()
     chart = result("stability.csv", quick=options.quick)
-    write_csv(chart, where, ("panel", "axis", "at", "method", "measure", "value"), rows)
-    save(figure, chart)
+    if options.redraw:
+        need_table(used, chart)
+    else:
+        where = machine.describe()
+        # All of them before the stored table is replaced.
+        rows = [*_rows(methods_of(), step=3 if options.quick else 1)]
+        write_csv(chart, where, _COLUMNS, rows)
+    save(_chart(chart), chart)
 
 
 if __name__ == "__main__":

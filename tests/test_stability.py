@@ -115,6 +115,13 @@ def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_pa
     table = (tmp_path / "stability.csv").read_text()
     names = ["this tracer", "Mitsuba scalar", *(["Mitsuba LLVM"] if use().variant == LLVM else [])]
     assert all(table.count(f",{name},") >= 5 for name in names)
+    chart = tmp_path / "stability.svg"
+    drawn = chart.read_text()
+    monkeypatch.setattr(sys, "argv", ["stability", "--quick", "--redraw"])
+    monkeypatch.delattr(stability, "measure")
+    chart.unlink()
+    stability.main()
+    assert chart.read_text() == drawn
 
 
 def test_mitsuba_stays_usable_after_a_chart_has_switched_variants() -> None:
