@@ -117,6 +117,8 @@ def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert all(table.count(f",{name},") >= 5 for name in names)
     chart = tmp_path / "stability.svg"
     drawn = chart.read_text()
+    # Names are texts: written as outlines, they would be most of a file of a megabyte.
+    assert drawn.count(">this tracer</text>") == len(panels)
     monkeypatch.setattr(sys, "argv", ["stability", "--quick", "--redraw"])
     monkeypatch.delattr(stability, "measure")
     chart.unlink()
