@@ -1,12 +1,16 @@
-"""Scenes of this project, small; and scene files that tests write, one of them too bright."""
+"""Scenes of this project, small; scenes that tests write; the codes of a picture."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from reference.command import SCENES
 from reference.workloads import resized
 from tracer import Scene, load_scene
+from tracer.arrays import Floats
 
 ONE_SPHERE = SCENES / "one-sphere.xml"
 
@@ -31,3 +35,8 @@ def overflowing(scene: Path) -> Path:
     bright = scene.with_name("bright.xml")
     bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
     return bright
+
+
+def codes(light: Floats) -> NDArray[np.uint8]:
+    """The format's 8-bit values, as its text has them."""
+    return np.round(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
