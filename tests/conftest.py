@@ -63,6 +63,15 @@ def signals_heeded() -> Iterator[None]:
 
 
 @pytest.fixture
+def unread() -> Iterator[int]:
+    """A pipe to write to, which no one reads."""
+    read, write = os.pipe()
+    os.close(read)
+    yield write
+    os.close(write)
+
+
+@pytest.fixture
 def no_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """The working folder is gone: what commands say of that."""
     gone = tmp_path / "gone"

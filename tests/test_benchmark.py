@@ -74,6 +74,15 @@ def test_growth_exponent_of_a_power_law() -> None:
     assert growth_exponent(sizes, timings) == pytest.approx(0.4)
 
 
+def test_a_speedup_is_the_time_of_the_other_over_that_of_the_tracer() -> None:
+    assert benchmark._speedup(Timing.of([1.0]), Timing.of([3.0])) == 3
+
+
+@pytest.mark.parametrize(("ratio", "shown"), [(0.5, "0.50×"), (0.998, "1.0×"), (42.4, "42×")])
+def test_ratios_have_two_digits(ratio: float, shown: str) -> None:
+    assert str(Ratio(ratio)) == shown
+
+
 def test_interleaved_runs_in_turns() -> None:
     order: list[str] = []
 

@@ -374,30 +374,20 @@ def test_ends_of_children_that_the_caller_ignores(scene):
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 
 
-def test_no_one_reads_the_output(scene):
+def test_no_one_reads_the_output(scene, unread):
     other = scene.with_name("other.xml")
     other.write_text(SCENE.format(3, 2))
-    read, write = os.pipe()
-    os.close(read)
-    try:
-        done = subprocess.run(
-            command(scene, other), stdout=write, stderr=subprocess.PIPE, env=ENVIRONMENT
-        )
-    finally:
-        os.close(write)
+    done = subprocess.run(
+        command(scene, other), stdout=unread, stderr=subprocess.PIPE, env=ENVIRONMENT
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png", "other.xml", "other.xml.png"]
 
 
-def test_no_one_reads_the_errors(scene):
-    read, write = os.pipe()
-    os.close(read)
-    try:
-        done = subprocess.run(
-            command("none.xml", scene), stdout=subprocess.PIPE, stderr=write, env=ENVIRONMENT
-        )
-    finally:
-        os.close(write)
+def test_no_one_reads_the_errors(scene, unread):
+    done = subprocess.run(
+        command("none.xml", scene), stdout=subprocess.PIPE, stderr=unread, env=ENVIRONMENT
+    )
     assert done.returncode == 1
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
 

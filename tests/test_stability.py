@@ -6,15 +6,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from scene_files import small
 
-from converters.variant import LLVM, use
+from converters.variant import LLVM, SCALAR, mi, use
 from reference import alternatives, command, stability
 from reference.alternatives import closest_approach, exactly, float32, float64, textbook
-from tracer import render
+from tracer import Scene, render
 from tracer.arrays import Floats
 
 
@@ -126,6 +125,10 @@ def test_stability_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert chart.read_text() == drawn
 
 
-def test_mitsuba_stays_usable_after_a_chart_has_switched_variants() -> None:
-    stability.mitsuba_render(stability.ball_on_ground(), "scalar_rgb")
+@pytest.mark.parametrize("scene", [stability.distant(10), stability.ball_on_ground()])
+def test_mitsuba_draws_the_scenes_of_the_chart(scene: Scene) -> None:
+    image = stability.mitsuba_render(scene, SCALAR)
+    # It shadows some points of the ground by themselves.
+    assert np.mean(np.abs(image - render(scene)) < 1e-4) > 0.95
+    # And stays usable for others in the variant that they use.
     assert use().variant == mi.variant()
