@@ -144,9 +144,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     panel_width, panel_height = width * zoom, height * zoom
     column = max(panel_width, _PANEL)  # wide enough for a label
     sheet = Image.new(
-        "RGB",
-        (3 * column + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL),
-        _PAPER,
+        "RGB", (3 * column + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL), _PAPER
     )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
 

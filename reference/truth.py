@@ -28,11 +28,7 @@ def truth_side(quick: bool) -> int:
 
 
 def supersampled(
-    scene: Scene,
-    side: int,
-    offset: tuple[float, float] = (0.0, 0.0),
-    *,
-    threads: int | None = None,
+    scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0), *, threads: int | None = None
 ) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 

@@ -184,12 +184,7 @@ def light_side(surface: Surface, light: Vector) -> int:
 
 
 def blocks(
-    surface: Surface,
-    eye_inside: bool,
-    light_side: int,
-    p: Triple,
-    light: Vector,
-    reach: Floats,
+    surface: Surface, eye_inside: bool, light_side: int, p: Triple, light: Vector, reach: Floats
 ) -> Bools:
     """Whether the surface keeps each point from the light."""
     tolerance = SURFACE_TOLERANCE * (reach + size_of(surface))

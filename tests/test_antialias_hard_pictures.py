@@ -35,11 +35,7 @@ def test_the_shadow_of_a_box_on_a_small_ball() -> None:
     box = Box(min_pt=(0.933, 1.304, 0.797), max_pt=(1.35, 1.746, 1.072), shader=RED)
     floor = Box(min_pt=(-9, -1.55, -9), max_pt=(9, -0.55, 9))
     camera = Camera(
-        view_point=(0, 1.4, 8),
-        view_dir=(0, -0.1, -1),
-        proj_distance=4,
-        view_width=3,
-        view_height=2,
+        view_point=(0, 1.4, 8), view_dir=(0, -0.1, -1), proj_distance=4, view_width=3, view_height=2
     )
     scene = scene_of(ball, box, floor, camera=camera, size=(36, 24), lights=(3.04, 4.625, 2.95))
     no_worse_than_the_uniform_grid(scene, numbers=(64,))
@@ -111,10 +107,7 @@ def test_shadows_on_a_hollow_ball_that_is_there_twice() -> None:
 def low_over(*surfaces: Sphere | Box, height: float, light: tuple[float, float, float]) -> Scene:
     """The eye so high over the origin's level, and looking a little down."""
     camera = Camera(
-        view_point=(0, height, 3),
-        view_dir=(0, -0.03, -1),
-        view_width=0.7,
-        view_height=0.7 * 2 / 3,
+        view_point=(0, height, 3), view_dir=(0, -0.03, -1), view_width=0.7, view_height=0.7 * 2 / 3
     )
     return scene_of(*surfaces, camera=camera, size=(36, 24), lights=light)
 

@@ -145,10 +145,7 @@ NOT_XML = [
         f"<scene>{EMPTY}</scene>\n<scene/>",
         "2: not XML: junk after document element at column 1; nothing may follow </scene>",
     ),
-    (
-        "P6 640 480",
-        "1: not XML: syntax error at column 1; a scene file holds <scene> ... </scene>",
-    ),
+    ("P6 640 480", "1: not XML: syntax error at column 1; a scene file holds <scene> ... </scene>"),
     (
         '{"a": 1}',
         "1: not XML: not well-formed (invalid token) at column 1;"
@@ -159,10 +156,7 @@ NOT_XML = [
         "1: not XML: not well-formed (invalid token) at column 20;"
         " in text, < is written &lt; and & is written &amp;",
     ),
-    (
-        " \n ",
-        "2: not XML: no element found at column 2; a scene file holds <scene> ... </scene>",
-    ),
+    (" \n ", "2: not XML: no element found at column 2; a scene file holds <scene> ... </scene>"),
     (
         b"<scene>\n\xff</scene>",
         "2: not XML: not well-formed (invalid token) at column 1; save the file as UTF-8",
@@ -302,14 +296,8 @@ STRUCTURE = [
     ("<image>4 3</image>", "scene: has no camera; add <camera> ... </camera>"),
     ("<camera/>", "scene: has no image; add <image> ... </image>"),
     (EMPTY + "<light/>", "light: has no position; add <position>x y z</position>"),
-    (
-        EMPTY + BOX.format("<minPt>0 0 0</minPt>"),
-        "surface: has no maxPt; add <maxPt>x y z</maxPt>",
-    ),
-    (
-        EMPTY + BOX.format("<maxPt>0 0 0</maxPt>"),
-        "surface: has no minPt; add <minPt>x y z</minPt>",
-    ),
+    (EMPTY + BOX.format("<minPt>0 0 0</minPt>"), "surface: has no maxPt; add <maxPt>x y z</maxPt>"),
+    (EMPTY + BOX.format("<maxPt>0 0 0</maxPt>"), "surface: has no minPt; add <minPt>x y z</minPt>"),
     (EMPTY + "<camra/>", "camra: unknown in scene; did you mean 'camera'?"),
     (EMPTY + "<Light/>", "Light: unknown in scene; did you mean 'light'?"),
     (
@@ -361,10 +349,7 @@ STRUCTURE = [
         EMPTY + '<shader name="gray" type="Phong"/>' + SPHERE.format('<shader ref="grey"/>'),
         "shader: no shader is named 'grey'; did you mean 'gray'?",
     ),
-    (
-        EMPTY + SPHERE.format('<shader ref="grey"/>'),
-        "shader: no shader is named 'grey'; define it",
-    ),
+    (EMPTY + SPHERE.format('<shader ref="grey"/>'), "shader: no shader is named 'grey'; define it"),
     (
         EMPTY + '<shader name="a" type="Phong"/>\n<shader name="a" type="Lambertian"/>',
         "shader: the name 'a' is taken by the shader in line 1; choose another",
@@ -476,20 +461,14 @@ VALUES = [
         ["center: has '(' and ',' and ')'; write it as '1 2 3'"],
     ),
     (SPHERE.format("<radius>(r)</radius>"), [f"radius: '(r)' {DECIMAL}"]),
-    (
-        SPHERE.format(f"<radius>{'x' * 99}</radius>"),
-        [f"radius: '{'x' * 37}...' {DECIMAL}"],
-    ),
+    (SPHERE.format(f"<radius>{'x' * 99}</radius>"), [f"radius: '{'x' * 37}...' {DECIMAL}"]),
     (SPHERE.format("<center>1 1e999 0</center>"), ["center: must be finite"]),
     (
         SPHERE.format("<radius>-2.3456789</radius>"),
         ["radius: must be positive and finite, is -2.3456789"],
     ),
     (LIGHT.format("<color>1e999 1 0</color>"), ["color: must be finite"]),
-    (
-        SPHERE.format("<radius>1e999</radius>"),
-        ["radius: must be positive and finite, is inf"],
-    ),
+    (SPHERE.format("<radius>1e999</radius>"), ["radius: must be positive and finite, is inf"]),
     *(
         (SPHERE.format(f"<radius>{size}</radius>"), [f"radius: {size} is too {too}; {LENGTHS}"])
         for size, too in (("1e-76", "small"), ("1e+76", "large"))
@@ -515,10 +494,7 @@ VALUES = [
         PHONG.format("<specularColor>1 1 -.1</specularColor>"),
         ["specularColor: must not be negative, has -0.1"],
     ),
-    (
-        PHONG.format("<exponent>-1</exponent>"),
-        ["exponent: must be finite and not negative, is -1"],
-    ),
+    (PHONG.format("<exponent>-1</exponent>"), ["exponent: must be finite and not negative, is -1"]),
     (
         PHONG.format("<exponent>1e999</exponent>"),
         ["exponent: must be finite and not negative, is inf"],
@@ -571,19 +547,13 @@ CAMERAS = [
     ("<projDistance>0</projDistance>", "projDistance: must be positive and finite, is 0"),
     ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive and finite, is -1"),
     ("<viewHeight>0</viewHeight>", "viewHeight: must be positive and finite, is 0"),
-    (
-        "<viewUp>0 0 3</viewUp>",
-        "viewUp: must not be parallel to viewDir; choose another viewUp",
-    ),
+    ("<viewUp>0 0 3</viewUp>", "viewUp: must not be parallel to viewDir; choose another viewUp"),
     (
         "<viewUp>0 1e-15 1</viewUp>",
         "viewUp: must not be parallel to viewDir; choose another viewUp",
     ),
     # The default viewUp is not in the file: the camera is to blame.
-    (
-        "<viewDir>0 -2 0</viewDir>",
-        "viewUp: must not be parallel to viewDir; choose another viewUp",
-    ),
+    ("<viewDir>0 -2 0</viewDir>", "viewUp: must not be parallel to viewDir; choose another viewUp"),
     (
         "<viewUp>1 0 1</viewUp><projNormal>-2 0 -2</projNormal>",
         "viewUp: must not be parallel to projNormal; choose another viewUp",
@@ -680,10 +650,7 @@ def test_what_one_fault_leads_to_is_no_fault(faults):
     content = f"""<scene>{EMPTY}
       <surface type="Box"><minPt>1 1</minPt><maxPt>0 0 0</maxPt><shader ref="a"/></surface>
       <shader name="a" type="Phong"><exponent>one</exponent></shader></scene>"""
-    assert faults(content) == [
-        "2: minPt: needs 3 numbers, has 2",
-        f"3: exponent: 'one' {DECIMAL}",
-    ]
+    assert faults(content) == ["2: minPt: needs 3 numbers, has 2", f"3: exponent: 'one' {DECIMAL}"]
 
 
 @pytest.mark.parametrize(

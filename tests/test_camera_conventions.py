@@ -54,10 +54,7 @@ def test_one_pixel_looks_along_the_view_direction() -> None:
 def test_window_distance_and_eye() -> None:
     # Eye (1, 2, 8), 16 from the wall; window 3 x 1 at distance 2: columns 8 apart, rows 4.
     camera = Camera(view_point=(1, 2, 8), proj_distance=2, view_width=3, view_height=1)
-    expect(
-        wall_seen(camera, 3, 2),
-        [[(1 + 8 * j, 2 + y) for j in (-1, 0, 1)] for y in (2, -2)],
-    )
+    expect(wall_seen(camera, 3, 2), [[(1 + 8 * j, 2 + y) for j in (-1, 0, 1)] for y in (2, -2)])
 
 
 def test_lengths_of_vectors_do_not_matter() -> None:
@@ -75,10 +72,7 @@ def test_sign_of_the_normal_does_not_matter() -> None:
 def test_non_square_pixels() -> None:
     # A window .75 x .5 over 2 x 4 pixels: columns 8 * .375 = 3 apart, rows 8 * .125 = 1.
     camera = Camera(view_width=0.75, view_height=0.5)
-    expect(
-        wall_seen(camera, 2, 4),
-        [[(x, y) for x in (-1.5, 1.5)] for y in (1.5, 0.5, -0.5, -1.5)],
-    )
+    expect(wall_seen(camera, 2, 4), [[(x, y) for x in (-1.5, 1.5)] for y in (1.5, 0.5, -0.5, -1.5)])
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 5.0, 3.0), (0.0, 0.25, -7.0)])
@@ -104,10 +98,7 @@ def test_shifted_window() -> None:
         view_width=3,
         view_height=2,
     )
-    expect(
-        wall_seen(camera, 3, 2),
-        [[(6 + 2 * j, 2 + y) for j in (-1, 0, 1)] for y in (1, -1)],
-    )
+    expect(wall_seen(camera, 3, 2), [[(6 + 2 * j, 2 + y) for j in (-1, 0, 1)] for y in (1, -1)])
 
 
 def test_oblique_window() -> None:
@@ -129,11 +120,7 @@ def test_distance_is_along_the_view_direction() -> None:
     # whatever the normal: the same picture as with half the window.
     near = Camera(view_dir=(1, 2, -4), proj_normal=(0, 0, 1), view_width=0.5, view_height=0.5)
     far = Camera(
-        view_dir=(1, 2, -4),
-        proj_normal=(0, 0, 1),
-        proj_distance=2,
-        view_width=1,
-        view_height=1,
+        view_dir=(1, 2, -4), proj_normal=(0, 0, 1), proj_distance=2, view_width=1, view_height=1
     )
     assert np.array_equal(wall_seen(near, 5, 5), wall_seen(far, 5, 5))
 

@@ -99,14 +99,7 @@ class Case:
         reach = np.abs(x) + np.abs(y) + np.abs(z)
         side = light_side(self.surface, vector(self.light))
         self.blocked = [
-            blocks(
-                self.surface,
-                eye_inside,
-                side,
-                (x, y, z),
-                vector(self.light),
-                reach,
-            )
+            blocks(self.surface, eye_inside, side, (x, y, z), vector(self.light), reach)
             for eye_inside in (False, True)
         ]
 

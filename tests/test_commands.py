@@ -15,8 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["ablation", "benchmark", "generate", "regenerate", "report", "sheet", "speed_accuracy"],
+    "name", ["ablation", "benchmark", "generate", "regenerate", "report", "sheet", "speed_accuracy"]
 )
 def test_a_command_without_the_scenes_says_what_it_needs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str

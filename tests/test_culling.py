@@ -121,9 +121,7 @@ CUBE = Box(min_pt=(-1, 0, -1), max_pt=(1, 2, 1))
 
 
 def scene(
-    *surfaces: Sphere | Box,
-    light: tuple[float, float, float] = (3, 5, 4),
-    camera: Camera = CAMERA,
+    *surfaces: Sphere | Box, light: tuple[float, float, float] = (3, 5, 4), camera: Camera = CAMERA
 ) -> Scene:
     return scene_of(*surfaces, camera=camera, size=(120, 120), lights=light)
 
@@ -281,9 +279,7 @@ def test_a_light_on_a_face_but_for_rounding() -> None:
 )
 @pytest.mark.parametrize("oblique", [None, (1, 1, 2)])
 def test_eye_at_odd_places(
-    other: Sphere | Box,
-    eye: tuple[float, float, float],
-    oblique: tuple[float, float, float] | None,
+    other: Sphere | Box, eye: tuple[float, float, float], oblique: tuple[float, float, float] | None
 ) -> None:
     toward = (-eye[0], -eye[1], -eye[2]) if eye[0] > 1 else (0, 0, -1)
     camera = replace(CAMERA, view_point=eye, view_dir=toward, proj_normal=oblique)

@@ -99,8 +99,7 @@ def test_07_shifted_by_two_to_the_twenty() -> None:
         return scene_of(
             Sphere(center=(shift, shift + 1, shift), radius=1.5),
             Box(
-                min_pt=(shift - 4, shift - 1, shift - 4),
-                max_pt=(shift + 4, shift - 0.5, shift + 4),
+                min_pt=(shift - 4, shift - 1, shift - 4), max_pt=(shift + 4, shift - 0.5, shift + 4)
             ),
             camera=Camera(view_point=(shift, shift + 1, shift + 8), proj_distance=2),
             size=(16, 16),

@@ -66,8 +66,7 @@ class TestByHand:
         assert verdict.radiance == pytest.approx((0.28, 0.64, 0), rel=1e-15)
 
     @pytest.mark.parametrize(
-        ("light", "lit"),
-        [((1, -5, 0), True), ((0, -5, 0), True), ((-1, -5, 0), False)],
+        ("light", "lit"), [((1, -5, 0), True), ((0, -5, 0), True), ((-1, -5, 0), False)]
     )
     def test_box_touching_a_ball(self, light: tuple[float, float, float], lit: bool) -> None:
         # The box's upper right edge touches the ball's lowest point, the origin, where
@@ -78,8 +77,7 @@ class TestByHand:
         assert (verdict.surface, verdict.lit) == (0, (lit,))
 
     @pytest.mark.parametrize(
-        ("light", "lit"),
-        [((5, -1, 0), True), ((5, 0, 0), True), ((5, 1, 0), False)],
+        ("light", "lit"), [((5, -1, 0), True), ((5, 0, 0), True), ((5, 1, 0), False)]
     )
     def test_ball_touching_a_box(self, light: tuple[float, float, float], lit: bool) -> None:
         # The same, listed the other way round: the box's face x = 0 is seen, and only

@@ -27,10 +27,7 @@ from tracer.arrays import Floats
     ],
 )
 def test_error_grows_with_distance_as_eps_times_its_power(
-    roots: alternatives.Roots,
-    arithmetic: alternatives.Arithmetic,
-    distances: Floats,
-    power: int,
+    roots: alternatives.Roots, arithmetic: alternatives.Arithmetic, distances: Floats, power: int
 ) -> None:
     errors = []
     for distance in distances.tolist():
