@@ -142,11 +142,6 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.array_equal(bands, whole)
 
 
-def test_fewer_than_one() -> None:
-    with pytest.raises(ValueError, match="samples must be at least 1, is 0"):
-        render(view(BALL), samples=0)
-
-
 @pytest.mark.parametrize(("radius", "samples"), [(0.02, 1024), (0.05, 256), (0.1, 256)])
 def test_objects_between_pixel_centres(radius: float, samples: int) -> None:
     # Centred on a corner of four pixels: no pixel's centre, 1/8 away, sees it.

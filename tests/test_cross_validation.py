@@ -76,10 +76,6 @@ def test_mitsuba_agrees_with_itself_in_another_variant() -> None:
     assert faults(figures(scalar, now.mitsuba, edges), edges) == ()
 
 
-def test_there_are_scenes_to_compare() -> None:
-    assert len(NAMES) >= 12
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_tracer_agrees_with_live_mitsuba(name: str) -> None:
     hold(live(name))
@@ -105,12 +101,6 @@ def test_stored_picture_is_of_the_scene_as_it_is_now(name: str) -> None:
     )
     assert (told["width"], told["samples"]) == (WIDTH, 1)
     assert {"mitsuba", "drjit", "variant", "command"} <= told.keys()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_stock_flavour_is_like_the_exact_one(name: str) -> None:
-    """As near as fall-off allows: a floor below what any scene here has come to."""
-    assert manifest()["scenes"][name]["stock_ssim"] >= 0.8
 
 
 def test_nothing_is_stored_that_has_no_scene() -> None:

@@ -107,19 +107,6 @@ def test_first_of_equals_is_seen() -> None:
         assert not first[:, :, 1].any()
 
 
-@pytest.mark.parametrize("radius", [0.1, 1, 10])
-def test_a_ball_twice_is_as_bright_inside_as_once(radius: float) -> None:
-    # Every point of one is on the other's inner side, and so are all ways to the light.
-    room = Sphere(radius=radius)
-    scene, _ = picture("scattered", 0)
-    camera = replace(scene.camera, view_point=(0, 0, 0.5 * radius))
-    lights = (PointLight(position=(0, 0.5 * radius, 0)),)
-    once = replace(scene, camera=camera, lights=lights, surfaces=[room])
-    image = render(once)
-    assert image.all()
-    assert np.array_equal(render(replace(once, surfaces=[room, room])), image)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_lights_in_another_order(kind: str) -> None:
     for seed in range(6):

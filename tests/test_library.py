@@ -150,6 +150,11 @@ def test_numbers_of_samples_and_threads_that_are_none(
         render(a_scene(), **{name: value})
 
 
+def test_no_samples_at_all() -> None:
+    with pytest.raises(ValueError, match="samples must be at least 1, is 0"):
+        render(a_scene(), samples=0)
+
+
 # Two spheres around a box, in this order.
 MATTE, SHINY = Lambertian(diffuse=(0.5, 0.5, 0.5)), Phong(specular=(1, 1, 1), exponent=9)
 ARRAYS: dict[str, Any] = {

@@ -7,7 +7,6 @@ import gc
 import numpy as np
 import pytest
 
-from reference.command import own_scenes
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
 
 EMPTY = "<camera/><image>4 3</image>"
@@ -220,10 +219,3 @@ def test_nothing_is_left_for_the_garbage_collector(scene_of):
         assert gc.collect() == 0
     finally:
         gc.enable()
-
-
-def test_scenes_of_the_project_are_read():
-    paths = own_scenes()
-    assert len(paths) >= 12
-    for path in paths:
-        assert load_scene(path).width > 0
