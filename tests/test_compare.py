@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -40,6 +41,24 @@ def right(light: Floats) -> Image8:
 def save(path: Path, image: Image8) -> str:
     Image.fromarray(np.ascontiguousarray(image)).save(path)
     return str(path)
+
+
+@pytest.fixture
+def black(tmp_path: Path) -> str:
+    """A small picture that is saved."""
+    return save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command as a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "reference.compare", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | environment,
+        timeout=60,
+    )
 
 
 def test_figures_by_hand() -> None:
@@ -136,10 +155,8 @@ def test_exit_status(
 def test_command(tmp_path: Path, right: Image8) -> None:
     a = save(tmp_path / "a.png", right[:, ::-1])
     b = save(tmp_path / "b.png", right)
-    command = [sys.executable, "-m", "reference.compare", a, b]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 1
-    assert done.stderr == ""
+    done = run(a, b)
+    assert (done.returncode, done.stderr) == (1, "")
     figures_line, words, path = done.stdout.splitlines()
     assert figures_line.startswith("SSIM 0.")
     assert words == "A is mirrored: left and right are swapped."
@@ -149,18 +166,12 @@ def test_command(tmp_path: Path, right: Image8) -> None:
 
 
 @pytest.mark.parametrize("module", ["PIL", "skimage"])
-def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, module: str) -> None:
+def test_a_missing_package_does_not_pass_for_a_difference(
+    tmp_path: Path, black: str, module: str
+) -> None:
     stub = f"raise ModuleNotFoundError('No module named {module}')"
     (tmp_path / f"{module}.py").write_text(stub)
-    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
-    done = subprocess.run(
-        [sys.executable, "-m", "reference.compare", picture, picture],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        check=False,
-    )
+    done = run(black, black, PYTHONPATH=str(tmp_path))
     told = f"No module named {module}; install it with pip install -e '.[reference]'\n"
     assert (done.returncode, done.stderr) == (2, told)
 
@@ -224,30 +235,21 @@ def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
     assert (gap == 250).all()
 
 
-def test_names_that_are_not_text_are_escaped(tmp_path: Path) -> None:
-    black = np.zeros((4, 4, 3), dtype=np.uint8)
-    a = save(Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png")), black)
-    done = subprocess.run(
-        [sys.executable, "-m", "reference.compare", a, save(tmp_path / "b.png", black)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
-        check=False,
-    )
+def test_names_that_are_not_text_are_escaped(tmp_path: Path, black: str) -> None:
+    a = shutil.copy(black, os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png"))
+    done = run(a, black, PYTHONIOENCODING="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith(f"{tmp_path}/\\udcff.compare.png\n")
 
 
 @pytest.mark.parametrize("where", ["full", "closed", "ascii"])
 def test_what_cannot_be_printed_does_not_change_the_status(
-    tmp_path: Path, unread: int, where: str
+    tmp_path: Path, black: str, unread: int, where: str
 ) -> None:
-    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
     output = tmp_path / "\u00f6.png"
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "reference.compare", picture, picture, "-o", str(output)],
+            [sys.executable, "-m", "reference.compare", black, black, "-o", str(output)],
             stdout={"full": full, "closed": unread, "ascii": subprocess.PIPE}[where],
             stderr=subprocess.PIPE,
             cwd=ROOT,
@@ -287,28 +289,25 @@ def test_unreadable(
     assert captured.err.count("\n") == 1
 
 
-def test_what_is_no_regular_file_is_not_read(tmp_path: Path) -> None:
+def test_what_is_no_regular_file_is_not_read(tmp_path: Path, black: str) -> None:
     """In a process of its own: opening a pipe that none writes to waits without end."""
-    pipe, picture = tmp_path / "pipe", save(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
+    pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    command = [sys.executable, "-m", "reference.compare", picture, str(pipe)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60)
-    assert done.returncode == 2
-    assert done.stderr == f"{pipe}: cannot be read: not a regular file\n"
+    done = run(black, str(pipe))
+    told = f"{pipe}: cannot be read: not a regular file\n"
+    assert (done.returncode, done.stderr) == (2, told)
 
 
 def test_too_little_memory_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    black: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*_arguments: object) -> None:
         raise MemoryError
 
-    picture = save(tmp_path / "a.png", np.zeros((3, 4, 3), dtype=np.uint8))
     monkeypatch.setattr("reference.compare.figures", fail)
-    assert main([picture, picture]) == 2
-    assert capsys.readouterr().err == (
-        f"{picture}: not enough memory to compare it; compare a part\n"
-    )
+    assert main([black, black]) == 2
+    told = f"{black}: not enough memory to compare it; compare a part\n"
+    assert capsys.readouterr().err == told
 
 
 def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
@@ -379,10 +378,9 @@ def test_transparency_is_black(tmp_path: Path) -> None:
     assert not read_picture(path).any()
 
 
-def test_unwritable(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = save(tmp_path / "a.png", right)
+def test_unwritable(tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "nowhere" / "out.png"
-    assert main([picture, picture, "-o", str(output)]) == 2
+    assert main([black, black, "-o", str(output)]) == 2
     assert capsys.readouterr().err == f"{output}: cannot be written: No such file or directory\n"
 
 
@@ -417,27 +415,30 @@ def test_a_working_folder_that_is_gone(
 
 
 def test_what_cannot_be_written_whole_leaves_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    black: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fail(_image: Image.Image, file: IO[bytes], **_options: object) -> None:
         file.write(b"half")
         raise OSError("the disk is full")
 
-    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
     output = tmp_path / "out.png"
     output.write_bytes(PNG + b"precious")
     monkeypatch.setattr(Image.Image, "save", fail)
-    assert main([picture, picture, "-o", str(output)]) == 2
+    assert main([black, black, "-o", str(output)]) == 2
     assert capsys.readouterr().err == f"{output}: cannot be written: the disk is full\n"
     assert output.read_bytes() == PNG + b"precious"
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_pipe_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
+def test_a_pipe_is_not_replaced(
+    tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    assert main([picture, picture, "-o", str(pipe)]) == 2
+    assert main([black, black, "-o", str(pipe)]) == 2
     assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
     assert pipe.is_fifo()
 

@@ -23,35 +23,34 @@ def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]
     ]
 
 
+def _lead(*curves: list[Point]) -> tuple[float, float, float]:
+    """Level, seconds of this tracer, seconds of its rival."""
+    lead = Lead.of([point for curve in curves for point in curve])
+    assert lead is not None
+    return lead.level, lead.ours, lead.theirs
+
+
 def test_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
     ours = _curve("this tracer", (1e-2, 1.0), (5e-4, 2.0), (1e-4, 4.0))
     slow = _curve("Mitsuba scalar", (1e-2, 9.0), (1e-4, 9.0))
     fast = _curve("Mitsuba stratified", (1e-2, 3.0), (1e-5, 3.0))
     numpy = _curve("uniform grid", (1e-2, 0.1), (1e-5, 0.1))
-    lead = Lead.of([*ours, *slow, *fast, *numpy])
-    assert lead is not None
-    assert (lead.level, lead.ours, lead.theirs) == pytest.approx((1e-3, 2.0, 3.0))
-    assert lead.speedup == pytest.approx(1.5)
+    assert _lead(ours, slow, fast, numpy) == pytest.approx((1e-3, 2.0, 3.0))
+    assert Lead(1e-3, 2.0, 3.0).speedup == 1.5
     # Rivals take any number of samples; this tracer those of its points.
-    between = Lead.of([*ours, *_curve("Mitsuba scalar", (1e-2, 1.0), (1e-4, 4.0))])
-    assert between is not None
-    assert (between.level, between.ours, between.theirs) == pytest.approx((1e-3, 2.0, 2.0))
+    between = _curve("Mitsuba scalar", (1e-2, 1.0), (1e-4, 4.0))
+    assert _lead(ours, between) == pytest.approx((1e-3, 2.0, 2.0))
     # Where a rival does not come so far, it is met where it comes; to be better is as good.
-    rough = Lead.of([*ours, *_curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))])
-    assert rough is not None
-    assert (rough.level, rough.ours, rough.theirs) == pytest.approx((0.1, 1.0, 2.0))
+    rough = _curve("Mitsuba scalar", (1.0, 1.0), (0.1, 2.0))
+    assert _lead(ours, rough) == pytest.approx((0.1, 1.0, 2.0))
     # One that ends a little above the others is met there, if it is faster; not one that ends far.
     early = _curve("Mitsuba independent", (1e-2, 0.5), (1.2e-3, 1.5))
-    near = Lead.of([*ours, *fast, *early])
-    assert near is not None
-    assert (near.level, near.ours, near.theirs) == pytest.approx((1.2e-3, 2.0, 1.5))
-    far = Lead.of([*ours, *fast, *_curve("Mitsuba independent", (1e-2, 0.5), (2e-3, 1.5))])
-    assert far is not None
-    assert far.theirs == pytest.approx(3.0)
+    assert _lead(ours, fast, early) == pytest.approx((1.2e-3, 2.0, 1.5))
+    far = _curve("Mitsuba independent", (1e-2, 0.5), (2e-3, 1.5))
+    assert _lead(ours, fast, far) == pytest.approx((1e-3, 2.0, 3.0))
     # The first picture of ours that is as good counts, whatever the noise of later ones.
-    noisy = Lead.of([*_curve("this tracer", (5e-4, 2.0), (1e-4, 1.0)), *fast])
-    assert noisy is not None
-    assert noisy.ours == 2.0
+    noisy = _curve("this tracer", (5e-4, 2.0), (1e-4, 1.0))
+    assert _lead(noisy, fast) == pytest.approx((1e-3, 2.0, 3.0))
     assert Lead.of([*ours, *numpy]) is None
 
 

@@ -29,16 +29,21 @@ print(choice.variant, choice.reason)
 """
 
 
-def rendered_with(library: str) -> str:
-    """What a process that renders with this libLLVM prints."""
-    child = subprocess.run(
-        [sys.executable, "-c", _RENDER],
+def run_with(library: str, code: str) -> subprocess.CompletedProcess[str]:
+    """Run a program with this libLLVM."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
         cwd=ROOT,
         env=os.environ | {"DRJIT_LIBLLVM_PATH": library},
         capture_output=True,
         text=True,
         timeout=120,
     )
+
+
+def rendered_with(library: str) -> str:
+    """What a process that renders prints."""
+    child = run_with(library, _RENDER)
     assert child.returncode == 0, child.stderr
     return child.stdout
 
@@ -99,13 +104,6 @@ def test_the_scalar_variant_can_always_be_asked_for() -> None:
 
 
 def test_asking_for_a_variant_that_does_not_work_says_why() -> None:
-    child = subprocess.run(
-        [sys.executable, "-c", f"from converters.variant import use; use({LLVM!r})"],
-        cwd=ROOT,
-        env=os.environ | {"DRJIT_LIBLLVM_PATH": "/nonexistent"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    child = run_with("/nonexistent", f"from converters.variant import use; use({LLVM!r})")
     assert child.returncode == 1
     assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
