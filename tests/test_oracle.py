@@ -94,6 +94,18 @@ class TestByHand:
         assert verdict_along((0, 0, 0), (0, 0, -1), (0, 0, 5), BALL).lit == (False,)
         assert verdict_along((0, 0, 0), (0, 0, -1), (0, 0, 1), BALL).lit == (False,)
 
+    @pytest.mark.parametrize(("x", "lit"), [(0.5, False), (1.5, True)])
+    def test_light_on_a_ball(self, x: float, lit: bool) -> None:
+        # On its right side: the ball keeps it from all that is left of the plane x = 1.
+        verdict = verdict_along((x, -0.999, 0), DOWN, (1, 0, 0), FLOOR, BALL)
+        assert (verdict.surface, verdict.lit) == (0, (lit,))
+
+    def test_light_in_the_plane_of_a_face(self) -> None:
+        # It grazes the floor, which it does not light, not even by a highlight of exponent 0.
+        floor = replace(FLOOR, shader=Phong(specular=(1, 1, 1), exponent=0))
+        verdict = verdict_along((0, 5, 0), DOWN, (20, -1, 0), floor)
+        assert (verdict.radiance, verdict.lit) == ((0, 0, 0), (False,))
+
     def test_twins(self) -> None:
         # A twin changes nothing: outside, inside, box or ball.
         for twin in (BALL, CUBE):
