@@ -61,11 +61,8 @@ def float64(values: ArrayLike) -> Array:
 
 def exactly(values: ArrayLike) -> Array:
     """Decimals of 50 digits: the judge."""
-    array = np.asarray(values, dtype=np.float64)
-    flat = [Decimal(value) for value in array.ravel().tolist()]
-    cast = np.empty(len(flat), dtype=object)
-    cast[:] = flat
-    return cast.reshape(array.shape)
+    cast = np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64))
+    return np.asarray(cast, dtype=object)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -8,7 +8,6 @@ of the stock flavour against the exact one.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import platform
@@ -23,7 +22,7 @@ import numpy as np
 from converters.flavours import square_height, stock
 from converters.rendering import load, render_mitsuba, write_exr
 from converters.variant import ensure, mi, use
-from reference.command import HERE, need_scenes, own_scenes, run
+from reference.command import HERE, need_scenes, own_scenes, parser, run
 from reference.compare import figures
 from tracer.arrays import Floats
 from tracer.reader import load_scene
@@ -89,14 +88,11 @@ def _stock_ssim(scene: Scene, variant: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render every scene again; returns 0."""
-    parser = argparse.ArgumentParser(
-        prog="python -m reference.regenerate",
-        description="Render every scene with Mitsuba; store the pictures and how they were made.",
-    )
-    parser.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
-    options = parser.parse_args(arguments)
-    need_scenes(parser)
+    used = parser("reference.regenerate", __doc__)
+    used.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
+    used.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
+    options = used.parse_args(arguments)
+    need_scenes(used)
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
     scenes = {}
