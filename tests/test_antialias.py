@@ -162,6 +162,15 @@ def test_straight_edges_are_exact() -> None:
     assert image[:, 36] == pytest.approx(0.8 * image[:, 35], abs=0.01)
 
 
+def test_where_two_edges_cross_is_exact() -> None:
+    # The corner of a wall: both edges divide the pixel that holds it, however few the samples.
+    wall = Box(min_pt=(-9, -9, -1), max_pt=(0.3, 0.17, 0))
+    scene = view(wall)
+    scene = replace(scene, camera=replace(scene.camera, view_up=(0.3, 1, 0)))
+    for samples in (4, 16):
+        assert render(scene, samples=samples) == pytest.approx(uniform(scene, 101), abs=1e-3)
+
+
 @pytest.mark.parametrize("height", [0.37, 0.8125])
 def test_a_level_horizon_is_exact(height: float) -> None:
     # The edge of a floor that begins behind the eye, level to the last bit: the light is so
