@@ -45,8 +45,7 @@ def test_the_shadow_of_a_box_that_hardly_bends_within_a_pixel() -> None:
     # For as many samples it bends too much.
     box = Box(min_pt=(0.9, 1.2, 1.5), max_pt=(1.5, 1.8, 2.1))
     camera = Camera(view_point=(0, 0, 10), proj_distance=10, view_width=3, view_height=3)
-    lights = [PointLight(position=(3, 4, 5))]
-    scene = Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[Sphere(), box])
+    scene = scene_of(Sphere(), box, camera=camera, size=(24, 24), lights=(3, 4, 5))
     no_worse_than_the_uniform_grid(scene, numbers=(64, 256))
 
 
@@ -75,33 +74,18 @@ def test_a_lamp_behind_a_plate() -> None:
     # Light and shaded points are both so near to the plate that one a pixel larger holds both.
     floor = Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9))
     plate = Box(min_pt=(-1, 0, -4.02), max_pt=(1, 0.5, -4))
-    no_worse_than_the_uniform_grid(
-        scene_of(
-            floor,
-            plate,
-            camera=Camera(view_point=(0, 0.3, 0)),
-            size=(41, 41),
-            lights=(0, 0.2, -4.1),
-        ),
-        2,
-    )
+    camera = Camera(view_point=(0, 0.3, 0))
+    scene = scene_of(floor, plate, camera=camera, size=(41, 41), lights=(0, 0.2, -4.1))
+    no_worse_than_the_uniform_grid(scene, 2)
 
 
 def test_shadows_on_a_hollow_ball_that_is_there_twice() -> None:
     # Points on one of the two are outside of the other as soon as that is a little smaller.
     hollow = Sphere(center=(0, 0, 0), radius=6)
     plate = Box(min_pt=(-0.7, -0.5, -2.5), max_pt=(0.4, 0.8, -2.4), shader=RED)
-    no_worse_than_the_uniform_grid(
-        scene_of(
-            hollow,
-            hollow,
-            plate,
-            camera=Camera(view_point=(0, 0, 4)),
-            size=(36, 36),
-            lights=(2, 1.5, 1),
-        ),
-        2,
-    )
+    camera = Camera(view_point=(0, 0, 4))
+    scene = scene_of(hollow, hollow, plate, camera=camera, size=(36, 36), lights=(2, 1.5, 1))
+    no_worse_than_the_uniform_grid(scene, 2)
 
 
 def low_over(*surfaces: Sphere | Box, height: float, light: tuple[float, float, float]) -> Scene:
@@ -154,40 +138,24 @@ def test_a_shadow_less_deep_than_its_pixels(
     # It is wider than they are: what is nearest to a pixel's centre does not cross the pixel.
     floor = Box(min_pt=(-1e3, -1, -1e3), max_pt=(1e3, 0, 1e3))
     camera = Camera(view_point=(0, 0.5, 0), view_width=0.7, view_height=0.7 * 2 / 3)
-    no_worse_than_the_uniform_grid(
-        scene_of(
-            floor,
-            Sphere(center=ball, radius=radius, shader=RED),
-            camera=camera,
-            size=(36, 24),
-            lights=light,
-        ),
-        2,
-    )
+    above = Sphere(center=ball, radius=radius, shader=RED)
+    scene = scene_of(floor, above, camera=camera, size=(36, 24), lights=light)
+    no_worse_than_the_uniform_grid(scene, 2)
 
 
 @pytest.mark.parametrize(
     ("height", "ahead", "wide", "ball", "radius", "light"),
     [
-        (
-            0.4908,
-            (0.2594, -0.063, -0.998),
-            0.222,
-            (2.2266, 1.1065, -8.1563),
-            0.7377,
-            (13.456, 10.215, -9.003),
+        pytest.param(
+            0.4908, (0.2594, -0.063, -0.998), 0.222,
+            (2.2266, 1.1065, -8.1563), 0.7377, (13.456, 10.215, -9.003), id="its near side",
         ),
-        (
-            1,
-            (0.047, -1.047, -11.276),
-            0.3056,
-            (3.2015, 4.3799, -10.1688),
-            0.7602,
-            (14.979, 20.492, -6.096),
+        pytest.param(
+            1, (0.047, -1.047, -11.276), 0.3056,
+            (3.2015, 4.3799, -10.1688), 0.7602, (14.979, 20.492, -6.096), id="its tip",
         ),
     ],
-    ids=["its near side", "its tip"],
-)
+)  # fmt: skip
 def test_a_shadow_that_leaves_a_pixel_beside_where_it_enters(
     height: float, ahead: Vector, wide: float, ball: Vector, radius: float, light: Vector
 ) -> None:
@@ -196,13 +164,8 @@ def test_a_shadow_that_leaves_a_pixel_beside_where_it_enters(
     camera = Camera(
         view_point=(0, height, 0), view_dir=ahead, view_width=wide, view_height=wide * 25 / 37
     )
-    scene = scene_of(
-        floor,
-        Sphere(center=ball, radius=radius, shader=RED),
-        camera=camera,
-        size=(37, 25),
-        lights=light,
-    )
+    above = Sphere(center=ball, radius=radius, shader=RED)
+    scene = scene_of(floor, above, camera=camera, size=(37, 25), lights=light)
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
 
@@ -235,13 +198,8 @@ def test_the_horizon_of_a_planet(radius: float, up: float) -> None:
 def test_the_eye_on_a_surface(floor: Box | Sphere) -> None:
     """It sees the inside, on one side of the plane that touches it there, and past it elsewhere."""
     room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
-    scene = scene_of(
-        floor,
-        room,
-        camera=Camera(view_dir=(0.3, 0.01, -1), view_up=(0.1, 1, 0)),
-        size=(24, 16),
-        lights=(0, 5, 3),
-    )
+    camera = Camera(view_dir=(0.3, 0.01, -1), view_up=(0.1, 1, 0))
+    scene = scene_of(floor, room, camera=camera, size=(24, 16), lights=(0, 5, 3))
     no_worse_than_the_uniform_grid(scene)
 
 
@@ -250,10 +208,10 @@ def test_the_eye_beside_an_edge_but_for_rounding(aside: float) -> None:
     """It looks along a face of a box, from so near to its edge that no outline is known there."""
     room = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
     box = Box(min_pt=(0, -1, -4), max_pt=(4, 1, -aside), shader=RED)
-    camera = Camera(view_dir=(0, -1, 0), view_up=(-0.013, 0.49, 0.87), view_width=0.37)
-    scene = scene_of(
-        box, room, camera=replace(camera, view_height=0.37), size=(24, 20), lights=(-2, 5, -4)
+    camera = Camera(
+        view_dir=(0, -1, 0), view_up=(-0.013, 0.49, 0.87), view_width=0.37, view_height=0.37
     )
+    scene = scene_of(box, room, camera=camera, size=(24, 20), lights=(-2, 5, -4))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
@@ -261,15 +219,13 @@ def test_the_eye_beside_an_edge_but_for_rounding(aside: float) -> None:
 def test_light_that_falls_off_towards_a_horizon(up: float) -> None:
     # On the near side of the horizon's line light falls from nearly all to nothing.  Or the line
     # passes so near to pixels' centres that the floor's lower edges there may count for it.
+    wide, high = 0.4, 0.4 * 13 / 18
+    eye, ahead, normal = (0, 1.4, 0), (0, up, -1), (0, 0, 1)
     camera = Camera(
-        view_point=(0, 1.4, 0), view_dir=(0, up, -1), proj_normal=(0, 0, 1), view_width=0.4
+        view_point=eye, view_dir=ahead, proj_normal=normal, view_width=wide, view_height=high
     )
-    scene = scene_of(
-        Box(min_pt=(-3e4, -1, -3e4), max_pt=(3e4, 0, 3e4)),
-        camera=replace(camera, view_height=0.4 * 13 / 18),
-        size=(18, 13),
-        lights=(-100, 210, -160),
-    )
+    floor = Box(min_pt=(-3e4, -1, -3e4), max_pt=(3e4, 0, 3e4))
+    scene = scene_of(floor, camera=camera, size=(18, 13), lights=(-100, 210, -160))
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
 
 
@@ -390,9 +346,8 @@ def test_a_smooth_surface_in_large_pixels() -> None:
     # No edge at all: the light alone changes, in a highlight, within a pixel.
     camera = Camera(view_point=(0, 0, 3), view_width=0.54, view_height=0.36)
     ball = Sphere(shader=Phong(diffuse=(0.4, 0.4, 0.4), specular=(1, 1, 1), exponent=50))
-    no_worse_than_the_uniform_grid(
-        scene_of(ball, camera=camera, size=(36, 24), lights=(1, 2, 5)), 2
-    )
+    scene = scene_of(ball, camera=camera, size=(36, 24), lights=(1, 2, 5))
+    no_worse_than_the_uniform_grid(scene, 2)
 
 
 def test_light_on_a_ball_as_wide_as_a_pixel() -> None:
@@ -408,9 +363,7 @@ def test_a_ball_under_a_lamp_at_the_eye() -> None:
     eye, ahead = (2, 1, 4), (-2, 0, -4)
     camera = Camera(view_point=eye, view_dir=ahead, view_width=0.5, view_height=1 / 3)
     ball = Sphere(center=(-0.5, 1, 0.5), radius=0.5)
-    scene = Scene(
-        camera=camera, width=24, height=16, lights=[PointLight(position=eye)], surfaces=[ball]
-    )
+    scene = scene_of(ball, camera=camera, size=(24, 16), lights=eye)
     error = render(scene, samples=256) - uniform(scene, 129)
     assert np.sqrt((error**2).mean()) <= 4e-5
 
@@ -420,9 +373,8 @@ def test_a_shadow_right_behind_an_outline() -> None:
     aside = 0.004
     wall = Box(min_pt=(-9, -9, -4), max_pt=(9, 9, -2.5))
     plate = Box(min_pt=(-0.3, -0.3, -2), max_pt=(0.3, 0.3, -1.9))
-    lights = [PointLight(position=(aside, aside, 0))]
     camera = Camera(view_up=(0.3, 1, 0))
-    scene = Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[plate, wall])
+    scene = scene_of(plate, wall, camera=camera, size=(24, 24), lights=(aside, aside, 0))
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64, 256))
 
 
