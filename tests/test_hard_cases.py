@@ -236,6 +236,14 @@ def test_17_light_on_a_sphere(center: Vector, radius: float) -> None:
         assert not radiance_along(eye, (-1, 0, 0), top, ball).any()
 
 
+@pytest.mark.parametrize("x", [-2, 0, 1])
+def test_17b_light_on_the_wall_of_a_round_room(x: float) -> None:
+    # The lamp is at its top, 4 over a table in the middle, and the room is around both.
+    room, table = Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))
+    seen = radiance_along((x, 1, 0), (0, -1, 0), (0, 4, 0), room, table)
+    assert seen == pytest.approx(4 / math.hypot(x, 4), rel=8 * EPS)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_18_everything_listed_twice(kind: str) -> None:
     for seed in range(20, 26):
