@@ -21,7 +21,7 @@ from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, s
 
 __all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
-MOST_TURN = 0.2
+MOST_TURN = 0.5
 """A line that turns by less (in radians) across a cell can stand for what bends there."""
 
 # Such a line passes for straight if it turns by less than this, in radians, times the tolerance: a
