@@ -87,10 +87,10 @@ def _forgotten(_: Seen, lighting: Lighting) -> LightingIn:
     return lambda _: lighting
 
 
-def _alike(_: Lines, cells: Ints, x: Floats, y: Floats) -> Points:
+def _alike(_: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Points, Ints]:
     """All points in a cell have the same share, whatever lines lie between them."""
-    shares = np.full(cells.size * x.size, 1 / x.size)
-    return Points(np.repeat(cells, x.size), shares, np.tile(x, cells.size), np.tile(y, cells.size))
+    cell, shares = np.repeat(cells, x.size), np.full(cells.size * x.size, 1 / x.size)
+    return Points(cell, shares, np.tile(x, cells.size), np.tile(y, cells.size)), cell
 
 
 def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:
@@ -131,6 +131,7 @@ ANTIALIASING = [
     Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
     Part("no samples in the last cells: looks to the end", [(antialias, "_LAST", 1)]),
     Part("samples in cells twice as large", [(antialias, "_LAST", 4)]),
+    Part("no second round: 25 samples in all the last cells", [(antialias, "_ROUNDS", (3,))]),
     Part(
         "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]
     ),

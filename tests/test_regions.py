@@ -7,7 +7,7 @@ import pytest
 
 from tracer.arrays import Floats, Ints
 from tracer.edges import Kind, Lines
-from tracer.regions import post_stratified, sides_of
+from tracer.regions import mixed, post_stratified, sides_of
 from tracer.sampling import Lattice
 
 FINE = (np.arange(400) + 0.5) / 400 - 0.5
@@ -41,7 +41,8 @@ def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> 
     counts = rng.integers(0, 5, 60, dtype=np.intp)
     lines = lines_in(rng, counts)
     x, y = Lattice.of(per_side).points()
-    points = post_stratified(lines, np.arange(counts.size), x, y)
+    points, numbers = post_stratified(lines, np.arange(counts.size), x, y)
+    assert numbers.size == points.cell.size
     shares = points.share[: counts.size * x.size].reshape(counts.size, -1)
     assert np.array_equal(points.x[: x.size], x)
     assert np.array_equal(points.y[: x.size], y)
@@ -50,7 +51,10 @@ def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> 
     for cell, count in enumerate(counts.tolist()):
         whole = np.bincount(codes(lines, cell, fine_x, fine_y), minlength=1 << count) / fine_x.size
         own = np.flatnonzero(lone.cell == cell)
-        total = np.bincount(codes(lines, cell, x, y), shares[cell], minlength=1 << count)
+        code = codes(lines, cell, x, y)
+        number = numbers[cell * x.size : (cell + 1) * x.size]
+        assert np.array_equal(number - number.min(), code - code.min())
+        total = np.bincount(code, shares[cell], minlength=1 << count)
         regions = codes(lines, cell, lone.x[own], lone.y[own])
         # Those without points of the lattice, and no others, have one of their own, inside.
         assert not total[regions].any()
@@ -58,6 +62,13 @@ def test_points_of_a_region_have_its_area_together(seed: int, per_side: int) -> 
         total += np.bincount(regions, lone.share[own], minlength=1 << count)
         assert total == pytest.approx(whole, abs=0.003)
         assert total.sum() == pytest.approx(1, abs=1e-9)
+
+
+def test_points_that_differ_from_others_in_their_region() -> None:
+    region = np.array([0, 0, 1, 2, 3, 2, 4, 5, 5])
+    key = np.array([7, 7, 7, -1, 7, -1, 7, 7, -1])
+    assert mixed(region, key).tolist() == [7]
+    assert not mixed(region[:0], key[:0]).size
 
 
 @pytest.mark.parametrize("seed", range(3))

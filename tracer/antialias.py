@@ -10,7 +10,8 @@ cell, a sample on either side is enough (two on a sphere within its limb, where
 light falls off).  A cell that holds more is *unresolved*: it is split into
 quarters, which are looked at in turn, and so on (Whitted 1980).  The last parts
 get samples on a lattice that is as good as the grid asked for; those between the
-same lines stand for their exact area together.
+same lines stand for their exact area together.  Where these do not see the same,
+there is an edge that was not found, and a finer lattice takes their place.
 
 Where light buffers find the shadows, what a look has found of them serves all
 samples in its cell.  In pictures full of edges there are no looks, and all pixels
@@ -28,7 +29,7 @@ from tracer.edges import Kind, Lines, joined
 from tracer.lighting import Lighting
 from tracer.looks import Cells, LightingIn, Seen, look, look_at, radiance_in
 from tracer.outlines import Frames
-from tracer.regions import Points, post_stratified, sides_of
+from tracer.regions import Points, mixed, post_stratified, sides_of
 from tracer.sampling import CENTRES, Lattice
 
 __all__ = ["antialiased", "dense", "splittings"]
@@ -41,9 +42,13 @@ _CHUNK = 1 << 16
 _CURVATURE = 1e-2
 
 # Cells in which the grid asked for has no more samples along each side than this are not split any
-# more, but sampled: looks would cost more than the samples they save.  They cost so much that what
-# has been split gets no fewer samples than this.
+# more, but sampled: looks would cost more than the samples they save.
 _LAST = 3
+
+# Looks cost so much that what has been split gets more samples than asked for: as many as for a
+# grid of so many along each side; then, where these miss an edge or the correction for curvature
+# may err by more than `_BENT` times the tolerance, as many as for the second.
+_ROUNDS, _BENT = (2, 4), 8.0
 
 # With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than looks.
@@ -159,7 +164,8 @@ def _refine(
     if per_side > _LAST:
         _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
         rest = rest[:0]
-    _sample(lighting, lighting_in, cells, lines, rest, per_side, beside, mean)
+    rounds = (per_side,) if cells.size == 1 else _ROUNDS
+    _sample(lighting, lighting_in, cells, lines, rest, rounds, beside, mean)
 
 
 def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
@@ -191,26 +197,44 @@ def _sample(
     cells: Cells,
     lines: Lines,
     some: Ints,
-    per_side: int,
+    rounds: tuple[int, ...],
     beside: Points,
     mean: Floats,
 ) -> None:
     """Add to the mean radiance (3, n) that of a lattice of samples in some cells.
 
-    So is that of the points `beside`: together with the first cells, for one long array takes less
-    time than two.
+    `rounds`: the lattice is as good as a grid of so many samples along each side; where it is too
+    coarse, the next takes its place.
+
+    What the points `beside` see is added as well: together with the first cells, for one long array
+    takes less time than two.
     """
+    per_side, *finer = rounds
     lattice = Lattice.of(per_side)
     x, y = lattice.points()
     step = max(1, lighting.view.at_once(_CHUNK) // lattice.size)
+    coarse = np.zeros(cells.x.size, dtype=np.bool_)
+    if finer:
+        coarse[some] = cells.error[some] > _BENT * cells.tolerance
+        some = some[~coarse[some]]
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
         held = np.flatnonzero(np.isin(lines.cell, part))
-        points = post_stratified(lines.take(held), part, x, y)
+        points, region = post_stratified(lines.take(held), part, x, y)
         if not begin:
             points = points.joined(beside)
-        at = cells.at(points.cell, points.x, points.y)
-        points.add(radiance_in(lighting_in, *at, points.cell), mean)
+        radiance, key = radiance_in(
+            lighting_in, *cells.at(points.cell, points.x, points.y), points.cell
+        )
+        if finer:
+            # What differs between the same lines shows that an edge has not been found.
+            coarse[points.cell[mixed(region, key[: region.size])]] = True
+            kept = np.flatnonzero(~coarse[points.cell])
+            points, radiance = points.take(kept), radiance[:, kept]
+        points.add(radiance, mean)
+    again, none = np.flatnonzero(coarse), beside.take(np.arange(0))
+    if again.size:
+        _sample(lighting, lighting_in, cells, lines, again, tuple(finer), none, mean)
 
 
 def _split(

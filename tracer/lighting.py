@@ -33,6 +33,7 @@ __all__ = [
     "Incoming",
     "Lighting",
     "incoming_at",
+    "key_of",
     "lighting_of",
     "narrow_highlights",
     "radiance_at",
@@ -172,8 +173,13 @@ def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     )
 
 
-def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None) -> Floats:
-    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
+def radiance_at(
+    lighting: Lighting, samples: Samples, out: Floats | None = None, key: Ints | None = None
+) -> Floats:
+    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given.
+
+    If `key` (n,) is given, what `key_of` says is put there; what sees nothing is left as it is.
+    """
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
     incoming = incoming_at(lighting, hits)
@@ -184,7 +190,18 @@ def radiance_at(lighting: Lighting, samples: Samples, out: Floats | None = None)
         shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
         for channel, values in zip(radiance, shaded, strict=True):
             channel[group.sample] = values
+        if key is not None:
+            key[group.sample] = key_of(group, lit[:, part])
     return radiance
+
+
+def key_of(group: Group, lit: Bools) -> Ints:
+    """A number (n,) for the object, its face, and the lights that reach it: `lit` (lights, n)."""
+    key: Ints = group.spread(group.owner * 4) + group.face
+    for bit in lit:
+        # An odd factor: with more lights than bits, the first are not shifted out.
+        key = key * 3 + bit
+    return key
 
 
 def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:

@@ -16,7 +16,15 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints
 from tracer.boundaries import Patches, footprints_of, intersections, near_lights
 from tracer.edges import Lines
-from tracer.lighting import Highlights, Lighting, incoming_at, narrow_highlights, radiance_at, shade
+from tracer.lighting import (
+    Highlights,
+    Lighting,
+    incoming_at,
+    key_of,
+    narrow_highlights,
+    radiance_at,
+    shade,
+)
 from tracer.sampling import Samples, Scattered
 from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import visible_and_behind
@@ -81,7 +89,7 @@ class Seen(NamedTuple):
     radiance : (3, n)
         Of the sample in each cell's middle.
     key : (n,)
-        A number for the object, its face, and the lights that reach it; -1 where nothing is seen.
+        See `key_of`; -1 where nothing is seen.
     lines : list of Lines
         What divides the surfaces: where they meet, ridges, shadows and terminators.
     cell : (n,)
@@ -110,14 +118,17 @@ class Seen(NamedTuple):
         return lambda cell: lighting._replace(shadows=cached(place[cell]))
 
 
-def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> Floats:
-    """Radiance (3, n) at positions in any order; `cell` (n,): the one that each lies in."""
-    radiance = np.empty((3, x.size))
-    if not x.size:
-        return radiance
-    samples, order = Scattered.of(x, y)
-    radiance[:, order] = radiance_at(lighting_in(cell[order]), samples)
-    return radiance
+def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> tuple[Floats, Ints]:
+    """Radiance (3, n) and keys (n,), as in `Seen`, at positions in any order.
+
+    `cell` (n,): the cell that each lies in.
+    """
+    radiance, key, found = np.empty((3, x.size)), *np.full((2, x.size), -1)
+    if x.size:
+        samples, order = Scattered.of(x, y)
+        radiance[:, order] = radiance_at(lighting_in(cell[order]), samples, key=found)
+        key[order] = found
+    return radiance, key
 
 
 def look_at(
@@ -173,11 +184,7 @@ def look(
         shaded = shade(highlights, here, reached)
         for channel, values in zip(radiance, shaded, strict=True):
             channel[inside] = values
-        number = group.spread(group.owner * 4) + group.face
-        for bit in reached:
-            # An odd factor: with more lights than bits, the first are not shifted out.
-            number = number * 3 + bit
-        key[inside] = number
+        key[inside] = key_of(group, reached)
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
             unresolved[inside[places]] = True
         patches = Patches(lighting, hits, group, inside, footprint[part], size, tolerance)

@@ -16,7 +16,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, equal_runs
 from tracer.edges import Kind, Lines
 
-__all__ = ["Points", "post_stratified", "sides_of"]
+__all__ = ["Points", "mixed", "post_stratified", "sides_of"]
 
 # Shares no larger than this are left out.
 _NOTHING = 1e-9
@@ -84,8 +84,8 @@ def sides_of(lines: Lines, same: float) -> tuple[Points, Bools]:
     return sides.take(some), beyond[some]
 
 
-def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> Points:
-    """The same points in all cells, cell after cell, given lines sorted by cell.
+def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Points, Ints]:
+    """The same points in all cells, cell after cell, and their regions, given lines sorted by cell.
 
     The points in a region have equal parts of its share.  The regions without any have a point in
     the middle of each: these come last.
@@ -94,24 +94,33 @@ def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> Points:
     weights = np.full((cells.size, x.size), 1 / x.size)
     bits = int(count.max(initial=0))
     # A region's code has a bit for each line, set on the side where c + a x + b y < 0.
-    code = np.repeat(np.arange(first.size)[:, None] << bits, x.size, axis=1)
+    code = np.repeat(np.arange(cells.size)[:, None] << bits, x.size, axis=1)
+    crossed = np.searchsorted(cells, lines.cell[first])
     polygons = _Polygons.squares(first.size)
     for number in range(bits):
         some = np.flatnonzero(count > number)
         line = (first + number)[some, None]
         z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
-        code[some] |= (z < 0) << number
+        code[crossed[some]] |= (z < 0) << number
         polygons = polygons.divided(lines, first + number, count > number, number)
     share, middle_x, middle_y = polygons.centroids()
-    region = polygons.code + (polygons.cell << bits)
-    held = np.bincount(code.ravel(), minlength=first.size << bits)
+    place = crossed[polygons.cell]
+    region = polygons.code + (place << bits)
+    held = np.bincount(code.ravel(), minlength=cells.size << bits)
     shares = np.bincount(region, share, minlength=held.size) / np.maximum(held, 1)
-    crossed = lines.cell[first]
-    weights[np.searchsorted(cells, crossed)] = shares[code]
+    weights[crossed] = shares[code[crossed]]
     empty = np.flatnonzero((held[region] == 0) & (share > _NOTHING))
-    lone = Points(crossed[polygons.cell[empty]], share[empty], middle_x[empty], middle_y[empty])
+    lone = Points(cells[place[empty]], share[empty], middle_x[empty], middle_y[empty])
     x, y = np.tile(x, cells.size), np.tile(y, cells.size)
-    return Points(np.repeat(cells, weights.shape[1]), weights.ravel(), x, y).joined(lone)
+    points = Points(np.repeat(cells, weights.shape[1]), weights.ravel(), x, y).joined(lone)
+    return points, np.append(code, region[empty])
+
+
+def mixed(region: Ints, key: Ints) -> Ints:
+    """Points, of some in regions (n,), that have another key (n,) than others in their region."""
+    keys = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
+    keys[region] = key
+    return np.flatnonzero(keys[region] != key)
 
 
 class _Polygons(NamedTuple):
