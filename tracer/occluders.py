@@ -127,22 +127,20 @@ class Candidates(NamedTuple):
         The points (m,).
     light, occluder : (m,)
         A light, and an object that may come between: all spheres, or all boxes.
+    single : bool
+        Whether every ball is known to hold one point.
     """
 
     balls: Balls
     light: Ints
     occluder: Ints
+    single: bool = False
 
     def pairs(self) -> Pairs:
         """All points of all balls, with their light and object."""
         start = self.balls.start
         point = start if self.single else ranges(start, self.balls.length)
         return Pairs(point, self.spread(self.light), self.spread(self.occluder))
-
-    @property
-    def single(self) -> bool:
-        """Whether every ball holds one point."""
-        return bool(self.balls.length.max() == 1)
 
     def spread(self, values: Array) -> Array:
         """Values of balls, for each of their points."""
@@ -180,7 +178,7 @@ def point_candidates(
     if footprint is not None:
         radius = radius + footprint[point]
     balls = Balls(owner, point, np.ones_like(point), p, radius)
-    return Candidates(balls, pairs.light, pairs.occluder)
+    return Candidates(balls, pairs.light, pairs.occluder, single=True)
 
 
 def candidates_by_kind(
