@@ -240,5 +240,6 @@ def test_lines_of_discs_across_cells_of_all_shapes(narrow: float) -> None:
     expected = np.zeros(straight.size)
     for x, y in zip(*spread(1000), strict=True):
         expected += np.hypot(*(ray[k] + across[k] * x + down[k] * y for k in (0, 1)))[straight] < 1
-    assert share == pytest.approx(expected / 1000, abs=0.08)
+    off = np.abs(share - expected / 1000)
+    assert np.all(off < np.where(turn[straight] > 0.2, 0.08, 0.03))
     assert np.mean(near & (turn > MOST_TURN)) < 0.6
