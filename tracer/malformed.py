@@ -31,6 +31,14 @@ _REMEDIES = {
 }
 
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
+# How files in UTF-16 begin: with its mark, or with a tag.
+_UTF16 = {
+    b"\xff\xfe": "utf-16-le",
+    b"<\0": "utf-16-le",
+    b"\xfe\xff": "utf-16-be",
+    b"\0<": "utf-16-be",
+}
+
 _SCENE = "a scene file holds <scene> ... </scene>"
 
 
@@ -50,15 +58,16 @@ def remedy(
     file : binary file
     """
     file.seek(0)
-    big_endian = file.read(2) in (b"\xfe\xff", b"\0<")
+    encoding = _UTF16.get(file.read(2), "utf-8")
     start = max(0, index - _BEFORE)
     file.seek(start)
-    # Without its NULs, UTF-16 reads like ASCII.
-    before = file.read(index - start).replace(b"\0", b"")
-    after = file.read(_AFTER)[big_endian:]
-    if after.startswith(b"\0"):  # UTF-32, taken for another encoding, has some as well
+    around = file.read(index - start), file.read(_AFTER)
+    if encoding != "utf-8":
+        before, after = (text.decode(encoding, "replace").encode() for text in around)
+    else:
+        before, after = around
+    if after.startswith(b"\0"):  # UTF-32, taken for UTF-16, has some as well
         return "save the file as UTF-8, and without a NUL"
-    after = after.replace(b"\0", b"")
     if index == 0 and not after.startswith(b"<"):  # a picture, say
         return _SCENE
     return (
