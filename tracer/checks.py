@@ -283,10 +283,7 @@ def order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any] = _ALONE) -
 
 
 def _size_faults(name: str, lengths: Floats, index: NDArray[Any] = _ALONE) -> Iterable[Fault]:
-    """Rows (n, k) of lengths or coordinates too large or too small to compute with.
-
-    `index` (n,): of the surface that each row is of.
-    """
+    """Rows (n, k) of lengths or coordinates too large or too small to compute with."""
     size = np.abs(lengths)
     # What is not finite is another fault.
     wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))

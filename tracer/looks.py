@@ -114,7 +114,7 @@ class Seen(NamedTuple):
         seen = self.cell[self.shadow_edges.hits.sample]
         place = np.full(self.key.size, -1)
         place[seen] = np.arange(seen.size)
-        cached = lighting.shadows.cached([self.shadow_edges])
+        cached = lighting.shadows.cached(self.shadow_edges)
         return lambda cell: lighting._replace(shadows=cached(place[cell]))
 
 

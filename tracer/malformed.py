@@ -31,6 +31,7 @@ _REMEDIES = {
 }
 
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
+
 # How files in UTF-16 begin: with its mark, or with a tag.
 _UTF16 = {
     b"\xff\xfe": "utf-16-le",

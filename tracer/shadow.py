@@ -9,7 +9,7 @@ are taken from a cache.  All pairs go through the same exact test.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import sqrt
 from typing import NamedTuple
 
@@ -109,10 +109,10 @@ class Shadows(NamedTuple):
         """Whether it pays to cache shadow edges: not for stretches, which take points together."""
         return isinstance(self.finder, LightBufferFinder)
 
-    def cached(self, found: Sequence[ShadowEdges]) -> Callable[[Ints], Shadows]:
+    def cached(self, found: ShadowEdges) -> Callable[[Ints], Shadows]:
         """A function from the point near each sample to `Shadows` that use what is known there.
 
-        `found`: the points' shadow edges.  A point is a place among all of these, or -1 for none.
+        `found`: the points' shadow edges.  A point is a place among these, or -1 for none.
         """
         assert isinstance(self.finder, LightBufferFinder)
         known = ShadowCache.of(self.finder, found)

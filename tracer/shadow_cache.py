@@ -7,7 +7,7 @@ in the cell, and for its quarters, no other objects need to be tried.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,29 +79,26 @@ class ShadowCache(NamedTuple):
     listed: Ints
 
     @classmethod
-    def of(cls, finder: LightBufferFinder, found: Sequence[ShadowEdges]) -> ShadowCache:
-        """Gather points.  No samples are given yet: `near` is empty."""
+    def of(cls, finder: LightBufferFinder, found: ShadowEdges) -> ShadowCache:
+        """What is known of some points.  No samples are given yet: `near` is empty."""
 
-        def joined(parts: Iterable[NDArray[Any]], none: int = 0) -> NDArray[Any]:
+        def ended(values: NDArray[Any], none: int = 0) -> NDArray[Any]:
             """Values of all points, and last of no point."""
-            first, *more = parts
-            last = np.full((*first.shape[:-1], 1), none, dtype=first.dtype)
-            return np.concatenate([first, *more, last], axis=-1)
+            last = np.full((*values.shape[:-1], 1), none, dtype=values.dtype)
+            return np.append(values, last, axis=-1)
 
-        own, dark = joined((m.own for m in found), -1), joined(m.dark for m in found)
-        start = np.cumsum([0, *(m.own.size for m in found)]).tolist()
-        keys = [m.light * own.size + m.point + s for m, s in zip(found, start, strict=False)]
-        key = np.concatenate(keys)
+        own, dark = ended(found.own, -1), ended(found.dark)
+        key = found.light * own.size + found.point
         return cls(
             finder=finder,
             near=np.zeros(0, dtype=np.intp),
             own=own,
-            p=joined(m.hits.p for m in found),
-            footprint=joined(m.footprint for m in found),
-            facing=joined(m.facing for m in found),
+            p=ended(found.hits.p),
+            footprint=ended(found.footprint),
+            facing=ended(found.facing),
             dark=dark,
             first=np.append(0, np.cumsum(np.bincount(key, minlength=dark.size))),
-            listed=np.concatenate([m.occluder for m in found])[np.argsort(key)],
+            listed=found.occluder[np.argsort(key)],
         )
 
     def candidates(
