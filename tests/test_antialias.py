@@ -74,7 +74,7 @@ def test_pictures_full_of_outlines_are_lattices() -> None:
 def test_an_offset_of_whole_pixels_moves_the_picture(
     dense: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rendering, "dense", lambda *_: dense)
+    monkeypatch.setattr(antialias, "dense", lambda *_: dense)
     scene = crowd(30, width=48, height=27)
     image, moved = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05

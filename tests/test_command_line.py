@@ -479,7 +479,13 @@ def test_what_draws_nothing_does_not_wait_for_numpy(arguments):
     assert "numpy" not in done.stderr
 
 
-@pytest.mark.parametrize("module", ["tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        *("tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"),
+        *(f"tracer.{m}" for m in ("antialias", "edges", "helpers", "light_buffers", "malformed")),
+    ],
+)
 def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, module):
     script = (
         "import sys, numpy\nbefore = set(sys.modules)\n"

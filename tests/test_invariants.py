@@ -35,7 +35,7 @@ def test_scaled_by_a_power_of_two(kind: str, power: int) -> None:
 def test_antialiased_and_scaled_by_a_power_of_two(
     kind: str, power: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rendering, "dense", lambda *_: False)
+    monkeypatch.setattr(antialias, "dense", lambda *_: False)
     for seed in range(2):
         scene, _ = picture(kind, seed)
         image = render(scene, samples=16)

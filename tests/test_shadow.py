@@ -16,9 +16,8 @@ from random_scenes import KINDS, random_scene
 from tracer import Box, Camera, Sphere, render
 from tracer.arrays import Bools, Floats
 from tracer.intersection import INSIDE
-from tracer.occluders import Candidates, Occluders, candidates_by_kind
+from tracer.occluders import Candidates, Occluders, ShadowEdges, candidates_by_kind
 from tracer.shadow import Shadows
-from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import Hits
 
 

@@ -32,9 +32,9 @@ from tracer.camera import Raster
 from tracer.edges import Kind, Lines, Pencil, joined, sagitta_error
 from tracer.intersection import OUTSIDE
 from tracer.lighting import Incoming, Lighting
+from tracer.occluders import ShadowEdges
 from tracer.outlines import box_corners, silhouette_planes
 from tracer.scene import Surfaces
-from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import Group, Hits
 
 __all__ = ["Patches", "footprints_of", "intersections", "near_lights"]

@@ -38,13 +38,14 @@ from tracer.workers import (
 __all__ = ["Fill", "Job", "helped", "run_helper"]
 
 # What a helper runs.  It imports this very package, even if the path has changed, or has '' in it
-# and the current folder has changed; all other modules it finds by this process's path.
+# and the current folder has changed; all other modules it finds by this process's path.  What only
+# some pictures need is imported before it is asked for any.
 _CODE = """
 import sys
 sys.path[:] = {path!r}
 import tracer
 del sys.path[0]
-import tracer.rendering
+import tracer.antialias, tracer.light_buffers, tracer.rendering, tracer.shadow_cache
 from tracer.helpers import run_helper
 run_helper{ends!r}
 """

@@ -25,8 +25,8 @@ from tracer.lighting import (
     radiance_at,
     shade,
 )
+from tracer.occluders import ShadowEdges
 from tracer.sampling import Samples, Scattered
-from tracer.shadow_cache import ShadowEdges
 from tracer.visibility import visible_and_behind
 
 __all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]

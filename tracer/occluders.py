@@ -27,6 +27,7 @@ __all__ = [
     "Finder",
     "Occluders",
     "Pairs",
+    "ShadowEdges",
     "candidates_by_kind",
     "occluders_of",
     "point_candidates",
@@ -147,8 +148,40 @@ class Candidates(NamedTuple):
         return values if self.single else spread(values, self.balls.length)
 
 
+class ShadowEdges(NamedTuple):
+    """What may keep lights from what is near some points, each on its own object.
+
+    Attributes
+    ----------
+    hits : Hits
+        The points.
+    own : (n,)
+        The object that each is on.
+    footprint : (n,)
+        Within which distance of each point is near.
+    facing, dark : (lights, n)
+        Which points face which light, and where it reaches nothing that is near.
+    point, light, occluder : (m,)
+        Objects that may keep a light from some of what is near a point.
+    """
+
+    hits: Hits
+    own: Ints
+    footprint: Floats
+    facing: Bools
+    dark: Bools
+    point: Ints
+    light: Ints
+    occluder: Ints
+
+
 class Finder(Protocol):
     """Finds what may keep lights from points: stretches, light buffers or a shadow cache."""
+
+    @property
+    def occluders(self) -> Occluders:
+        """Among which it finds them."""
+        ...
 
     def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None

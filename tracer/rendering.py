@@ -16,14 +16,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise, product
 from math import inf, isqrt
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from tracer.antialias import antialiased, dense, splittings
 from tracer.arrays import Floats
 from tracer.camera import Raster, raster_of
-from tracer.helpers import Fill, Job, helped
 from tracer.lighting import Lighting, lighting_of, radiance_at
 from tracer.memory import keep_heap
 from tracer.outlines import frames_of
@@ -31,6 +29,9 @@ from tracer.sampling import CENTRES, Lattice
 from tracer.scene import Scene
 from tracer.visibility import view_of
 from tracer.workers import AHEAD, forked, processors
+
+if TYPE_CHECKING:
+    from tracer.helpers import Fill
 
 __all__ = ["render", "render_each"]
 
@@ -90,6 +91,8 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
+    from tracer.helpers import Job, helped
+
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
     processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
@@ -163,16 +166,17 @@ class _Picture(NamedTuple):
     Attributes
     ----------
     scene : Scene
-    offset : (float, float)
+    raster : Raster
+        The rays of the samples that every pixel has.
     lattice : Lattice
-        The samples that every pixel has.
+        Where these are in a pixel.
     per_side : int
         1, or if pixels are split where they need it: samples along each side of the grid that the
         picture is to be as good as.
     """
 
     scene: Scene
-    offset: tuple[float, float]
+    raster: Raster
     lattice: Lattice
     per_side: int
 
@@ -184,12 +188,18 @@ class _Picture(NamedTuple):
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
-        offset = float(shift[0]), float(shift[1])
+        right, down = shift.tolist()
         per_side = isqrt(samples - 1) + 1
-        centres = cls(scene, offset, CENTRES, per_side)
-        if per_side > 1 and dense(frames_of(centres.raster(), scene.surfaces), per_side):
-            return cls(scene, offset, Lattice.of(per_side), 1)
-        return centres
+        raster = raster_of(scene.camera, scene.width, scene.height, (right, down))
+        if per_side > 1:
+            from tracer.antialias import dense
+
+            if dense(frames_of(raster, scene.surfaces), per_side):
+                lattice = Lattice.of(per_side)
+                width, height = scene.width * lattice.columns, scene.height * lattice.rows
+                offset = right * lattice.columns, down * lattice.rows
+                return cls(scene, raster_of(scene.camera, width, height, offset), lattice, 1)
+        return cls(scene, raster, CENTRES, per_side)
 
     @property
     def split(self) -> bool:
@@ -201,16 +211,10 @@ class _Picture(NamedTuple):
         """How many times as large bands are if pixels are split, and pictures worth help."""
         return _SPLIT_BANDS if self.split else 1
 
-    def raster(self) -> Raster:
-        """The rays of the samples that every pixel has."""
-        scene, (columns, rows) = self.scene, self.lattice
-        offset = self.offset[0] * columns, self.offset[1] * rows
-        return raster_of(scene.camera, scene.width * columns, scene.height * rows, offset)
-
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """`_Bands.tops` of a number of bands, for about as many outlines in each."""
-        total = np.cumsum(frames_of(self.raster(), self.scene.surfaces).in_rows())
+        total = np.cumsum(frames_of(self.raster, self.scene.surfaces).in_rows())
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -220,7 +224,11 @@ class _Picture(NamedTuple):
         """About how long it takes to render, in units of some 10 ns."""
         scene = self.scene
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        often = splittings(self.per_side) + self.split
+        often = 0
+        if self.split:
+            from tracer.antialias import splittings
+
+            often = 1 + splittings(self.per_side)
         return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * often) * each
 
 
@@ -295,7 +303,7 @@ class _Renderer(NamedTuple):
         """Prepare a scene."""
         keep_heap()
         picture = bands.picture
-        view = view_of(picture.raster(), picture.scene.surfaces)
+        view = view_of(picture.raster, picture.scene.surfaces)
         lighting = lighting_of(picture.scene, view, picture.split)
         sides = picture.lattice.rows, picture.lattice.columns
         rows, columns = (
@@ -324,6 +332,8 @@ class _Renderer(NamedTuple):
             part = out[top - rows.start : last - rows.start][:tall, left : left + at_once]
             here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
             if picture.split:
+                from tracer.antialias import antialiased
+
                 antialiased(self.lighting, *here, picture.per_side, part)
             elif lattice.size > 1:
                 radiance = radiance_at(self.lighting, lattice.samples(*here))

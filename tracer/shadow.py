@@ -26,10 +26,15 @@ from tracer.intersection import (
     sphere_blocks,
     sphere_crosses,
 )
-from tracer.light_buffers import LightBufferFinder, light_buffer_finder
-from tracer.occluders import Candidates, Finder, Occluders, Pairs, point_candidates
-from tracer.shadow_cache import ShadowCache, ShadowEdges
-from tracer.stretches import stretch_finder
+from tracer.occluders import (
+    Candidates,
+    Finder,
+    Occluders,
+    Pairs,
+    ShadowEdges,
+    point_candidates,
+)
+from tracer.stretches import StretchFinder, stretch_finder
 from tracer.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
@@ -107,14 +112,15 @@ class Shadows(NamedTuple):
     @property
     def caches(self) -> bool:
         """Whether it pays to cache shadow edges: not for stretches, which take points together."""
-        return isinstance(self.finder, LightBufferFinder)
+        return not isinstance(self.finder, StretchFinder)
 
     def cached(self, found: ShadowEdges) -> Callable[[Ints], Shadows]:
         """A function from the point near each sample to `Shadows` that use what is known there.
 
         `found`: the points' shadow edges.  A point is a place among these, or -1 for none.
         """
-        assert isinstance(self.finder, LightBufferFinder)
+        from tracer.shadow_cache import ShadowCache
+
         known = ShadowCache.of(self.finder, found)
         return lambda near: self._replace(finder=known._replace(near=near))
 
@@ -248,5 +254,8 @@ def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
     pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
     # Stretches lie along rows: more pixels across make them longer, more rows only more numerous.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
-    few = len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST))
-    return Shadows(occluders, stretch_finder(occluders) if few else light_buffer_finder(occluders))
+    if len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST)):
+        return Shadows(occluders, stretch_finder(occluders))
+    from tracer.light_buffers import light_buffer_finder
+
+    return Shadows(occluders, light_buffer_finder(occluders))

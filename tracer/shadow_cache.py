@@ -14,38 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
-from tracer.light_buffers import LightBufferFinder
-from tracer.occluders import Candidates, candidates_by_kind
+from tracer.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
 from tracer.visibility import Hits
 
-__all__ = ["ShadowCache", "ShadowEdges"]
-
-
-class ShadowEdges(NamedTuple):
-    """What may keep lights from what is near some points, each on its own object.
-
-    Attributes
-    ----------
-    hits : Hits
-        The points.
-    own : (n,)
-        The object that each is on.
-    footprint : (n,)
-        Within which distance of each point is near.
-    facing, dark : (lights, n)
-        Which points face which light, and where it reaches nothing that is near.
-    point, light, occluder : (m,)
-        Objects that may keep a light from some of what is near a point.
-    """
-
-    hits: Hits
-    own: Ints
-    footprint: Floats
-    facing: Bools
-    dark: Bools
-    point: Ints
-    light: Ints
-    occluder: Ints
+__all__ = ["ShadowCache"]
 
 
 class ShadowCache(NamedTuple):
@@ -53,7 +25,7 @@ class ShadowCache(NamedTuple):
 
     Attributes
     ----------
-    finder : LightBufferFinder
+    finder : Finder
         For samples of which nothing is known.
     near : (samples,)
         The point that each sample is near: an index into all that follows, the last of which is of
@@ -68,7 +40,7 @@ class ShadowCache(NamedTuple):
     listed : (m,)
     """
 
-    finder: LightBufferFinder
+    finder: Finder
     near: Ints
     own: Ints
     p: Floats
@@ -79,7 +51,7 @@ class ShadowCache(NamedTuple):
     listed: Ints
 
     @classmethod
-    def of(cls, finder: LightBufferFinder, found: ShadowEdges) -> ShadowCache:
+    def of(cls, finder: Finder, found: ShadowEdges) -> ShadowCache:
         """What is known of some points.  No samples are given yet: `near` is empty."""
 
         def ended(values: NDArray[Any], none: int = 0) -> NDArray[Any]:
@@ -101,6 +73,11 @@ class ShadowCache(NamedTuple):
             listed=found.occluder[np.argsort(key)],
         )
 
+    @property
+    def occluders(self) -> Occluders:
+        """See `Finder.occluders`."""
+        return self.finder.occluders
+
     def candidates(
         self, hits: Hits, facing: Bools, dark: Bools, footprint: Floats | None = None
     ) -> Iterator[Candidates]:
@@ -120,7 +97,7 @@ class ShadowCache(NamedTuple):
             for batch in batches(length):
                 at, place = expand(length[batch], first[batch])
                 yield from candidates_by_kind(
-                    self.finder.occluders,
+                    self.occluders,
                     own=own,
                     points=points,
                     point=which[batch][at],
