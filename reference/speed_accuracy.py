@@ -160,9 +160,10 @@ def _sweep(
             for curve, task in tasks_of(k).items()
             if len(spent[curve]) == k and _next(curve[0], spent[curve]) <= _TOO_LONG
         }
-        # Mitsuba compiles a kernel for each number of samples, and keeps it for the next process.
-        for (method, _), task in tasks.items():
-            if method in _LLVM.values():
+        # Mitsuba compiles a kernel for each number of samples, and keeps it for the next process;
+        # Python the modules of a first one.
+        for (method, whole), task in tasks.items():
+            if method in _LLVM.values() or (whole and method == _OURS):
                 task(0)
         timings = interleaved(tasks, 1, most=_ROUNDS, seconds=_ENOUGH)
         for curve, timing in timings.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -76,5 +77,10 @@ def on_copies(picture: Callable[[Scene], object], scene: Scene, rounds: int) -> 
 
 
 def process(command: Sequence[str]) -> Task:
-    """Run a process in silence, whatever the round; raises if it fails."""
-    return lambda _: subprocess.run(command, check=True, capture_output=True)
+    """Run a process in silence, whatever the round; raises if it fails.
+
+    Python may keep what it compiles, as it does unless told otherwise: the first run compiles the
+    modules, and no other has to.
+    """
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return lambda _: subprocess.run(command, check=True, capture_output=True, env=environment)

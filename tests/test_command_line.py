@@ -22,6 +22,7 @@ from PIL import Image
 import tracer
 from converters import to_mitsuba
 from tracer import __main__ as command_line
+from tracer import rendering
 from tracer.image import PNG, quantise
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
@@ -438,6 +439,25 @@ def test_a_slow_picture_shows_its_progress(scene):
     assert "ball.xml.png" in shown
     assert "/16384" in shown
     assert "Traceback" not in shown
+
+
+@pytest.mark.parametrize(("missing", "setting"), [(True, "1"), (False, "often")])
+def test_a_slow_picture_does_without_a_bar_that_cannot_be_shown(
+    missing, setting, scene, monkeypatch, capsys
+):
+    """Slow as the clock has it; tqdm reads its settings when it is imported."""
+    for module in [name for name in sys.modules if name.partition(".")[0] == "tqdm"]:
+        monkeypatch.delitem(sys.modules, module)
+    if missing:
+        monkeypatch.setitem(sys.modules, "tqdm", None)
+    monkeypatch.setenv("TQDM_MININTERVAL", setting)
+    monkeypatch.setattr(command_line, "perf_counter", iter(range(100)).__next__)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 400)
+    assert command_line.main([str(scene)]) == 0
+    assert capsys.readouterr().err == ""
+    with Image.open(f"{scene}.png") as image:
+        assert image.size == (40, 30)
 
 
 def test_a_quick_picture_shows_none(scene):

@@ -11,9 +11,10 @@ import gc
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from tracer import __version__
 from tracer.command import at_least, begin, heed_signals, is_folder, named, say, targets
@@ -169,15 +170,26 @@ def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Pa
             done += band.rows
             seconds = perf_counter() - start
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
-                from tqdm import tqdm  # takes longer to import than a small picture to render
-
-                tqdm.monitor_interval = 0  # else it starts a thread; see `forked`
-                bar = tqdm(desc=name, total=rows, unit="row", leave=False)
+                bar = _bar(name, rows)
+                if bar is None:
+                    break
             if bar is not None:
                 bar.update(done - bar.n)
+        yield from bands
     finally:
         if bar is not None:
             bar.close()
+
+
+def _bar(name: str, rows: int) -> Any:
+    """A progress bar; None where there can be none, for a picture is not to fail by that."""
+    # Not installed, or the environment has settings for it that it cannot read.
+    with suppress(ImportError, ValueError):
+        from tqdm import tqdm  # takes longer to import than a small picture to render
+
+        tqdm.monitor_interval = 0  # else it starts a thread; see `forked`
+        return tqdm(desc=name, total=rows, unit="row", leave=False)
+    return None
 
 
 def run() -> NoReturn:
