@@ -23,6 +23,7 @@ import tracer
 from converters import to_mitsuba
 from tracer import __main__ as command_line
 from tracer import rendering
+from tracer.command import _interrupted
 from tracer.image import PNG, quantise
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
@@ -330,6 +331,22 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     assert (process.returncode, out, err) == (130, "", "")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
     assert picture.read_bytes() == PNG + b"precious"
+
+
+def test_no_interrupt_interrupts_what_another_has_begun(monkeypatch):
+    """As when a user is impatient, or each process of a pipe is sent one."""
+    seconds = iter([10.0, 10.1, 10.4, 10.6])
+    monkeypatch.setattr("tracer.command._begun", True)
+    monkeypatch.setattr("tracer.command._deaf_until", 0.0)
+    monkeypatch.setattr("tracer.command.monotonic", seconds.__next__)
+    heeded = []
+    for _ in range(4):
+        try:
+            _interrupted(signal.SIGINT, None)
+            heeded.append(False)
+        except KeyboardInterrupt:
+            heeded.append(True)
+    assert heeded == [True, False, False, True]
 
 
 @pytest.mark.usefixtures("signals_heeded")

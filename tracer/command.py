@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from time import monotonic
 from typing import NoReturn, TextIO
 
 from tracer.messages import printable
@@ -112,6 +113,10 @@ def say(stream: TextIO | None, text: str) -> None:
 
 _begun = False
 
+# For so long after a signal, in seconds, no other is heeded: what it has left half-written goes.
+_DEAF = 0.5
+_deaf_until = 0.0
+
 
 def heed_signals() -> None:
     """Let signals that end a process do so with status 130; see `begin`."""
@@ -145,4 +150,8 @@ def _interrupted(_number: int, _frame: object) -> None:
     # An exception while NumPy is imported would pass for a fault of NumPy's.
     if not _begun:
         os._exit(130)
-    raise KeyboardInterrupt
+    global _deaf_until
+    now = monotonic()
+    if now >= _deaf_until:
+        _deaf_until = now + _DEAF
+        raise KeyboardInterrupt
