@@ -128,7 +128,7 @@ ONE_SAMPLE = [
 """Parts without which a picture of one sample a pixel takes longer."""
 
 ANTIALIASING = [
-    Part("no looks: samples everywhere", [(rendering, "dense", lambda *_: True)]),
+    Part("no looks: samples everywhere", [(antialias, "dense", lambda *_: True)]),
     Part("no samples in the last cells: looks to the end", [(antialias, "_LAST", 1)]),
     Part("samples in cells twice as large", [(antialias, "_LAST", 4)]),
     Part("no second round: 25 samples in all the last cells", [(antialias, "_ROUNDS", (3,))]),

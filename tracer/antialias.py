@@ -219,8 +219,9 @@ def _sample(
         some = some[~coarse[some]]
     for begin in range(0, max(some.size, 1), step):
         part = some[begin : begin + step]
-        held = np.flatnonzero(np.isin(lines.cell, part))
-        points, region = post_stratified(lines.take(held), part, x, y)
+        within = np.zeros(cells.x.size, dtype=np.bool_)
+        within[part] = True
+        points, region = post_stratified(lines.take(np.flatnonzero(within[lines.cell])), part, x, y)
         if not begin:
             points = points.joined(beside)
         radiance, key = radiance_in(

@@ -30,6 +30,7 @@ __all__ = [
     "Triple",
     "Vector",
     "batches",
+    "changes",
     "columns",
     "cross",
     "dot",
@@ -128,10 +129,19 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
     return places
 
 
+def changes(*values: NDArray[Any]) -> Bools:
+    """Where elements (n,) differ from those before them, in any of the arrays; the first do."""
+    change = np.ones(values[0].size, dtype=np.bool_)
+    later = np.not_equal(values[0][1:], values[0][:-1], out=change[1:])
+    for more in values[1:]:
+        later |= more[1:] != more[:-1]
+    return change
+
+
 def equal_runs(values: Ints) -> tuple[Ints, Ints]:
-    """Where each run of equal neighbours begins, and its length; no value may be -1."""
-    first = np.flatnonzero(np.diff(values, prepend=-1))
-    return first, np.diff(first, append=values.size)
+    """Where each run of equal neighbours begins, and its length."""
+    first = np.flatnonzero(changes(values))
+    return first, np.diff(np.append(first, values.size))
 
 
 def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:

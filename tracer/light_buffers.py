@@ -26,6 +26,7 @@ from tracer.arrays import (
     Ints,
     Triple,
     batches,
+    changes,
     dot,
     each,
     equal_runs,
@@ -512,4 +513,4 @@ def _object_bounds(left: Floats, right: Floats, top: Floats, bottom: Floats) -> 
 def _once(point: Ints, occluder: Ints, count: int) -> tuple[Ints, Ints]:
     """Each pair (point, object) once, though they share several cells; `count`: of all objects."""
     pair = np.sort(point * count + occluder)
-    return np.divmod(pair[np.diff(pair, prepend=-1) > 0], count)
+    return np.divmod(pair[changes(pair)], count)

@@ -172,9 +172,9 @@ class _Polygons(NamedTuple):
 
         Sutherland and Hodgman, Reentrant polygon clipping, 1974.  The arrays get one vertex more.
         """
-        inside, after = z > 0, np.roll(z, -1, axis=1)
-        crossing = inside != np.roll(inside, -1, axis=1)
-        part = np.where(crossing, z / (z - after), 0)
+        inside, after = z > 0, np.arange(1, z.shape[1] + 1) % z.shape[1]
+        crossing = inside != inside[:, after]
+        part = np.where(crossing, z / (z - z[:, after]), 0)
         # By turns each vertex, and the crossing on the way to the next, if they are kept.
         kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
         count = kept.sum(axis=1)
@@ -184,7 +184,7 @@ class _Polygons(NamedTuple):
         place = np.flatnonzero(kept)[first + last]
         corners = []
         for m in (self.x, self.y):
-            new = m + part * (np.roll(m, -1, axis=1) - m)
+            new = m + part * (m[:, after] - m)
             corners.append(np.stack([m, new], axis=2).ravel()[place])
         return _Polygons(self.cell[some], self.code[some], corners[0], corners[1])
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, expand, ranges
+from tracer.arrays import Floats, Ints, changes, expand, ranges
 from tracer.camera import Raster
 from tracer.outlines import Spans
 
@@ -146,7 +146,7 @@ class Scattered(NamedTuple):
 
     def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
         """Where objects may be seen, given the function from rows and their height to `spans`."""
-        tops = self.row[np.flatnonzero(np.diff(self.row, prepend=self.row[:1] - 1))]
+        tops = self.row[changes(self.row)]
         owner, row, left, right = spans(tops.astype(np.float64), 1.0)
         # Whole pixels: so samples are sorted.
         beside, begin = self.beside, tops[row] * (2 * self.beside + 1)

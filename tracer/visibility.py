@@ -15,6 +15,7 @@ from tracer.arrays import (
     Index,
     Ints,
     Triple,
+    changes,
     dot,
     entries,
     pick,
@@ -355,7 +356,7 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     )
     ranked = np.lexsort((order, sample))
     first = np.zeros(sample.size, dtype=np.bool_)
-    first[ranked] = np.diff(sample[ranked], prepend=-1) != 0
+    first[ranked] = changes(sample[ranked])
     ends = np.cumsum([group.t.size for group in groups])[:-1]
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
@@ -555,7 +556,7 @@ def _runs(
     if isinstance(samples, Scattered):
         gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
         apart = np.diff(samples.x, prepend=0) > _GAP
-        piece = np.cumsum(apart | (np.diff(samples.row, prepend=0) != 0))
+        piece = np.cumsum(apart | changes(samples.row))
     for group in groups:
         # Of faces, one number for the axis and the side.
         faces = [4 * group.face + group.sign] if np.ndim(group.face) else []
@@ -579,6 +580,6 @@ def _runs(
 
 def _starts(some: Ints | list[int], *numbers: Any) -> Ints:
     """Where any of the numbers (n,) changes, and at `some` places."""
-    starts = np.any([np.diff(m, prepend=0) != 0 for m in numbers if np.ndim(m)], axis=0)
+    starts = changes(*(m for m in numbers if np.ndim(m)))
     starts[some] = True
     return np.flatnonzero(starts)
