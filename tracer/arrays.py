@@ -86,7 +86,8 @@ def select(value: T, index: Index | slice) -> T:
     # Not np.ndim, which takes five times as long.
     if getattr(value, "ndim", False):
         array: Any = value
-        chosen: T = array[index]
+        # `take` needs two thirds of the time that indexing by an array takes.
+        chosen: T = array[index] if isinstance(index, slice) else array.take(index)
         return chosen
     return value
 
@@ -166,7 +167,7 @@ def columns(points: Floats, index: Ints | slice) -> Triple:
 
 def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:
     """Some entries of a table (m, n), one for each pair of row and column."""
-    some: NDArray[Any] = table.reshape(-1)[row * table.shape[1] + column]
+    some: NDArray[Any] = table.reshape(-1).take(row * table.shape[1] + column)
     return some
 
 
@@ -177,4 +178,4 @@ def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
 
 def rows(points: Floats, index: Ints | slice) -> Triple:
     """Some of the points (3, n), as a triple."""
-    return points[0][index], points[1][index], points[2][index]
+    return select(points[0], index), select(points[1], index), select(points[2], index)

@@ -267,10 +267,10 @@ class _Fragments(NamedTuple):
             ends = np.searchsorted(index, np.cumsum(self.counts))
             spans = self._replace(counts=np.diff(ends, prepend=0))
         return spans._replace(
-            sample=self.sample[index],
-            s=self.s[index],
-            t=self.t[index],
-            detail=self.detail[index],
+            sample=self.sample.take(index),
+            s=self.s.take(index),
+            t=self.t.take(index),
+            detail=self.detail.take(index),
         )
 
     def of_rows(self, values: Floats) -> Floats:
@@ -297,7 +297,7 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
     for group in groups:
         if isinstance(group.owner, int):
             # No sample meets the same object twice, so there is no need for minimum.at.
-            nearest[group.sample] = np.minimum(nearest[group.sample], group.t)
+            nearest[group.sample] = np.minimum(nearest.take(group.sample), group.t)
         else:
             np.minimum.at(nearest, group.sample, group.t)
     return nearest
@@ -308,7 +308,7 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats | None) -> list[
     if nearest is None:
         # Nothing can hide a lone object.
         return [groups[0].where(groups[0].t < np.inf)]
-    first = [group.where(group.t == nearest[group.sample]) for group in groups]
+    first = [group.where(group.t == nearest.take(group.sample)) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     return first if sum(g.t.size for g in first) == seen else _first_of_equals(view, first)
 
@@ -398,7 +398,7 @@ def _sphere_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Frag
             outlines.radius[owner],
             outlines.power[owner],
         )
-        across = s[sample]
+        across = s.take(sample)
         t, rise = sphere_hit(across, Disc(*(spread(m, counts) for m in disc)))
         yield _Fragments(True, owner, row, counts, sample, across, t, rise)
 
@@ -411,7 +411,7 @@ def _box_fragments(view: View, samples: Samples, s: Floats) -> Iterator[_Fragmen
     eye = raster.eye.tolist()
     for owner, part in _groups(covered, len(surfaces.min_pt)):
         row, counts, sample = part.row, part.counts, part.samples()
-        across = s[sample]
+        across = s.take(sample)
         t, axis = box_hit(
             _directions(raster, across, raster.down(samples.y[row]), counts),
             _seen_from(eye, surfaces.min_pt[owner], counts),
