@@ -94,11 +94,11 @@ class Balls(NamedTuple):
     def take(self, index: Ints) -> Balls:
         """Some of them."""
         return Balls(
-            self.owner[index],
-            self.start[index],
-            self.length[index],
+            self.owner.take(index),
+            self.start.take(index),
+            self.length.take(index),
             pick(self.middle, index),
-            self.radius[index],
+            self.radius.take(index),
         )
 
 
@@ -116,7 +116,7 @@ class Pairs(NamedTuple):
 
     def take(self, index: Ints) -> Pairs:
         """Some of them."""
-        return Pairs(self.point[index], self.light[index], self.occluder[index])
+        return Pairs(self.point.take(index), self.light.take(index), self.occluder.take(index))
 
 
 class Candidates(NamedTuple):
