@@ -65,9 +65,9 @@ _RIVALS = {_SCALAR, _POVRAY, *_LLVM.values()}
 # threshold takes longer, and gains next to nothing, in all scenes but that of many small objects.
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 
-# Seconds: a point that is expected to take longer than the first is left out; a short one is timed
-# again and again, until its times add up to the second, at most `_ROUNDS` times.
-_TOO_LONG, _ENOUGH, _ROUNDS = 2.5, 0.3, 15
+# Seconds: a point that is expected to take longer than the first is left out; any other is timed
+# `_LEAST_ROUNDS` times, and again until its times add up to the second, but at most `_ROUNDS` times.
+_TOO_LONG, _ENOUGH, _LEAST_ROUNDS, _ROUNDS = 2.5, 0.3, 3, 15
 
 # The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
 _LEVEL = 1e-3
@@ -165,7 +165,7 @@ def _sweep(
         for (method, whole), task in tasks.items():
             if method in _LLVM.values() or (whole and method == _OURS):
                 task(0)
-        timings = interleaved(tasks, 1, most=_ROUNDS, seconds=_ENOUGH)
+        timings = interleaved(tasks, _LEAST_ROUNDS, most=_ROUNDS, seconds=_ENOUGH)
         for curve, timing in timings.items():
             spent[curve].append(timing.median)
         # Mitsuba's kernels choose among all scenes alive: the last one goes before the next comes.
