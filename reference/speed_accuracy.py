@@ -66,7 +66,7 @@ _RIVALS = {_SCALAR, _POVRAY, *_LLVM.values()}
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 
 # Seconds: a point that is expected to take longer than the first is left out; any other is timed
-# `_LEAST_ROUNDS` times, and again until its times add up to the second, but at most `_ROUNDS` times.
+# `_LEAST_ROUNDS` times, and on until its times add up to the second, at most `_ROUNDS` times.
 _TOO_LONG, _ENOUGH, _LEAST_ROUNDS, _ROUNDS = 2.5, 0.3, 3, 15
 
 # The error at which times are compared, as nearly as can be: that of rounding to 8 bits, about.
