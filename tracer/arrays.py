@@ -178,4 +178,4 @@ def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
 
 def rows(points: Floats, index: Ints | slice) -> Triple:
     """Some of the points (3, n), as a triple."""
-    return select(points[0], index), select(points[1], index), select(points[2], index)
+    return pick((points[0], points[1], points[2]), index)
