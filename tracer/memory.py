@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import cache
 
 import numpy as np
 
@@ -19,11 +20,12 @@ _BLOCK = 1 << 25
 _LARGE_PAGES = 1 << 27
 
 
+@cache
 def keep_heap() -> None:
     """Let the C library keep freed memory for the next array, in large pages.
 
     Fresh pages cost more than the arithmetic on them, and by default glibc gives back whatever is
-    free at the heap's end.  With another C library nothing happens.
+    free at the heap's end.  With another C library nothing happens, nor when called again.
     """
     with suppress(ImportError, OSError, TypeError, AttributeError):
         import ctypes  # NumPy has done so already
