@@ -97,6 +97,7 @@ def test_light_buffers_of_large_cells(kind: str) -> None:
         ("walled", 129, 160, 120),  # the same at the first
         ("walled", 191, 160, 120),  # a box flat along two axes
         ("far", 24, 60, 44),  # two faces in one row, at less than a right angle to each other
+        ("enormous", 1632556525, 61, 37),  # a row in the plane of a face with an edge 10^6 as long
     ],
 )
 def test_scenes_that_once_differed(kind: str, seed: int, width: int, height: int) -> None:

@@ -161,7 +161,7 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
     # Around edges and corners.
     place = np.clip(rng.uniform(-0.5, 1.5, low.shape), 0, 1)
     pencil = a_pencil(rng, low + place * (high - low), np.full(400, size))
-    planes = silhouette_planes(
+    planes, _ = silhouette_planes(
         box_corners(surfaces.min_pt, surfaces.max_pt, apex), apex, surfaces.min_pt, surfaces.max_pt
     )
     lines, turn, _ = pencil.boxes(planes)

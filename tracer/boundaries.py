@@ -235,7 +235,7 @@ class Patches(NamedTuple):
         number, box = np.divmod(pair, len(surfaces))
         box, apex = box - spheres, lights[number]
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        planes = silhouette_planes(box_corners(low, high, apex), apex, low, high)
+        planes, _ = silhouette_planes(box_corners(low, high, apex), apex, low, high)
         planes = each(lambda m: m.take(place, axis=1), planes)
         edges, turn, unknown = pencil.take(on).boxes(planes)
         unresolved[pencil.cell[on[unknown]]] = True

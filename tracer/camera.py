@@ -88,6 +88,12 @@ class Raster(NamedTuple):
         """Inverse of `down`."""
         return (g - self.shift_v) / self.step_v + self.height / 2
 
+    def longest(self) -> float:
+        """The largest |s| + |g| + depth of all rays in the picture, and two pixels around it."""
+        s = np.abs(self.across(np.array([-2.0, self.width + 2.0]))).max()
+        g = np.abs(self.down(np.array([-2.0, self.height + 2.0]))).max()
+        return float(s + g) + self.depth
+
 
 def raster_of(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)

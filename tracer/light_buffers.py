@@ -407,7 +407,7 @@ class _Field(NamedTuple):
         first, count = equal_runs(owner[n:])
         box = owner[n:][first] - surfaces.sphere_count
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        silhouettes = silhouette_planes(box_corners(low, high, light), light, low, high)
+        silhouettes, _ = silhouette_planes(box_corners(low, high, light), light, low, high)
         size = sum(each(np.abs, silhouettes))
         boxes = np.zeros(u.size - n, dtype=np.bool_)
         normals = (s * normal / size for s, normal in zip(sign, silhouettes, strict=True))

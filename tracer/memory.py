@@ -15,7 +15,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 # Blocks of up to this many bytes come from the heap; glibc allows no more.
 _BLOCK = 1 << 25
 
-# So much of the heap lies in large pages, and twice as much is kept: the arrays of a band take about
+# So much of the heap lies in large pages, and twice as much is kept: a band's arrays take about
 # 30 MB, or 130 where pixels are split.
 _LARGE_PAGES = 1 << 27
 

@@ -30,8 +30,9 @@ __all__ = [
     "silhouette_planes",
 ]
 
-# More than all roundings of a plane's coefficients, relative to their size.
-_ROUNDING = 1e-12
+# More than all roundings of a plane's coefficients: relative to their size, and to the product of its
+# edge's ends' distances, most of which cancels where the edge is seen nearly end-on.
+_ROUNDING, _CANCELLED = 1e-12, 1e-14
 
 # A power smaller than this part of the squared distance is little but rounding, and slopes contain
 # its square root, with a relative error that is larger still.
@@ -151,6 +152,8 @@ class Outlines(NamedTuple):
         |centre|^2 - radius^2, as in `Disc`.
     planes : three (6, b)
         Of boxes, the planes of their silhouettes, as `_silhouettes` says.
+    slack : (6, b)
+        By how much rounding may change what these planes say of a ray.
     frames : Frames
         Of all objects, spheres first.
     """
@@ -159,6 +162,7 @@ class Outlines(NamedTuple):
     radius: Floats
     power: Floats
     planes: Triple
+    slack: Floats
     frames: Frames
 
     @property
@@ -217,12 +221,9 @@ class Outlines(NamedTuple):
             if height:
                 # On whichever line of the row more is inside.
                 tilted += np.maximum(tilt * (height * self.raster.step_v), 0)
-            # Inside, slope * s + tilted + level >= 0, up to rounding.  The slack for that decides
-            # where the plane contains the whole row.
-            slack = _ROUNDING * (np.abs(tilt) * (np.abs(g) + self.raster.depth) + np.abs(level))
-            # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
-            # Without a plane it is 0 / 0, which fmax ignores.
-            bound = -(tilted + level + slack) / (slope + 0.0)
+            # Inside, slope * s + tilted + level >= -slack.  With slope 0 (or -0, hence the sum) the
+            # bound is infinite: all of the row, or none.
+            bound = -(tilted + level + self.slack[k][owner]) / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
         left = np.maximum(frames.left[owner], self.raster.column(low))
@@ -274,11 +275,13 @@ def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
     center, radius = raster.to_camera(surfaces.center), surfaces.radius
     min_pt, max_pt = surfaces.min_pt, surfaces.max_pt
     corners = _local_corners(raster, min_pt, max_pt)
+    planes, slack = _silhouettes(raster, corners, min_pt, max_pt)
     return Outlines(
         center=center,
         radius=radius,
         power=power_of(np.sqrt(dot(center, center)), radius),
-        planes=_silhouettes(raster, corners, min_pt, max_pt),
+        planes=planes,
+        slack=slack,
         frames=_frames(raster, center, radius, corners),
     )
 
@@ -364,7 +367,9 @@ def _silhouette_table() -> tuple[Ints, Ints, Ints]:
 _EDGE_START, _EDGE_END, _EDGE_SIDE = _silhouette_table()
 
 
-def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Floats) -> Triple:
+def silhouette_planes(
+    corners: Triple, apex: Floats, min_pt: Floats, max_pt: Floats
+) -> tuple[Triple, Floats]:
     """Planes through an apex and the silhouette edges of boxes seen from there.
 
     Parameters
@@ -380,6 +385,8 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
         In the same axes; directions d towards the box have d . normal >= 0.
         Zero, which says nothing, where there is no silhouette (apex inside) or
         an edge is so short, or so nearly end-on, that rounding has a say.
+    rounding : (6, n)
+        By how much that may change each component.
     """
     code = (apex > max_pt).astype(np.intp) - (apex < min_pt)
     region = (code + 1) @ np.array([9, 3, 1])
@@ -394,7 +401,7 @@ def silhouette_planes(corners: Triple, apex: Floats, min_pt: Floats, max_pt: Flo
     doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * a2 * b2
     # Not by where the box's middle is: seen from near a vast box, that is little but rounding.
     sign = np.where(doubtful, 0, _EDGE_SIDE[region].T)
-    return each(lambda n: sign * n, normal)
+    return each(lambda n: sign * n, normal), _CANCELLED * np.sqrt(a2 * b2)
 
 
 def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> Bools:
@@ -425,16 +432,19 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
     return u, v, w
 
 
-def _silhouettes(raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats) -> Triple:
+def _silhouettes(
+    raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats
+) -> tuple[Triple, Floats]:
     """Planes (6, n) through the eye and silhouette edges of boxes, given their `_local_corners`.
 
     A plane is three coefficients: slope, tilt and level of
-    slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).
+    slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).  By how much rounding may
+    change that, whatever the ray, comes last.
     """
     if not len(min_pt):
         nothing = np.zeros((6, 0))
-        return nothing, nothing, nothing
-    slope, tilt, level = silhouette_planes(corners, raster.eye, min_pt, max_pt)
+        return (nothing, nothing, nothing), nothing
+    (slope, tilt, level), rounding = silhouette_planes(corners, raster.eye, min_pt, max_pt)
     # A box is seen from inside on its side of the faces that the eye is on.
     for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt)).tolist():
         faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
@@ -445,5 +455,8 @@ def _silhouettes(raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats
             k, sign = faces[number % len(faces)]
             for plane, axis in zip((slope, tilt, level), raster.axes, strict=True):
                 plane[number, box] = sign * axis[k]
+            rounding[number, box] = 0
+    slack = _ROUNDING * (np.abs(slope) + np.abs(tilt) + np.abs(level)) + rounding
+    slack *= raster.longest()
     level *= raster.depth
-    return slope, tilt, level
+    return (slope, tilt, level), slack
