@@ -30,8 +30,8 @@ __all__ = [
     "silhouette_planes",
 ]
 
-# More than all roundings of a plane's coefficients: relative to their size, and to the product of its
-# edge's ends' distances, most of which cancels where the edge is seen nearly end-on.
+# More than all roundings of a plane's coefficients: relative to their size, and to the product of
+# the distances of its edge's ends, most of which cancels where the edge is seen nearly end-on.
 _ROUNDING, _CANCELLED = 1e-12, 1e-14
 
 # A power smaller than this part of the squared distance is little but rounding, and slopes contain
