@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, equal_runs, ranges
+from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.crossings import crossed, outlines_across
 from tracer.curvature import curvature, extrapolated
 from tracer.edges import Kind, Lines, joined
@@ -131,19 +131,19 @@ def _refine(
     unresolved[lines.cell[(lines.kind == Kind.LIMB) & (lines.c < 0)]] = False
     unresolved |= seen.unresolved
     same = _SAME * cells.tolerance
-    lines = _few(lines.take(np.flatnonzero(wanted[lines.cell])), same, unresolved)
+    lines = _few(lines.take(indices(wanted[lines.cell])), same, unresolved)
     # Each side of a line has samples of its own; what is not divided needs to be known as a whole.
     unknown = np.isnan(cells.error)
     unknown[lines.cell] = False
     unresolved |= unknown
     if not (lines.cell.size or (unresolved & wanted).any()):
         return  # one smooth surface
-    sides, beyond = sides_of(lines.take(np.flatnonzero(~unresolved[lines.cell])), same)
+    sides, beyond = sides_of(lines.take(indices(~unresolved[lines.cell])), same)
     # Points on the middle's side, or across a shadow's edge, are covered by the look.  The others
     # are looked at, too, unless few samples are asked for: so coarse a grid errs more than samples
     # there, whatever these miss.
     looked = beyond & (per_side >= _LAST)
-    beside, there = (sides.take(np.flatnonzero(m)) for m in (~looked, looked))
+    beside, there = (sides.take(indices(m)) for m in (~looked, looked))
     colors, hidden = np.empty((3, 0)), np.zeros(unresolved.size, dtype=np.bool_)
     if there.cell.size:
         colors, key, found, more = _look_beyond(lighting, cells, there)
@@ -154,12 +154,12 @@ def _refine(
         hidden[there.cell[key != seen.key[there.cell]]] = False
     # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
     lines = _few(lines, same, unresolved)
-    divided, rest = ~(unresolved | hidden), np.flatnonzero(unresolved & wanted)
+    divided, rest = ~(unresolved | hidden), indices(unresolved & wanted)
     mean[:, rest] = 0
     mean[:, sides.cell[divided[sides.cell]]] = 0
-    kept = np.flatnonzero(divided[there.cell])
+    kept = indices(divided[there.cell])
     there.take(kept).add(colors[:, kept], mean)
-    beside = beside.take(np.flatnonzero(divided[beside.cell]))
+    beside = beside.take(indices(divided[beside.cell]))
     lighting_in = seen.lighting_in(lighting)
     if per_side > _LAST:
         _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
@@ -173,7 +173,7 @@ def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
     lines = lines.distinct(same)
     first, count = equal_runs(lines.cell)
     unresolved[lines.cell[first[count > 1]]] = True
-    return lines.take(np.flatnonzero(ranges(0, count) < _LINES))
+    return lines.take(indices(ranges(0, count) < _LINES))
 
 
 def _look_beyond(
@@ -221,7 +221,7 @@ def _sample(
         part = some[begin : begin + step]
         within = np.zeros(cells.x.size, dtype=np.bool_)
         within[part] = True
-        points, region = post_stratified(lines.take(np.flatnonzero(within[lines.cell])), part, x, y)
+        points, region = post_stratified(lines.take(indices(within[lines.cell])), part, x, y)
         if not begin:
             points = points.joined(beside)
         radiance, key = radiance_in(
@@ -230,10 +230,10 @@ def _sample(
         if finer:
             # What differs between the same lines shows that an edge has not been found.
             coarse[points.cell[mixed(region, key[: region.size])]] = True
-            kept = np.flatnonzero(~coarse[points.cell])
+            kept = indices(~coarse[points.cell])
             points, radiance = points.take(kept), radiance[:, kept]
         points.add(radiance, mean)
-    again, none = np.flatnonzero(coarse), beside.take(np.arange(0))
+    again, none = indices(coarse), beside.take(np.arange(0))
     if again.size:
         _sample(lighting, lighting_in, cells, lines, again, tuple(finer), none, mean)
 
@@ -251,7 +251,7 @@ def _split(
     step = max(1, lighting.view.at_once(_CHUNK) // 4)
     for begin in range(0, some.size, step):
         part = some[begin : begin + step]
-        quarters, inside = cells.split(part), np.repeat(part, 4)
+        quarters, inside = cells.split(part), part.repeat(4)
         x, y, size = quarters.x, quarters.y, quarters.size
         closer = look_at(lighting_in, x, y, inside, size, cells.tolerance)
         bend, error = extrapolated(

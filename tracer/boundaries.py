@@ -23,6 +23,7 @@ from tracer.arrays import (
     dot,
     each,
     entries,
+    indices,
     pick,
     rows,
     scaled,
@@ -70,14 +71,14 @@ def footprints_of(hits: Hits, radius: Floats, size: float) -> Floats:
         # However small the cosine, from the limb a width of `half` covers no more of the sphere
         # than sqrt(2 half radius): a bound that only the few points next to the limb need.
         of_sphere = group.of(radius)
-        at = np.flatnonzero(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
+        at = indices(n_dot_v <= np.sqrt(half.max() / (2 * np.min(of_sphere))))
         footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] * select(of_sphere, at)))
     return footprints
 
 
 def near_lights(incoming: Incoming, footprint: Floats) -> Ints:
     """Points with so large a `footprint` (n,), or so near to a light, that cells must be split."""
-    return np.flatnonzero(np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0))
+    return indices(np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0))
 
 
 def intersections(
@@ -119,7 +120,7 @@ def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Tri
     """
     vectors, off = np.empty((3, at.size)), np.zeros(at.size)
     for group in hits.groups:
-        here = np.flatnonzero((at >= group.part.start) & (at < group.part.stop))
+        here = indices((at >= group.part.start) & (at < group.part.stop))
         p, n = rows(hits.p, at[here]), pick(group.n, at[here] - group.part.start)
         height = dot(n, p)
         for out, component in zip(vectors, n, strict=True):
@@ -206,7 +207,7 @@ class Patches(NamedTuple):
         Marks `unresolved` where they are not straight.
         """
         part = self.group.part
-        here = np.flatnonzero((found.point >= part.start) & (found.point < part.stop))
+        here = indices((found.point >= part.start) & (found.point < part.stop))
         if not here.size:
             return joined([])
         light, at, occluder = (
@@ -218,7 +219,7 @@ class Patches(NamedTuple):
         spheres = surfaces.sphere_count
         rays = self.from_light(light, at)
         pencil = Pencil(Kind.SHADOW, self.cell[at], rays, *self.steps(at, rays), self.sagitta(at))
-        on = np.flatnonzero(occluder < spheres)
+        on = indices(occluder < spheres)
         ball = occluder[on]
         center = columns(surfaces.center[ball] - lights[light[on]], slice(None))
         radius = surfaces.radius[ball]
@@ -227,7 +228,7 @@ class Patches(NamedTuple):
         # A footprint larger than the sphere may hold the whole of its shadow.
         turn[(side != OUTSIDE) | (self.footprint[at[on]] > radius)] = np.inf
         discs = discs.straightened(turn, self.tolerance, unresolved, near)
-        on = np.flatnonzero(occluder >= spheres)
+        on = indices(occluder >= spheres)
         if not on.size:
             return discs
         # Silhouettes are found once for each pair of a light and a box.
@@ -246,9 +247,9 @@ class Patches(NamedTuple):
         reach = self.footprint / self.group.of(self.lighting.view.surfaces.radius)
         # One bound for all points leaves few of them to look at one by one.
         most = reach.max() * np.sqrt(incoming.length2.max(initial=0))
-        number, at = np.divmod(np.flatnonzero(np.abs(incoming.n_dot_l) <= most), reach.size)
+        number, at = np.divmod(indices(np.abs(incoming.n_dot_l) <= most), reach.size)
         n_dot_l, length2 = incoming.n_dot_l[number, at], incoming.length2[number, at]
-        turns = np.flatnonzero(n_dot_l**2 < reach[at] ** 2 * length2)
+        turns = indices(n_dot_l**2 < reach[at] ** 2 * length2)
         return number[turns], at[turns]
 
     def terminators(self, incoming: Incoming, unresolved: Bools) -> Lines:
@@ -288,7 +289,7 @@ class Patches(NamedTuple):
                     continue
                 offset = eye[k] + view.raster.scene_component(p, k) - group.spread(corner[box, k])
                 near = (np.abs(offset) < self.footprint) & across_face
-                at = np.flatnonzero(near & group.spread(shown))
+                at = indices(near & group.spread(shown))
                 offset, kind = offset[at], np.full(at.size, Kind.EDGE)
                 # Of a ray from the plane to the point only component k is known, and used.
                 across, down = self.steps(at, (offset, offset, offset))

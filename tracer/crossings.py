@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, each, expand, pick
+from tracer.arrays import Floats, Ints, each, expand, indices, pick
 from tracer.edges import Kind, Lines, Pencil, joined
 from tracer.looks import Cells, Seen
 from tracer.outlines import Outlines
@@ -50,7 +50,7 @@ def crossed(
         full, full_end = left, right
         for line in (row, row + 1):
             wanted = line * top.size + owner
-            place = np.searchsorted(key[:-1], wanted)
+            place = key[:-1].searchsorted(wanted)
             place[(key[place] != wanted) | ~fills] = -1
             full, full_end = np.maximum(full, begin[place]), np.minimum(full_end, end[place])
         left, stop = np.floor(left), np.floor(right) + 1
@@ -59,7 +59,7 @@ def crossed(
         owner += kind.start
         found += [(row, owner, left, full), (row, owner, full_end, stop)]
     row, owner, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
-    start, stop = (np.clip(m, columns.start, columns.stop).astype(np.intp) for m in (start, stop))
+    start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))
     span, column = expand(stop - start, start)
     return row[span] + rows.start, column, owner[span]
 
@@ -68,7 +68,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
     """Lines that outlines draw across cells; marks in `seen` where they are not straight."""
     outlines, spheres = view.outlines, view.surfaces.sphere_count
     lines = []
-    at = np.flatnonzero(cells.owner < spheres)
+    at = indices(cells.owner < spheres)
     if at.size:
         cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
@@ -77,7 +77,7 @@ def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
         on = outlines.power[ball] == 0
         turn[on], near[on] = np.inf, True
         lines.append(discs.straightened(turn, cells.tolerance, seen.unresolved, near))
-    at = np.flatnonzero(cells.owner >= spheres)
+    at = indices(cells.owner >= spheres)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
         a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.planes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints
+from tracer.arrays import Floats, Ints, indices
 
 __all__ = ["curvature", "extrapolated"]
 
@@ -26,8 +26,8 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
         same = key[stride:] == key[:-stride]
         before, after = same[:-stride], same[stride:]
         # Edges are few: differences are taken everywhere, and those across edges put right.
-        edge = np.flatnonzero(~same)
-        one_sided, not_smooth = np.flatnonzero(before != after), np.flatnonzero(~(before & after))
+        edge = indices(~same)
+        one_sided, not_smooth = indices(before != after), indices(~(before & after))
         change = np.zeros(one_sided.size)
         for channel, out in zip(radiance, total, strict=True):
             step = channel[stride:] - channel[:-stride]
@@ -38,7 +38,7 @@ def curvature(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
             out[middle] += bend
         at = one_sided + stride
         error[at] = np.maximum(error[at], change)
-        error[np.flatnonzero(~(before | after)) + stride] = np.nan
+        error[indices(~(before | after)) + stride] = np.nan
     total *= 1 / 24
     error *= 1 / 24
     for channel in total:
@@ -60,4 +60,4 @@ def extrapolated(radiance: Floats, key: Ints, fine: Floats, keys: Ints) -> tuple
     bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
     # What this leaves out is of higher order in the cells' size; half of the correction covers it.
     error = np.where(alike, np.abs(bend).max(axis=0) / 2, np.nan)
-    return np.repeat(bend, 4, axis=1), np.repeat(error, 4)
+    return bend.repeat(4, axis=1), error.repeat(4)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, pick, scaled
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, indices, pick, scaled
 
 __all__ = ["MOST_TURN", "Kind", "Lines", "Pencil", "joined", "sagitta_error"]
 
@@ -84,7 +84,7 @@ class Lines(NamedTuple):
 
     def crossing(self) -> Lines:
         """The lines that pass through their cells."""
-        return self.take(np.flatnonzero(self.crosses()))
+        return self.take(indices(self.crosses()))
 
     def differ(self, other: Lines, same: float) -> Bools:
         """Whether each is another line than its counterpart; `same`: see `distinct`."""
@@ -107,21 +107,21 @@ class Lines(NamedTuple):
         Lines that differ by no more than `same` count as one (c, and a and b, where `reach` is 1):
         a light near the eye throws its shadows right behind the outlines.
         """
-        order = np.argsort(self.cell, kind="stable")
+        order = self.cell.argsort(kind="stable")
         beside = np.diff(self.cell[order]) == 0
-        at = np.flatnonzero(np.append(beside, False) | np.append(False, beside))
+        at = indices(np.append(beside, False) | np.append(False, beside))
         shared = self.take(order[at])
         a, b, c = shared._unit()
         order[at] = order[at[np.lexsort((c, b, a, shared.kind, shared.cell))]]
         lines = self.take(order)
         kept = np.ones(lines.cell.size, dtype=np.bool_)
         for back in range(1, _COMPARED):
-            at = np.flatnonzero(lines.cell[back:] == lines.cell[:-back])
+            at = indices(lines.cell[back:] == lines.cell[:-back])
             if not at.size:
                 break
             again = ~lines.take(at + back).differ(lines.take(at), same)
             kept[at[again] + back] = False
-        return lines.take(np.flatnonzero(kept))
+        return lines.take(indices(kept))
 
     def reach(self) -> Floats:
         """The largest |a x + b y| in a cell: a line crosses its cell where |c| is less."""
@@ -151,7 +151,7 @@ class Lines(NamedTuple):
             near = np.abs(self.c) <= self.reach() * (1 + turn / 4)
         most = np.where(self.kind == Kind.LIMB, _LIMB_TURN, _TURN) * tolerance
         unresolved[self.cell[near & ~(turn <= np.minimum(most, MOST_TURN))]] = True
-        return self.take(np.flatnonzero((turn <= MOST_TURN) & self.crosses()))
+        return self.take(indices((turn <= MOST_TURN) & self.crosses()))
 
     def areas_and_moments(self) -> tuple[Floats, Floats, Floats]:
         """Share (n,) of the cell where c + a x + b y > 0, and its moments in x and y.
@@ -336,10 +336,7 @@ class Pencil(NamedTuple):
             # An outline of four edges has the first two again as its last.
             edges[k].c[np.all([m[k] == m[k - 4] for m in planes], axis=0)] = np.inf
         turn = [edge.turn(m) for edge, m in zip(edges, off, strict=True)]
-        at = [
-            np.flatnonzero(within & (np.abs(edge.c) < m))
-            for edge, m in zip(edges, reach, strict=True)
-        ]
+        at = [indices(within & (np.abs(edge.c) < m)) for edge, m in zip(edges, reach, strict=True)]
         lines = joined(edge.take(index) for edge, index in zip(edges, at, strict=True))
         turns = np.concatenate([m[index] for m, index in zip(turn, at, strict=True)])
         unknown = ~np.any([m != 0 for m in planes], axis=0).all(axis=0)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Triple, dot, each, pick
+from tracer.arrays import Bools, Floats, Triple, dot, each, indices, pick
 
 __all__ = [
     "INSIDE",
@@ -249,7 +249,7 @@ def sphere_blocks(
     """
     blocked = sphere_crosses(to_light, to_center, radius)
     side = sphere_side(np.sqrt(dot(to_center, to_center)), radius, tolerance)
-    odd = np.flatnonzero((side != OUTSIDE) | (light_side != OUTSIDE))
+    odd = indices((side != OUTSIDE) | (light_side != OUTSIDE))
     if odd.size:
         side, light = side[odd], light_side[odd]
         inner = eye_inside[odd]

@@ -31,6 +31,7 @@ from tracer.arrays import (
     each,
     equal_runs,
     expand,
+    indices,
     pick,
     scaled,
 )
@@ -155,7 +156,7 @@ class LightBuffer(NamedTuple):
         """
         # Most cells hold nothing, or the point's own object alone.
         sole = self.sole[cell]
-        asked = np.flatnonzero((sole != _NONE) & (sole != own))
+        asked = indices((sole != _NONE) & (sole != own))
         first = self.first[cell[asked]]
         length = self.first[cell[asked] + 1] - first
         for batch in batches(length, _AT_ONCE):
@@ -163,11 +164,9 @@ class LightBuffer(NamedTuple):
             point = asked[batch][part]
             meet = self.bounds.take(place, axis=0) >= within.take(point, axis=0)
             # The four answers of a row as one integer: much faster than all(axis=1).
-            at = np.flatnonzero(meet.view(np.uint32) == 0x01010101)
+            at = indices(meet.view(np.uint32) == 0x01010101)
             point, occluder = point[at], self.listed[place[at]]
-            keep = np.flatnonzero(
-                (occluder != own[point]) & (self.near[occluder] <= distance[point])
-            )
+            keep = indices((occluder != own[point]) & (self.near[occluder] <= distance[point]))
             yield point[keep], occluder[keep]
 
 
@@ -191,7 +190,7 @@ class LightBufferFinder(NamedTuple):
         own = hits.own
         points = hits.points(slice(None))
         for number, buffer in enumerate(self.buffers):
-            asked = np.flatnonzero(facing[number])
+            asked = indices(facing[number])
             x, y, z = buffer.light.tolist()
             p = pick(points, asked)
             to_light = x - p[0], y - p[1], z - p[2]
@@ -255,14 +254,14 @@ def _buffer_around(
         total, before = total + side * side, before + field.objects.size
     cell = np.concatenate(cells)
     counts = np.bincount(cell, minlength=total)
-    first = np.append(0, np.cumsum(counts))
+    first = np.append(0, counts.cumsum())
     # Sorting the pairs themselves, as one number each, is faster than finding their order.
     bits = before.bit_length()
     pairs = cell.astype(np.int64, copy=False) << bits | np.concatenate(places)
     at = (np.sort(pairs) & ((1 << bits) - 1)).astype(np.intp, copy=False)
     listed = np.concatenate(objects)[at]
     reach = np.concatenate(bounds).take(at, axis=0)
-    single = np.flatnonzero(counts == 1)
+    single = indices(counts == 1)
     sole = np.where(counts == 0, _NONE, _MANY)
     sole[single] = listed[first[single]]
     return LightBuffer(
@@ -327,7 +326,7 @@ class _Field(NamedTuple):
         the 1-norm.
         """
         objects, bounds, farthest = _in_octant(number, low, high)
-        lit = np.flatnonzero(seen[objects])
+        lit = indices(seen[objects])
         if not lit.size:
             return None
         u0, u1, v0, v1 = bounds
@@ -338,7 +337,7 @@ class _Field(NamedTuple):
         place = int(far.argmax())
         reach = np.full(objects.size, far[place])
         reach[lit[place]] = np.delete(far, place).max(initial=-np.inf)
-        may = np.flatnonzero(
+        may = indices(
             (near[objects] <= reach * (1 + SLACK))
             & ((u0 <= last[0]) & (u1 >= first[0]) & (v0 <= last[1]) & (v1 >= first[1]))
         )
@@ -363,7 +362,7 @@ class _Field(NamedTuple):
     ) -> tuple[Ints, Ints]:
         """Pairs of a cell, of `side` x `side`, and a place in `objects`; `extent`: all in cells."""
         place, cell, count = _cells(extent, side)
-        tried = np.flatnonzero(((count > _FEW_CELLS) & (count < _MOST_CELLS * side**2))[place])
+        tried = indices(((count > _FEW_CELLS) & (count < _MOST_CELLS * side**2))[place])
         kept = np.ones(cell.size, dtype=np.bool_)
         for start in range(0, tried.size, _AT_ONCE):
             some = tried[start : start + _AT_ONCE]
@@ -394,7 +393,7 @@ class _Field(NamedTuple):
             outside: Bools = most < -SLACK
             return outside
 
-        n = np.searchsorted(owner, surfaces.sphere_count)
+        n = owner.searchsorted(surfaces.sphere_count)
         across, down = u[:n] + wide / 2, v[:n] + tall / 2
         center = ((surfaces.center[owner[:n]] - light) * sign).T
         tangent = _tangent_plane(
@@ -412,7 +411,7 @@ class _Field(NamedTuple):
         boxes = np.zeros(u.size - n, dtype=np.bool_)
         normals = (s * normal / size for s, normal in zip(sign, silhouettes, strict=True))
         for plane in zip(*normals, strict=True):
-            x, y, z = (np.repeat(component, count) for component in plane)
+            x, y, z = (component.repeat(count) for component in plane)
             boxes |= beyond((x, y, z), u[n:], v[n:])
         return np.append(spheres, boxes)
 
@@ -465,7 +464,7 @@ def _in_octant(
         for k, (least, most) in enumerate(zip(low, high, strict=True))
     ]
     (_, x), (_, y), (_, z) = ends
-    some = np.flatnonzero((x >= 0) & (y >= 0) & (z >= 0))
+    some = indices((x >= 0) & (y >= 0) & (z >= 0))
     x0, y0, z0 = (np.maximum(least[some], 0) for least, _ in ends)
     x1, y1, z1 = (most[some] for _, most in ends)
     bounds = np.empty((4, some.size))
@@ -484,13 +483,13 @@ def _in_octant(
 
 def _to_cells(bounds: Floats, scale: Floats, shift: Floats) -> Floats:
     """Bounds (4, n) in cells, from those in octahedral coordinates."""
-    result: Floats = bounds * np.repeat(scale, 2)[:, None] + np.repeat(shift, 2)[:, None]
+    result: Floats = bounds * scale.repeat(2)[:, None] + shift.repeat(2)[:, None]
     return result
 
 
 def _cells(bounds: Floats, side: int) -> tuple[Ints, Ints, Ints]:
     """Pairs of a rectangle (4, n) and a cell of `side` x `side` it reaches; cells of each."""
-    left, right, top, bottom = np.clip(bounds, 0, side - 1).astype(np.intp)
+    left, right, top, bottom = bounds.clip(0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.
     strip, column = expand(wide, left)

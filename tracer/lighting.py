@@ -15,6 +15,7 @@ from tracer.arrays import (
     dot,
     each,
     index_where,
+    indices,
     pick,
     rows,
     scaled,
@@ -303,7 +304,7 @@ def narrow_highlights(
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     for number, faces in enumerate(facing):
         change = footprint * (bending + 1 / np.sqrt(incoming.length2[number])) * scale
-        at = np.flatnonzero((change > _SMOOTH) & faces)
+        at = indices((change > _SMOOTH) & faces)
         if at.size:
             power = highlights.of_light(number, incoming, at)
             yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]

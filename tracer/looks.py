@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints
+from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.boundaries import Patches, footprints_of, intersections, near_lights
 from tracer.edges import Lines
 from tracer.lighting import (
@@ -68,16 +68,16 @@ class Cells(NamedTuple):
     def split(self, index: Ints) -> Cells:
         """Quarters of some cells, four after four."""
         count, quarter = index.size, np.array([-0.25, 0.25])
-        x, y = np.tile(quarter, 2 * count), np.tile(np.repeat(quarter, 2), count)
-        x, y = self.at(np.repeat(index, 4), x, y)
+        x, y = np.tile(quarter, 2 * count), np.tile(quarter.repeat(2), count)
+        x, y = self.at(index.repeat(4), x, y)
         place = np.full(self.x.size, -1)
         place[index] = np.arange(count)
         cell = place[self.cell]
-        kept = np.flatnonzero(cell >= 0)
+        kept = indices(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
         error = np.repeat(self.error[index] / 4, 4)
         return Cells(
-            self.size / 2, self.tolerance, x, y, error, quarters, np.repeat(self.owner[kept], 4)
+            self.size / 2, self.tolerance, x, y, error, quarters, self.owner[kept].repeat(4)
         )
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, Triple, columns, pick, ranges, spread
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, indices, pick, ranges, spread
 from tracer.intersection import INSIDE, OUTSIDE, SURFACE_TOLERANCE, sphere_side
 from tracer.scene import Surfaces
 from tracer.visibility import Hits, View
@@ -226,7 +226,7 @@ def candidates_by_kind(
     """`point_candidates` of one light: spheres, then boxes.  `points` and `own` are of all hits."""
     spheres = occluders.surfaces.sphere_count
     for of_kind in (occluder < spheres, occluder >= spheres):
-        at = np.flatnonzero(of_kind)
+        at = indices(of_kind)
         if at.size:
             pairs = Pairs(point[at], np.full(at.size, light), occluder[at])
             yield point_candidates(occluders, own, pick(points, pairs.point), pairs, footprint)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, expand, pick
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, expand, indices, pick
 from tracer.camera import Raster
 from tracer.intersection import disc_in_row, power_of
 from tracer.scene import Surfaces
@@ -119,14 +119,14 @@ class Frames(NamedTuple):
         """Total weight (height,) of the objects that may be seen in each row of pixels."""
         height, seen = self.raster.height, self.in_picture()
         first, last = (
-            np.bincount(np.clip(m[seen], 0, height).astype(np.intp), weight[seen], height + 1)
+            np.bincount(m[seen].clip(0, height).astype(np.intp), weight[seen], height + 1)
             for m in (self.top, self.bottom + 1)
         )
         return np.asarray(np.cumsum(first - last)[:height])
 
     def pairs_in_pixel(self) -> float:
         """Mean number of (ordered) pairs of outlines in a pixel, if outlines lay at random."""
-        top, bottom = (np.clip(m, 0, self.raster.height) for m in (self.top, self.bottom))
+        top, bottom = (m.clip(0, self.raster.height) for m in (self.top, self.bottom))
         # An outline about as wide as it is high runs through some 4 * height pixels.
         share = 4 * np.maximum(bottom - top, 0) / (self.raster.width * self.raster.height)
         return float(share.sum() ** 2 - (share**2).sum())
@@ -135,9 +135,9 @@ class Frames(NamedTuple):
         """Pairs (object, row) with some of the row in the object's frame, if in the picture."""
         top, bottom = self.top - pad - height, self.bottom + pad
         beside = (self.left - pad > self.raster.width + 1) | (self.right + pad < -1)
-        at = np.flatnonzero((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
-        first = np.searchsorted(rows, top[at])
-        last = np.searchsorted(rows, bottom[at], side="right")
+        at = indices((top <= rows[-1]) & (bottom >= rows[0]) & ~beside)
+        first = rows.searchsorted(top[at])
+        last = rows.searchsorted(bottom[at], side="right")
         which, row = expand(np.maximum(last - first, 0), first)
         return at[which], row
 
@@ -187,7 +187,7 @@ class Outlines(NamedTuple):
             for end, frame, place in widest:
                 down = place[owner] - rows[row]
                 # NaN, the place of what extends without end, is outside of no row.
-                at = np.flatnonzero(~((down < -_NEARBY) | (down > height + _NEARBY)))
+                at = indices(~((down < -_NEARBY) | (down > height + _NEARBY)))
                 end[at] = frame[owner[at]]
         return self._clip(owner, row, left, right, pad)
 
@@ -197,7 +197,7 @@ class Outlines(NamedTuple):
         disc = disc_in_row(g, self.raster.depth, center, self.radius[owner], self.power[owner])
         low, high = _tangents(disc.u, disc.w, disc.chord2, disc.power)
         hypot = np.sqrt(disc.hypot2)
-        touched = np.flatnonzero(disc.power == 0)
+        touched = indices(disc.power == 0)
         if touched.size:
             # The eye is on these: they are seen on their side of the plane that touches them there.
             u, v, w = pick(self.center, owner[touched])
@@ -257,8 +257,8 @@ class Outlines(NamedTuple):
         # One column more than the picture has on either side: antialiasing looks there.  An object
         # that is beside the picture in one row may enter it before the next: its span there is
         # empty, at the rim, but not left out.
-        keep = np.flatnonzero(left <= right)
-        keep = keep[np.argsort(row[keep], kind="stable")]
+        keep = indices(left <= right)
+        keep = keep[row[keep].argsort(kind="stable")]
         low, high = -1.0, self.raster.width + 1.0
         left, right = np.clip(left[keep] - pad, low, high), np.clip(right[keep] + pad, low, high)
         return Spans(owner[keep], row[keep], left, right)
@@ -446,7 +446,7 @@ def _silhouettes(
         return (nothing, nothing, nothing), nothing
     (slope, tilt, level), rounding = silhouette_planes(corners, raster.eye, min_pt, max_pt)
     # A box is seen from inside on its side of the faces that the eye is on.
-    for box in np.flatnonzero(boxes_around(raster.eye, min_pt, max_pt)).tolist():
+    for box in indices(boxes_around(raster.eye, min_pt, max_pt)).tolist():
         faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
         faces += [(k, -1.0) for k in range(3) if max_pt[box, k] == raster.eye[k]]
         if not faces:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, equal_runs
+from tracer.arrays import Bools, Floats, Ints, equal_runs, indices
 from tracer.edges import Kind, Lines
 
 __all__ = ["Points", "mixed", "post_stratified", "sides_of"]
@@ -73,14 +73,14 @@ def sides_of(lines: Lines, same: float) -> tuple[Points, Bools]:
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
     beyond = other & (side * np.tile(lines.c, 2) <= same * np.tile(lines.reach(), 2))
-    limb = np.flatnonzero(lines.kind == Kind.LIMB)
+    limb = indices(lines.kind == Kind.LIMB)
     within = share.size + limb
     shares[within] = 0  # two points stand for that side
     sides = Points(np.tile(lines.cell, 2), shares, x, y)
     roots = (m.ravel() for m in lines.take(limb).gauss_points())
     sides = sides.joined(Points(np.tile(lines.cell[limb], 2), *roots))
     beyond = np.append(beyond, np.tile(beyond[within], 2))
-    some = np.flatnonzero(sides.share > _NOTHING)
+    some = indices(sides.share > _NOTHING)
     return sides.take(some), beyond[some]
 
 
@@ -95,10 +95,10 @@ def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Po
     bits = int(count.max(initial=0))
     # A region's code has a bit for each line, set on the side where c + a x + b y < 0.
     code = np.repeat(np.arange(cells.size)[:, None] << bits, x.size, axis=1)
-    crossed = np.searchsorted(cells, lines.cell[first])
+    crossed = cells.searchsorted(lines.cell[first])
     polygons = _Polygons.squares(first.size)
     for number in range(bits):
-        some = np.flatnonzero(count > number)
+        some = indices(count > number)
         line = (first + number)[some, None]
         z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
         code[crossed[some]] |= (z < 0) << number
@@ -109,10 +109,10 @@ def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Po
     held = np.bincount(code.ravel(), minlength=cells.size << bits)
     shares = np.bincount(region, share, minlength=held.size) / np.maximum(held, 1)
     weights[crossed] = shares[code[crossed]]
-    empty = np.flatnonzero((held[region] == 0) & (share > _NOTHING))
+    empty = indices((held[region] == 0) & (share > _NOTHING))
     lone = Points(cells[place[empty]], share[empty], middle_x[empty], middle_y[empty])
     x, y = np.tile(x, cells.size), np.tile(y, cells.size)
-    points = Points(np.repeat(cells, weights.shape[1]), weights.ravel(), x, y).joined(lone)
+    points = Points(cells.repeat(weights.shape[1]), weights.ravel(), x, y).joined(lone)
     return points, np.append(code, region[empty])
 
 
@@ -120,7 +120,7 @@ def mixed(region: Ints, key: Ints) -> Ints:
     """Points, of some in regions (n,), that have another key (n,) than others in their region."""
     keys = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     keys[region] = key
-    return np.flatnonzero(keys[region] != key)
+    return indices(keys[region] != key)
 
 
 class _Polygons(NamedTuple):
@@ -145,7 +145,7 @@ class _Polygons(NamedTuple):
     def squares(cls, count: int) -> _Polygons:
         """Whole cells, this many."""
         square = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5]])
-        x, y = np.repeat(square[:, None], count, axis=1)
+        x, y = square[:, None].repeat(count, axis=1)
         return cls(np.arange(count), np.zeros(count, dtype=np.intp), x, y)
 
     def take(self, index: Ints) -> _Polygons:
@@ -157,8 +157,8 @@ class _Polygons(NamedTuple):
 
         `line`, `crossed` (cells,): which line, and whether there is one; `number`: its bit.
         """
-        rest = self.take(np.flatnonzero(~crossed[self.cell]))
-        whole = self.take(np.flatnonzero(crossed[self.cell]))
+        rest = self.take(indices(~crossed[self.cell]))
+        whole = self.take(indices(crossed[self.cell]))
         a, b, c = (m[line[whole.cell], None] for m in (lines.a, lines.b, lines.c))
         z = a * whole.x + b * whole.y + c
         parts = [whole.clipped(z), whole._replace(code=whole.code | 1 << number).clipped(-z)]
@@ -178,10 +178,10 @@ class _Polygons(NamedTuple):
         # By turns each vertex, and the crossing on the way to the next, if they are kept.
         kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
         count = kept.sum(axis=1)
-        some = np.flatnonzero(count)
-        first = (np.cumsum(count) - count)[some, None]
+        some = indices(count)
+        first = (count.cumsum() - count)[some, None]
         last = np.minimum(np.arange(z.shape[1] + 1), count[some, None] - 1)
-        place = np.flatnonzero(kept)[first + last]
+        place = indices(kept)[first + last]
         corners = []
         for m in (self.x, self.y):
             new = m + part * (m[:, after] - m)

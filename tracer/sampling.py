@@ -82,7 +82,7 @@ class Rows(NamedTuple):
 
     def positions(self) -> tuple[Floats, Floats]:
         """x and y of all samples."""
-        return np.add.outer(self.shift, self.x).ravel(), np.repeat(self.y, self.x.size)
+        return np.add.outer(self.shift, self.x).ravel(), self.y.repeat(self.x.size)
 
     def at(self, index: Ints) -> tuple[Floats, Floats]:
         """x and y of some samples."""
@@ -96,8 +96,8 @@ class Rows(NamedTuple):
         first = self.x[0] + self.shift[row]
         start = np.ceil(left - first).astype(np.intp)
         stop = np.floor(right - first).astype(np.intp) + 1
-        np.clip(start, 0, columns, out=start)
-        np.clip(stop, 0, columns, out=stop)
+        start.clip(0, columns, out=start)
+        stop.clip(0, columns, out=stop)
         return Covered(owner, row, row * columns + start, np.maximum(stop - start, 0))
 
 
@@ -151,8 +151,8 @@ class Scattered(NamedTuple):
         # Whole pixels: so samples are sorted.
         beside, begin = self.beside, tops[row] * (2 * self.beside + 1)
         first, last = (begin + np.clip(np.floor(m), -beside, beside) for m in (left, right))
-        start = np.searchsorted(self.pixel, first)
-        stop = np.searchsorted(self.pixel, last, side="right")
+        start = self.pixel.searchsorted(first)
+        stop = self.pixel.searchsorted(last, side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
         return Covered(owner[span], sample, sample, None)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, scaled, select
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, scaled, select
 from tracer.scene import Phong, Shader
 
 __all__ = ["Materials", "highlight"]
@@ -89,7 +89,7 @@ def highlight(
     square *= square
     square /= 2 * half2
     power: Floats = np.exp(0.5 * exponent * np.log(square))
-    at = np.flatnonzero((half2 < _CANCELLED) | (exponent * power > _SHOWS))
+    at = indices((half2 < _CANCELLED) | (exponent * power > _SHOWS))
     if at.size:
         power[at] = _highlight(*vectors(at), select(exponent, at))
     return power

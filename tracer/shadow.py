@@ -15,7 +15,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, columns, dot, each, entries, pick, put
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Triple,
+    columns,
+    dot,
+    each,
+    entries,
+    indices,
+    pick,
+    put,
+)
 from tracer.camera import Raster
 from tracer.intersection import (
     INSIDE,
@@ -66,7 +78,7 @@ class Shadows(NamedTuple):
         blocked = np.zeros(facing.shape, dtype=np.bool_)
         for candidates in self.finder.candidates(hits, facing, dark):
             pairs = candidates.pairs()
-            block = pairs.take(np.flatnonzero(self._blocks(hits, candidates, pairs)))
+            block = pairs.take(indices(self._blocks(hits, candidates, pairs)))
             put(blocked, block.light, block.point, True)
         return blocked | dark
 
@@ -85,7 +97,7 @@ class Shadows(NamedTuple):
             reach = footprint[pairs.point]
             grown = self._blocks(hits, candidates, pairs, reach)
             gap = self._gap_to_light(candidates)
-            near = np.flatnonzero(grown | (gap <= reach))
+            near = indices(grown | (gap <= reach))
             if not near.size:
                 continue
             pairs, reach, grown, gap = pairs.take(near), reach[near], grown[near], gap[near]
@@ -102,11 +114,11 @@ class Shadows(NamedTuple):
             put(solid, pairs.light[shrunk], pairs.point[shrunk], True)
             changes = grown | itself | (np.abs(gap) <= reach)
             edge = ~shrunk & changes & entries(facing, pairs.light, pairs.point)
-            found.append(pairs.take(np.flatnonzero(edge)))
+            found.append(pairs.take(indices(edge)))
         every = Pairs(*(np.concatenate(m) for m in zip(*found, strict=True)))
         blocked |= dark
         dark |= solid
-        edges = every.take(np.flatnonzero(~entries(dark, every.light, every.point)))
+        edges = every.take(indices(~entries(dark, every.light, every.point)))
         return blocked, ShadowEdges(hits, own, footprint, facing, dark, *edges)
 
     @property
@@ -157,7 +169,7 @@ class Shadows(NamedTuple):
             low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
         blocks = box_blocks(p, end, low, high)
         # Ends that may be on a face's plane are looked at more closely.
-        at = np.flatnonzero(candidates.spread(self._on_planes(candidates, *corners)))
+        at = indices(candidates.spread(self._on_planes(candidates, *corners)))
         if at.size:
             near, some = pick(p, at), pairs.take(at)
             tolerance = self._tolerance(near, some)
@@ -191,7 +203,7 @@ class Shadows(NamedTuple):
         reach = radius_of + candidates.balls.radius + occluders.slack[candidates.occluder]
         closely = entries(occluders.side, candidates.light, candidates.occluder) != OUTSIDE
         closely |= dot(aside, aside) <= reach * reach
-        at = np.flatnonzero(candidates.spread(closely))
+        at = indices(candidates.spread(closely))
         if at.size:
             some = pairs.take(at)
             blocks[at] = sphere_blocks(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, rows
+from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, indices, rows
 from tracer.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
 from tracer.visibility import Hits
 
@@ -70,7 +70,7 @@ class ShadowCache(NamedTuple):
             facing=ended(found.facing),
             dark=dark,
             first=np.append(0, np.cumsum(np.bincount(key, minlength=dark.size))),
-            listed=found.occluder[np.argsort(key)],
+            listed=found.occluder[key.argsort()],
         )
 
     @property
@@ -90,7 +90,7 @@ class ShadowCache(NamedTuple):
         dark |= known & self.dark.take(near, axis=1)
         points = hits.points(slice(None))
         for number, asked in enumerate(facing & known):
-            which = np.flatnonzero(asked)
+            which = indices(asked)
             key = number * self.own.size + near[which]
             first = self.first[key]
             length = self.first[key + 1] - first

@@ -26,6 +26,7 @@ from tracer.arrays import (
     entries,
     equal_runs,
     expand,
+    indices,
     pick,
     put,
     ranges,
@@ -169,7 +170,7 @@ class _Search(NamedTuple):
         """Those of the given lights, tiles and objects whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
         meets, _ = _near(self.occluders, lists.spheres, middle, radius, light, occluder)
-        near = np.flatnonzero(meets)
+        near = indices(meets)
         return light[near], tile[near], occluder[near]
 
     def of_stretches(
@@ -179,7 +180,7 @@ class _Search(NamedTuple):
 
         Sets `dark` where shadow is certain; a stretch that is all dark is no longer `asked` about.
         """
-        some = np.flatnonzero(entries(self.asked, light, stretch))
+        some = indices(entries(self.asked, light, stretch))
         light, stretch, occluder = light[some], stretch[some], occluder[some]
         balls = self.balls.take(stretch)
         meets, cuts = _near(
@@ -187,7 +188,7 @@ class _Search(NamedTuple):
         )
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
-        near = np.flatnonzero(meets & entries(self.asked, light, stretch))
+        near = indices(meets & entries(self.asked, light, stretch))
         if self.hits.scattered:  # they are short already
             return Candidates(balls.take(near), light[near], occluder[near])
         start, length, parent = _cut(balls.start[near], balls.length[near], _SHORT)
@@ -200,13 +201,13 @@ class _Search(NamedTuple):
         )
         self._darken(light, balls, cuts)
         # A short stretch is marked as a whole, so its first point tells.
-        near = np.flatnonzero(meets & ~entries(self.dark, light, start))
+        near = indices(meets & ~entries(self.dark, light, start))
         return Candidates(balls.take(near), light[near], occluder[near])
 
     def _darken(self, light: Ints, balls: Balls, mask: Bools) -> None:
         """Mark all points of some stretches as in shadow."""
         start, length = balls.start[mask], balls.length[mask]
-        put(self.dark, np.repeat(light[mask], length), ranges(start, length), True)
+        put(self.dark, light[mask].repeat(length), ranges(start, length), True)
 
 
 def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
@@ -222,7 +223,7 @@ def _tiles(hits: Hits, balls: Balls, run: Ints) -> tuple[Balls, Balls, Ints]:
     for m in (row // _BLOCK, column // _BLOCK):
         block = block * (m.max() + 1) + m
     tile = (block * _BLOCK + row % _BLOCK) * _BLOCK + column % _BLOCK
-    order = np.argsort(tile, kind="stable")
+    order = tile.argsort(kind="stable")
     tile = tile[order]
     tiles = _around(balls.take(order), tile)
     return _around(tiles, tile[tiles.start] // _BLOCK**2), tiles, order
@@ -257,7 +258,7 @@ def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     spheres, eye_inside = occluders.surfaces.sphere_count, occluders.view.eye_inside
     if eye_inside[:spheres].any():
         # Seen from inside, an arc may be longer: then all of the sphere is the ball.
-        inside = np.flatnonzero(eye_inside[owner] & (owner < spheres) & (count > 1))
+        inside = indices(eye_inside[owner] & (owner < spheres) & (count > 1))
         center = hits.raster.to_camera(occluders.surfaces.center[owner[inside]])
         longer = inside[~_is_short(pick(half, inside), pick(across, inside), center)]
         for m, c in zip(middle, occluders.middle, strict=True):

@@ -18,6 +18,7 @@ from tracer.arrays import (
     changes,
     dot,
     entries,
+    indices,
     pick,
     rows,
     select,
@@ -189,7 +190,7 @@ class Hits(NamedTuple):
     @property
     def own(self) -> Ints:
         """The object (n,) that each point lies on."""
-        return np.repeat(self.owner, np.diff(self.first))
+        return self.owner.repeat(np.diff(self.first))
 
     @property
     def sample(self) -> Ints:
@@ -255,7 +256,7 @@ class _Fragments(NamedTuple):
 
     def where(self, mask: Bools) -> _Fragments:
         """The pairs where the mask holds."""
-        return self.take(np.flatnonzero(mask))
+        return self.take(indices(mask))
 
     def take(self, index: Ints) -> _Fragments:
         """Some of the pairs, in order."""
@@ -264,7 +265,7 @@ class _Fragments(NamedTuple):
         if self.counts is None:
             spans = self._replace(owner=select(self.owner, index), row=self.row[index])
         else:
-            ends = np.searchsorted(index, np.cumsum(self.counts))
+            ends = index.searchsorted(self.counts.cumsum())
             spans = self._replace(counts=np.diff(ends, prepend=0))
         return spans._replace(
             sample=self.sample.take(index),
@@ -338,7 +339,7 @@ def _close_behind(
         # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
         # of directions are then computed for these few alone.
         most = first * (1 + 2 * step / raster.depth)
-        at = np.flatnonzero((group.t > first) & (group.t < most))
+        at = indices((group.t > first) & (group.t < most))
         _, y = samples.at(group.sample[at])
         s, g, first = group.s[at], raster.down(y), first[at]
         gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
@@ -372,14 +373,14 @@ def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered]]:
         The spans.
     """
     size = np.bincount(covered.owner, covered.counts, minlength=objects)
-    large = np.flatnonzero(size >= _LARGE).tolist()
+    large = indices(size >= _LARGE).tolist()
     for owner in large:
-        yield owner, covered.take(np.flatnonzero(covered.owner == owner))
+        yield owner, covered.take(indices(covered.owner == owner))
     rest = size[covered.owner] < _LARGE
     if covered.counts is not None:
         rest &= covered.counts > 0
     if rest.any():
-        small = covered.take(np.flatnonzero(rest))
+        small = covered.take(indices(rest))
         yield small.owner, small
 
 
@@ -566,11 +567,11 @@ def _runs(
             first = _starts([0], piece[group.sample], jump, group.owner, *faces)
             owner = select(group.owner, first)
         else:
-            span = np.flatnonzero(group.counts)
-            first, owner = (np.cumsum(group.counts) - group.counts)[span], select(group.owner, span)
+            span = indices(group.counts)
+            first, owner = (group.counts.cumsum() - group.counts)[span], select(group.owner, span)
             if faces:
                 every = _starts(first, *faces)
-                owner = select(owner, np.searchsorted(first, every, side="right") - 1)
+                owner = select(owner, first.searchsorted(every, side="right") - 1)
                 first = every
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(owner, first.shape))
@@ -582,4 +583,4 @@ def _starts(some: Ints | list[int], *numbers: Any) -> Ints:
     """Where any of the numbers (n,) changes, and at `some` places."""
     starts = changes(*(m for m in numbers if np.ndim(m)))
     starts[some] = True
-    return np.flatnonzero(starts)
+    return indices(starts)
