@@ -106,8 +106,8 @@ def raster_of(
     w = unit(camera.normal)
     if w @ ahead > 0:
         w = -w
-    u = unit(np.cross(unit(camera.view_up), w))
-    v = np.cross(w, u)
+    u = unit(_cross(unit(camera.view_up), w))
+    v = _cross(w, u)
     center = camera.proj_distance * ahead
     step_u, step_v = camera.view_width / width, camera.view_height / height
     # Shirley's v points up and his w backwards: a Raster's are their opposites.
@@ -122,3 +122,9 @@ def raster_of(
         width=width,
         height=height,
     )
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Cross product (3,) of two vectors: for so few, np.cross takes ten times as long."""
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

@@ -97,7 +97,7 @@ class Frames(NamedTuple):
         def between(low: Floats, high: Floats, size: int) -> slice:
             if not low.size:
                 return slice(0, 0)
-            first, last = np.clip([low.min() - 1, high.max() + 1], 0, size)
+            first, last = (min(max(m, 0.0), size) for m in (low.min() - 1, high.max() + 1))
             return slice(int(first), ceil(last))
 
         return (

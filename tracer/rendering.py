@@ -327,7 +327,7 @@ class _Renderer(NamedTuple):
         at_once = self.lighting.view.at_once(self.bands.at_once)
         tall = max(1, at_once // width)
         window, _ = self.window
-        first, last = np.clip([window.start, window.stop], rows.start, rows.stop).tolist()
+        first, last = (min(max(m, rows.start), rows.stop) for m in (window.start, window.stop))
         for top, left in product(range(first, last, tall), range(0, width, at_once)):
             part = out[top - rows.start : last - rows.start][:tall, left : left + at_once]
             here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
