@@ -31,7 +31,7 @@ from reference import machine, minimal, rivals
 from reference.command import HERE, SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Ratio, Table, quote, write_records
 from reference.timing import Task, Timing, interleaved, on_copies, process
-from reference.workloads import CROWDS, crowd, lit_by, resized, to_xml
+from reference.workloads import CROWDS, calm, crowd, lit_by, resized, to_xml
 from tracer import Scene, load_scene, render
 
 __all__ = ["Section", "compact", "growth_exponent", "main", "peak", "tables"]
@@ -296,6 +296,29 @@ def growth_in_pixels_and_lights(rounds: int, quick: bool) -> Table:
     )
 
 
+def smooth(rounds: int, quick: bool) -> Table:
+    """What antialiasing costs where no pixel needs it."""
+    sizes = ((320, 180),) if quick else ((320, 180), (1280, 720), _LARGE)
+    numbers = (1, 4, 16, 64)
+    rows: list[tuple[object, ...]] = []
+    for width, height in sizes:
+        for name, scene in calm(width=width, height=height).items():
+            tasks = {
+                str(samples): on_copies(partial(render, samples=samples), scene, _MORE * rounds)
+                for samples in numbers
+            }
+            one, *more = _warm(tasks, rounds).values()
+            ratios = (Ratio(timing.median / one.median) for timing in more)
+            rows.append((f"{name} {width}×{height}", one, *ratios))
+    return Table(
+        "Antialiasing where nothing needs it",
+        "Milliseconds for the tracer at one sample a pixel, and how many times as long it takes for"
+        " more, where all of the picture is one smooth surface: so much it costs to make sure.",
+        ("picture", "one sample", *(f"{samples} samples" for samples in numbers[1:])),
+        rows,
+    )
+
+
 def loading(rounds: int, quick: bool) -> Table:
     """Reading and validating many objects, against xml.etree alone."""
     count = 1000 if quick else 100_000
@@ -422,6 +445,7 @@ def tables(*, quick: bool) -> Iterator[tuple[Section, Table]]:
         growth_in_objects,
         crowded,
         growth_in_pixels_and_lights,
+        smooth,
         loading,
         memory,
     ]

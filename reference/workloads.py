@@ -10,7 +10,7 @@ import numpy as np
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 from tracer.arrays import Floats, Vector
 
-__all__ = ["CROWDS", "Crowd", "afresh", "crowd", "lit_by", "resized", "rods", "to_xml"]
+__all__ = ["CROWDS", "Crowd", "afresh", "calm", "crowd", "lit_by", "resized", "rods", "to_xml"]
 
 Crowd: TypeAlias = Literal["spread", "corner", "cone", "eye amid", "light amid"]
 
@@ -108,6 +108,27 @@ def rods(count: int, *, width: int = 640, height: int = 360) -> Scene:
             shaders=_SHADERS,
         ),
     )
+
+
+def calm(*, width: int, height: int) -> dict[str, Scene]:
+    """Pictures of one smooth surface under two lights, all over."""
+    view = Camera(
+        view_point=(0.0, 2.0, 6.0), view_dir=(0.0, -0.6, -1.0), view_width=0.4, view_height=0.225
+    )
+    floor = Surfaces(
+        min_pt=[(-50.0, -1.0, -50.0)],
+        max_pt=[(50.0, 0.0, 50.0)],
+        box_shader=[0],
+        shaders=_SHADERS[:1],
+    )
+    ball = Surfaces(
+        center=[(0.0, -6.0, -2.0)], radius=[6.5], sphere_shader=[0], shaders=_SHADERS[2:]
+    )
+    lights = _lights((3.0, 5.0, 4.0), (-4.0, 6.0, 2.0))
+    return {
+        name: Scene(camera=view, width=width, height=height, lights=lights, surfaces=surfaces)
+        for name, surfaces in (("a floor", floor), ("the side of a shiny ball", ball))
+    }
 
 
 def resized(scene: Scene, width: int, height: int) -> Scene:

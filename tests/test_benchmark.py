@@ -135,6 +135,7 @@ def test_the_compiled_loop_draws_the_same_picture(name: str) -> None:
         benchmark.loading,
         benchmark.memory,
         benchmark.crowded,
+        benchmark.smooth,
     ],
     ids=lambda section: section.__name__,
 )
