@@ -299,6 +299,8 @@ def test_eye_at_odd_places(
         Sphere(center=(0, 1, 0), radius=0.004),
         Sphere(center=(0, -(2.0**30), 0), radius=2.0**30 + 0.5),
         Box(min_pt=(-1e9, 4, -1e9), max_pt=(1e9, 1e9, 1e9)),
+        # So large that the light and all points count as on its faces.
+        Box(min_pt=(-1e14, 4, -1e14), max_pt=(1e14, 4.5, 1e14)),
     ],
 )
 @pytest.mark.parametrize("light", [(3, 5, 4), (0, 3, 0), (-2.5, 1, 0)])

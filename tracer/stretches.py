@@ -33,6 +33,7 @@ from tracer.arrays import (
     rows,
 )
 from tracer.capsules import box_and_capsule, sphere_and_capsule
+from tracer.intersection import SURFACE_TOLERANCE
 from tracer.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.visibility import Hits
 
@@ -307,4 +308,6 @@ def _near(
         return sphere_and_capsule(middle, end, radius, center, surfaces.radius[occluder])
     box = occluder - surfaces.sphere_count
     low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-    return box_and_capsule(middle, end, radius, low, high)
+    # What counts as on a face may be so far off it.
+    thickness = radius + 2 * SURFACE_TOLERANCE * occluders.size[occluder]
+    return box_and_capsule(middle, end, thickness, low, high)
