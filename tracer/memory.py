@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from contextlib import suppress
 from functools import cache
 
@@ -27,9 +28,7 @@ def keep_heap() -> None:
     Fresh pages cost more than the arithmetic on them, and by default glibc gives back whatever is
     free at the heap's end.  With another C library nothing happens, nor when called again.
     """
-    with suppress(ImportError, OSError, TypeError, AttributeError):
-        import ctypes  # NumPy has done so already
-
+    with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _BLOCK)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGES)
