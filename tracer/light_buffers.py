@@ -385,12 +385,12 @@ class _Field(NamedTuple):
         wide, tall = (self.size / side).tolist()
         u, v = self.origin[0] + column * wide, self.origin[1] + row * tall
 
-        def beyond(normal: Triple, slack: Floats | float, u: Floats, v: Floats) -> Bools:
+        def beyond(normal: Triple, u: Floats, v: Floats) -> Bools:
             """Whether all of a cell is on the wrong side of a plane with this normal."""
             x, y, z = normal
             b, c = x - z, y - z
             most = z + b * u + c * v + np.maximum(b, 0) * wide + np.maximum(c, 0) * tall
-            outside: Bools = most < -slack
+            outside: Bools = most < -SLACK
             return outside
 
         n = owner.searchsorted(surfaces.sphere_count)
@@ -401,18 +401,18 @@ class _Field(NamedTuple):
             surfaces.radius[owner[:n]],
             (across, down, 1 - across - down),
         )
-        spheres = beyond(tangent, SLACK, u[:n], v[:n])
+        spheres = beyond(tangent, u[:n], v[:n])
 
         first, count = equal_runs(owner[n:])
         box = owner[n:][first] - surfaces.sphere_count
         low, high = surfaces.min_pt[box], surfaces.max_pt[box]
-        silhouettes, rounding = silhouette_planes(box_corners(low, high, light), light, low, high)
+        silhouettes, _ = silhouette_planes(box_corners(low, high, light), light, low, high)
         size = sum(each(np.abs, silhouettes))
         boxes = np.zeros(u.size - n, dtype=np.bool_)
         normals = (s * normal / size for s, normal in zip(sign, silhouettes, strict=True))
-        for plane in zip(*normals, SLACK + rounding / size, strict=True):
-            x, y, z, slack = (component.repeat(count) for component in plane)
-            boxes |= beyond((x, y, z), slack, u[n:], v[n:])
+        for plane in zip(*normals, strict=True):
+            x, y, z = (component.repeat(count) for component in plane)
+            boxes |= beyond((x, y, z), u[n:], v[n:])
         return np.append(spheres, boxes)
 
 

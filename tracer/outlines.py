@@ -30,8 +30,8 @@ __all__ = [
     "silhouette_planes",
 ]
 
-# More than all roundings of a plane's coefficients: relative to their size, and to the product of
-# the distances of its edge's ends, most of which cancels where the edge is seen nearly end-on.
+# More than all roundings of a plane's coefficients, relative to their size, and relative to what
+# they were before most of it cancelled, as it does where an edge is seen nearly end-on.
 _ROUNDING, _CANCELLED = 1e-12, 1e-14
 
 # A power smaller than this part of the squared distance is little but rounding, and slopes contain
@@ -89,6 +89,12 @@ class Frames(NamedTuple):
         raster, top, bottom, left, right = self
         seen: Bools = (top <= raster.height + 1) & (bottom >= -1)
         return seen & (left <= raster.width + 1) & (right >= -1)
+
+    def extent(self) -> Floats:
+        """Width and height of the rectangles (n,), together, on the window; less, if rays are."""
+        raster = self.raster
+        sides = (self.right - self.left) * raster.step_u + (self.bottom - self.top) * raster.step_v
+        return np.where(sides >= 0, np.fmin(sides, raster.longest()), raster.longest())
 
     def window(self) -> tuple[slice, slice]:
         """Rows and columns of the picture outside of which nothing is seen."""
@@ -153,7 +159,7 @@ class Outlines(NamedTuple):
     planes : three (6, b)
         Of boxes, the planes of their silhouettes, as `_silhouettes` says.
     slack : (6, b)
-        By how much rounding may change what these planes say of a ray.
+        By how much rounding may change what these planes say of a ray that meets the box.
     frames : Frames
         Of all objects, spheres first.
     """
@@ -275,14 +281,16 @@ def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
     center, radius = raster.to_camera(surfaces.center), surfaces.radius
     min_pt, max_pt = surfaces.min_pt, surfaces.max_pt
     corners = _local_corners(raster, min_pt, max_pt)
-    planes, slack = _silhouettes(raster, corners, min_pt, max_pt)
+    frames = _frames(raster, center, radius, corners)
+    across = frames.take(slice(radius.size, None)).extent()
+    planes, slack = _silhouettes(raster, corners, min_pt, max_pt, across)
     return Outlines(
         center=center,
         radius=radius,
         power=power_of(np.sqrt(dot(center, center)), radius),
         planes=planes,
         slack=slack,
-        frames=_frames(raster, center, radius, corners),
+        frames=frames,
     )
 
 
@@ -369,7 +377,7 @@ _EDGE_START, _EDGE_END, _EDGE_SIDE = _silhouette_table()
 
 def silhouette_planes(
     corners: Triple, apex: Floats, min_pt: Floats, max_pt: Floats
-) -> tuple[Triple, Floats]:
+) -> tuple[Triple, tuple[Floats, Floats]]:
     """Planes through an apex and the silhouette edges of boxes seen from there.
 
     Parameters
@@ -385,8 +393,9 @@ def silhouette_planes(
         In the same axes; directions d towards the box have d . normal >= 0.
         Zero, which says nothing, where there is no silhouette (apex inside) or
         an edge is so short, or so nearly end-on, that rounding has a say.
-    rounding : (6, n)
-        By how much that may change each component.
+    rounding : two (6, n)
+        How much of d . normal that may be: so much for each unit of d's length, and so much more
+        for each unit that d lies beside the line to the edge's nearer end, which the plane holds.
     """
     code = (apex > max_pt).astype(np.intp) - (apex < min_pt)
     region = (code + 1) @ np.array([9, 3, 1])
@@ -397,11 +406,14 @@ def silhouette_planes(
     # a x b, from the edge and its nearer end: the two ends of what is far away hardly differ.
     a2, b2 = dot(a, a), dot(b, b)
     near = each(lambda a, b: np.asarray(np.where(a2 < b2, a, b)), a, b)
-    normal = cross(near, each(np.subtract, b, a))
+    edge = each(np.subtract, b, a)
+    normal = cross(near, edge)
     doubtful = dot(normal, normal) <= _LEAST_ANGLE**2 * a2 * b2
     # Not by where the box's middle is: seen from near a vast box, that is little but rounding.
     sign = np.where(doubtful, 0, _EDGE_SIDE[region].T)
-    return each(lambda n: sign * n, normal), _CANCELLED * np.sqrt(a2 * b2)
+    # What products lose as their sum cancels; then what the edge's ends lose as one is subtracted.
+    products = _CANCELLED * np.sqrt(np.minimum(a2, b2) * dot(edge, edge))
+    return each(lambda n: sign * n, normal), (products, _CANCELLED * np.sqrt(a2 * b2))
 
 
 def boxes_around(point: Floats, min_pt: Floats, max_pt: Floats) -> Bools:
@@ -433,18 +445,19 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
 
 
 def _silhouettes(
-    raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats
+    raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats, extent: Floats
 ) -> tuple[Triple, Floats]:
     """Planes (6, n) through the eye and silhouette edges of boxes, given their `_local_corners`.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).  By how much rounding may
-    change that, whatever the ray, comes last.
+    change that, for rays that meet the box, comes last; `extent` (n,): see `Frames`.
     """
     if not len(min_pt):
         nothing = np.zeros((6, 0))
         return (nothing, nothing, nothing), nothing
-    (slope, tilt, level), rounding = silhouette_planes(corners, raster.eye, min_pt, max_pt)
+    planes, (rounding, beside) = silhouette_planes(corners, raster.eye, min_pt, max_pt)
+    slope, tilt, level = planes
     # A box is seen from inside on its side of the faces that the eye is on.
     for box in indices(boxes_around(raster.eye, min_pt, max_pt)).tolist():
         faces = [(k, 1.0) for k in range(3) if min_pt[box, k] == raster.eye[k]]
@@ -455,8 +468,7 @@ def _silhouettes(
             k, sign = faces[number % len(faces)]
             for plane, axis in zip((slope, tilt, level), raster.axes, strict=True):
                 plane[number, box] = sign * axis[k]
-            rounding[number, box] = 0
-    slack = _ROUNDING * (np.abs(slope) + np.abs(tilt) + np.abs(level)) + rounding
-    slack *= raster.longest()
+            rounding[number, box] = beside[number, box] = 0
+    rounding += _ROUNDING * (np.abs(slope) + np.abs(tilt) + np.abs(level))
     level *= raster.depth
-    return (slope, tilt, level), slack
+    return planes, rounding * raster.longest() + beside * extent
