@@ -91,7 +91,10 @@ class Frames(NamedTuple):
         return seen & (left <= raster.width + 1) & (right >= -1)
 
     def extent(self) -> Floats:
-        """Width and height of the rectangles (n,), together, on the window; less, if rays are."""
+        """Width plus height (n,) of the rectangles, on the window; at most `Raster.longest`.
+
+        That is also what objects have that reach beside or behind the eye.
+        """
         raster = self.raster
         sides = (self.right - self.left) * raster.step_u + (self.bottom - self.top) * raster.step_v
         return np.where(sides >= 0, np.fmin(sides, raster.longest()), raster.longest())
