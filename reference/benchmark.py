@@ -66,8 +66,8 @@ def _processes(commands: dict[str, list[str]], rounds: int) -> dict[str, Timing]
     return _warm(tasks, rounds, _ENOUGH_OF_PROCESSES)
 
 
-def _tracer(scene: Scene, rounds: int) -> Task:
-    return on_copies(render, scene, _MORE * rounds)
+def _tracer(scene: Scene, rounds: int, samples: int = 1) -> Task:
+    return on_copies(partial(render, samples=samples), scene, _MORE * rounds)
 
 
 def _tracer_alone(scene: Scene, rounds: int) -> Timing:
@@ -303,10 +303,7 @@ def smooth(rounds: int, quick: bool) -> Table:
     rows: list[tuple[object, ...]] = []
     for width, height in sizes:
         for name, scene in calm(width=width, height=height).items():
-            tasks = {
-                str(samples): on_copies(partial(render, samples=samples), scene, _MORE * rounds)
-                for samples in numbers
-            }
+            tasks = {str(samples): _tracer(scene, rounds, samples) for samples in numbers}
             one, *more = _warm(tasks, rounds).values()
             ratios = (Ratio(timing.median / one.median) for timing in more)
             rows.append((f"{name} {width}×{height}", one, *ratios))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Triple
+from tracer.arrays import Floats, Triple, cross
 from tracer.scene import Camera, unit
 
 __all__ = ["Raster", "raster_of"]
@@ -126,5 +126,4 @@ def raster_of(
 
 def _cross(a: Floats, b: Floats) -> Floats:
     """Cross product (3,) of two vectors: for so few, np.cross takes ten times as long."""
-    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+    return np.array(cross(a.tolist(), b.tolist()))

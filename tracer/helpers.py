@@ -22,7 +22,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Floats
-from tracer.memory import keep_heap
 from tracer.workers import (
     POSSIBLE,
     Channel,
@@ -232,7 +231,6 @@ def helped(count: int, others: int, job: Job, load: float) -> Iterator[Team]:
 
 def run_helper(reads: int, writes: int, numbers: int, memory: int) -> None:
     """Serve the process that started this one, until that ends; never returns."""
-    keep_heap()
     caller, taken, shared = Channel(reads, writes), Numbers(numbers), mmap(memory, 0)
 
     def do_jobs() -> None:

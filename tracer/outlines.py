@@ -91,13 +91,10 @@ class Frames(NamedTuple):
         return seen & (left <= raster.width + 1) & (right >= -1)
 
     def extent(self) -> Floats:
-        """Width plus height (n,) of the rectangles, on the window; at most `Raster.longest`.
-
-        That is also what objects have that reach beside or behind the eye.
-        """
+        """Width plus height (n,), on the window; infinite for what is beside or behind the eye."""
         raster = self.raster
         sides = (self.right - self.left) * raster.step_u + (self.bottom - self.top) * raster.step_v
-        return np.where(sides >= 0, np.fmin(sides, raster.longest()), raster.longest())
+        return np.where(sides >= 0, sides, np.inf)
 
     def window(self) -> tuple[slice, slice]:
         """Rows and columns of the picture outside of which nothing is seen."""
@@ -285,8 +282,8 @@ def outlines_of(raster: Raster, surfaces: Surfaces) -> Outlines:
     min_pt, max_pt = surfaces.min_pt, surfaces.max_pt
     corners = _local_corners(raster, min_pt, max_pt)
     frames = _frames(raster, center, radius, corners)
-    across = frames.take(slice(radius.size, None)).extent()
-    planes, slack = _silhouettes(raster, corners, min_pt, max_pt, across)
+    of_boxes = frames.take(slice(radius.size, None))
+    planes, slack = _silhouettes(of_boxes, corners, min_pt, max_pt)
     return Outlines(
         center=center,
         radius=radius,
@@ -448,14 +445,15 @@ def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
 
 
 def _silhouettes(
-    raster: Raster, corners: Triple, min_pt: Floats, max_pt: Floats, extent: Floats
+    frames: Frames, corners: Triple, min_pt: Floats, max_pt: Floats
 ) -> tuple[Triple, Floats]:
     """Planes (6, n) through the eye and silhouette edges of boxes, given their `_local_corners`.
 
     A plane is three coefficients: slope, tilt and level of
     slope * s + tilt * g + level >= 0 inside, with the ray (s, g, depth).  By how much rounding may
-    change that, for rays that meet the box, comes last; `extent` (n,): see `Frames`.
+    change that, for rays that meet the box, comes last.
     """
+    raster = frames.raster
     if not len(min_pt):
         nothing = np.zeros((6, 0))
         return (nothing, nothing, nothing), nothing
@@ -474,4 +472,5 @@ def _silhouettes(
             rounding[number, box] = beside[number, box] = 0
     rounding += _ROUNDING * (np.abs(slope) + np.abs(tilt) + np.abs(level))
     level *= raster.depth
-    return planes, rounding * raster.longest() + beside * extent
+    longest = raster.longest()
+    return planes, rounding * longest + beside * np.minimum(frames.extent(), longest)
