@@ -11,9 +11,9 @@ import numpy as np
 
 from converters.visible import bounds, visible_points, window_point
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.checks import MAX_PIXELS
-from tracer.scene import Phong, PointLight, Scene, Shader, Surfaces
+from tracer.scene.model import Phong, PointLight, Scene, Shader, Surfaces
+from tracer.scene.schema import MAX_PIXELS
+from tracer.view.camera import raster_of
 
 __all__ = ["WRITTEN", "Normalisation", "exact", "normalisation", "square_height", "stock"]
 

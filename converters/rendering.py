@@ -13,8 +13,8 @@ import numpy as np
 from converters.flavours import exact
 from converters.variant import ensure, mi, use
 from tracer.arrays import Floats
-from tracer.image import whole_file
-from tracer.scene import Scene
+from tracer.picture.png import whole_file
+from tracer.scene.model import Scene
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 

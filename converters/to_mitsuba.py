@@ -25,7 +25,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from tracer.command import at_least, begin, end, heed_signals, is_folder, named, say, targets
+from tracer.commands import at_least, begin, end, heed_signals, is_folder, named, say, targets
 from tracer.messages import printable
 
 __all__ = ["main", "run"]
@@ -170,8 +170,8 @@ def _say_unwritten(path: Path, error: OSError) -> None:
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import WRITTEN, exact, stock
-    from tracer.image import whole_file
-    from tracer.reader import load_scene
+    from tracer.picture.png import whole_file
+    from tracer.scene.reader import load_scene
 
     begin()
     name, flavour = ("exact", exact) if options.exact else ("stock", stock)
@@ -185,8 +185,8 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.rendering import render_mitsuba, write_exr
-    from tracer.image import write_png
-    from tracer.reader import load_scene
+    from tracer.picture.png import write_png
+    from tracer.scene.reader import load_scene
 
     scene = load_scene(path)
     image = render_mitsuba(scene, options.samples or 1, options.variant)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from tracer.messages import printable
-from tracer.reader import SceneFileError
+from tracer.scene.reader import SceneFileError
 
 __all__ = ["TROUBLE", "told"]
 

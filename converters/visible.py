@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
-from tracer.camera import Raster, raster_of
-from tracer.sampling import CENTRES
-from tracer.scene import Scene, Surfaces
-from tracer.visibility import view_of, visible
+from tracer.scene.model import Scene, Surfaces
+from tracer.view.camera import Raster, raster_of
+from tracer.view.visibility import view_of, visible
 
 __all__ = ["bounds", "visible_points", "window_point"]
 

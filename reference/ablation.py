@@ -24,24 +24,20 @@ from reference.tables import Ratio, Table, quote, write_records
 from reference.timing import Task, Timing, interleaved, on_copies
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
-from tracer import (
-    Scene,
-    antialias,
-    light_buffers,
-    load_scene,
-    render,
-    rendering,
-    shading,
-    shadow,
-    stretches,
-    visibility,
-)
+from tracer import Scene, load_scene, render
+from tracer.antialias import refine as antialias
+from tracer.antialias.classify import LightingIn, Seen
+from tracer.antialias.edges import Lines
+from tracer.antialias.lattice import Lattice
+from tracer.antialias.regions import Points
 from tracer.arrays import Floats, Ints
-from tracer.edges import Lines
-from tracer.lighting import Lighting
-from tracer.looks import LightingIn, Seen
-from tracer.regions import Points
-from tracer.sampling import Lattice
+from tracer.light import shading
+from tracer.light.lighting import Lighting
+from tracer.picture import rendering
+from tracer.shadow import grid as light_buffers
+from tracer.shadow import occlusion as shadow
+from tracer.shadow import packets as stretches
+from tracer.view import visibility
 
 __all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
 

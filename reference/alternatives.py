@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats
-from tracer.scene import Phong, Scene
+from tracer.scene.model import Phong, Scene
 
 __all__ = [
     "SHADOW_STARTS",

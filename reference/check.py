@@ -26,9 +26,9 @@ from reference.compare import Figures, figures
 from reference.oracle import Oracle
 from tracer.arrays import Bools, Floats
 from tracer.messages import printable
-from tracer.reader import load_scene
-from tracer.rendering import render
-from tracer.scene import Scene
+from tracer.picture.rendering import render
+from tracer.scene.model import Scene
+from tracer.scene.reader import load_scene
 
 __all__ = [
     "EDGE_CHANGE",

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from tqdm import tqdm
 
-from tracer.command import end, no_folder
+from tracer.commands import end, no_folder
 from tracer.messages import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.

@@ -22,9 +22,9 @@ from skimage.metrics import structural_similarity
 from reference.command import run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
-from tracer.command import is_folder, named, say
-from tracer.image import PNG, quantise, whole_file
+from tracer.commands import is_folder, named, say
 from tracer.messages import printable
+from tracer.picture.png import PNG, quantise, whole_file
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 

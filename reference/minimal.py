@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from converters.visible import window_point
 from reference.command import built
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.scene import Scene
+from tracer.scene.model import Scene
+from tracer.view.camera import raster_of
 
 __all__ = ["Minimal", "compiler"]
 

@@ -31,7 +31,7 @@ from decimal import Decimal
 from itertools import permutations
 from typing import TypeAlias
 
-from tracer.scene import Box, Phong, Scene, Shader, Sphere
+from tracer.scene.model import Box, Phong, Scene, Shader, Sphere
 
 __all__ = ["Oracle", "Verdict"]
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from converters.visible import window_point
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.scene import Phong, Scene, Shader
+from tracer.scene.model import Phong, Scene, Shader
+from tracer.view.camera import raster_of
 
 __all__ = ["to_pov"]
 

@@ -25,8 +25,8 @@ from converters.variant import ensure, mi, use
 from reference.command import HERE, need_scenes, own_scenes, parser, run
 from reference.compare import figures
 from tracer.arrays import Floats
-from tracer.reader import load_scene
-from tracer.scene import Scene
+from tracer.scene.model import Scene
+from tracer.scene.reader import load_scene
 
 __all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 

@@ -27,9 +27,9 @@ from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.machine import describe
-from tracer.command import is_folder, named, say
-from tracer.image import quantise, whole_file
+from tracer.commands import is_folder, named, say
 from tracer.messages import printable
+from tracer.picture.png import quantise, whole_file
 
 __all__ = ["main", "page"]
 

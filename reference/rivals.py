@@ -18,7 +18,7 @@ from converters.variant import ensure, mi
 from reference.command import built
 from reference.povray import to_pov
 from tracer.arrays import Floats
-from tracer.scene import Scene
+from tracer.scene.model import Scene
 
 __all__ = [
     "mitsuba_command",

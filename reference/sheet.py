@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import tracer
 from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
-from tracer.image import quantise
+from tracer.picture.png import quantise
 
 __all__ = ["main", "sheet"]
 

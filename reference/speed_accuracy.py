@@ -35,7 +35,7 @@ from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized, to_xml
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
-from tracer.image import quantise
+from tracer.picture.png import quantise
 
 __all__ = ["Lead", "Point", "main", "measure"]
 

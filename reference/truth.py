@@ -13,8 +13,8 @@ from reference.command import built
 from reference.workloads import to_xml
 from tracer import Scene
 from tracer.arrays import Floats
-from tracer.checks import MAX_PIXELS
-from tracer.rendering import render_each
+from tracer.picture.rendering import render_each
+from tracer.scene.schema import MAX_PIXELS
 
 __all__ = ["Truth", "supersampled", "truth_side"]
 

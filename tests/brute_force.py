@@ -13,8 +13,9 @@ import numpy as np
 from probe import Surface, Vector
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot
-from tracer.camera import Raster, raster_of
-from tracer.intersection import (
+from tracer.light.shading import highlight
+from tracer.scene.model import Box, Phong, Scene, Sphere
+from tracer.shapes.intersection import (
     INSIDE,
     ON,
     SURFACE_TOLERANCE,
@@ -26,8 +27,7 @@ from tracer.intersection import (
     sphere_hit,
     sphere_side,
 )
-from tracer.scene import Box, Phong, Scene, Sphere
-from tracer.shading import highlight
+from tracer.view.camera import Raster, raster_of
 
 
 @np.errstate(all="ignore")

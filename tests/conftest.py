@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tracer import antialias, reader, shadow
+from tracer.antialias import refine as antialias
+from tracer.scene import reader
+from tracer.shadow import occlusion as shadow
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from tracer.arrays import Floats
-from tracer.helpers import Fill
-from tracer.workers import AHEAD, Work
+from tracer.picture.helpers import Fill
+from tracer.picture.workers import AHEAD, Work
 
 SHAPE = (AHEAD, 2, 3)
 

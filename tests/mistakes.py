@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from tracer import Lambertian, Scene, render
+from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.sampling import CENTRES
-from tracer.visibility import view_of
-from tracer.visibility import visible as hits_of
+from tracer.view.camera import raster_of
+from tracer.view.visibility import view_of
+from tracer.view.visibility import visible as hits_of
 
 
 def no_highlights(scene: Scene) -> Floats:

@@ -16,20 +16,11 @@ from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
 from reference.command import own_scenes
 from reference.workloads import crowd
-from tracer import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    Scene,
-    Sphere,
-    antialias,
-    load_scene,
-    render,
-    rendering,
-)
-from tracer.rendering import render_each
-from tracer.sampling import Lattice
+from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
+from tracer.antialias import refine as antialias
+from tracer.antialias.lattice import Lattice
+from tracer.picture import rendering
+from tracer.picture.rendering import render_each
 
 SCENES = own_scenes()
 

@@ -14,9 +14,10 @@ from probe import scene_of
 from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, antialias, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, render
+from tracer.antialias import refine as antialias
+from tracer.antialias.curvature import curvature
 from tracer.arrays import Floats, Ints, Vector
-from tracer.curvature import curvature
 
 WALL = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
 RED = Lambertian(diffuse=(1, 0, 0))

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tracer import SceneFileError, contents, load_scene, reader
+from tracer import SceneFileError, load_scene
+from tracer.scene import contents, reader
 
 EMPTY = "<camera/><image>4 3</image>"
 SPHERE = '<surface type="Sphere">{}</surface>'

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer.antialias.boundaries import Patches, near_lights
 from tracer.arrays import Ints
-from tracer.boundaries import Patches, near_lights
-from tracer.lighting import Incoming
+from tracer.light.lighting import Incoming
 
 
 def test_light_that_a_hollow_ball_keeps_out_begins_nowhere_on_it(

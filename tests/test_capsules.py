@@ -12,8 +12,8 @@ from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vecto
 
 from tracer import Box, Sphere, Surfaces
 from tracer.arrays import Bools, Floats
-from tracer.capsules import box_and_capsule, sphere_and_capsule
-from tracer.intersection import SURFACE_TOLERANCE
+from tracer.shadow.capsules import box_and_capsule, sphere_and_capsule
+from tracer.shapes.intersection import SURFACE_TOLERANCE
 
 SLACK = 1e-9
 """Of all sizes around: so much thicker than their balls capsules are asked for."""

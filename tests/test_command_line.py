@@ -22,9 +22,9 @@ from PIL import Image
 import tracer
 from converters import to_mitsuba
 from tracer import __main__ as command_line
-from tracer import rendering
-from tracer.command import _interrupted
-from tracer.image import PNG, quantise
+from tracer.commands import _interrupted
+from tracer.picture import rendering
+from tracer.picture.png import PNG, quantise
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
@@ -243,7 +243,7 @@ def test_what_cannot_be_written(scene, output, reason):
 def limited(scene: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
     """Render with so much more memory than there is in use once all modules are loaded."""
     script = (
-        "import resource, sys, tracer.rendering\n"
+        "import resource, sys, tracer.picture.rendering\n"
         "from tracer.__main__ import main\n"
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
         f"resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)\n"
@@ -274,7 +274,7 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
     def fail(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tracer.rendering.render_each", fail)
+    monkeypatch.setattr("tracer.picture.rendering.render_each", fail)
     assert command_line.main([str(scene), "--samples", "999999999"]) == 1
     assert capsys.readouterr().err == (
         f"{scene}: not enough memory for 40 x 30 pixels of 999999999 samples;"
@@ -285,7 +285,7 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
-        "tracer.rendering.render_each",
+        "tracer.picture.rendering.render_each",
         lambda _, work, *__, **___: iter([work(np.full((30, 40, 3), np.nan))]),
     )
     assert command_line.main([str(scene)]) == 1
@@ -336,9 +336,9 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
 def test_no_interrupt_interrupts_what_another_has_begun(monkeypatch):
     """As when a user is impatient, or each process of a pipe is sent one."""
     seconds = iter([10.0, 10.1, 10.4, 10.6])
-    monkeypatch.setattr("tracer.command._begun", True)
-    monkeypatch.setattr("tracer.command._deaf_until", 0.0)
-    monkeypatch.setattr("tracer.command.monotonic", seconds.__next__)
+    monkeypatch.setattr("tracer.commands._begun", True)
+    monkeypatch.setattr("tracer.commands._deaf_until", 0.0)
+    monkeypatch.setattr("tracer.commands.monotonic", seconds.__next__)
     heeded = []
     for _ in range(4):
         try:
@@ -533,7 +533,7 @@ def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, modul
         [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
     )
     loaded = done.stdout.split()
-    assert "tracer.rendering" in loaded
+    assert "tracer.picture.rendering" in loaded
     assert module not in loaded
 
 

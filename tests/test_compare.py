@@ -22,7 +22,7 @@ import tracer
 from reference.command import SCENES
 from reference.compare import figures, main, read_picture, write_comparison
 from tracer.arrays import Floats
-from tracer.image import PNG
+from tracer.picture.png import PNG
 
 ROOT = Path(__file__).resolve().parent.parent
 Image8 = NDArray[np.uint8]

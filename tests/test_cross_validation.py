@@ -30,7 +30,7 @@ from reference.command import SCENES, own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
 from tracer import Scene, load_scene
-from tracer.rendering import render
+from tracer.picture.rendering import render
 
 pytestmark = pytest.mark.cross_validation
 

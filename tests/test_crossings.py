@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from random_objects import a_box, a_direction, a_point, a_sphere, vector
 
 from tracer import Box, Camera, Surfaces
-from tracer.camera import raster_of
-from tracer.crossings import crossed
-from tracer.outlines import Outlines, Spans, outlines_of
+from tracer.antialias.crossings import crossed
+from tracer.view.camera import raster_of
+from tracer.view.outlines import Outlines, Spans, outlines_of
 
 WIDTH, HEIGHT = 24, 20
 

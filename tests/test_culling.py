@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, lighting, render, rendering
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
+from tracer.antialias.lattice import Samples, Scattered
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.outlines import frames_of
-from tracer.sampling import Samples, Scattered
-from tracer.visibility import Hits, View, view_of
+from tracer.light import lighting
+from tracer.picture import rendering
+from tracer.view.camera import raster_of
+from tracer.view.outlines import frames_of
+from tracer.view.visibility import Hits, View, view_of
 
 
 def assert_same(scene: Scene) -> None:
@@ -31,10 +33,10 @@ def assert_same(scene: Scene) -> None:
     expected = brute_force(scene)
     for samples_each, large in ((1e-3, 100), (1e-3, 1e9), (1e9, 1e9)):
         with (
-            patch("tracer.shadow._PIXELS_EACH", samples_each),
-            patch("tracer.shadow._SPLIT_EACH", samples_each),
-            patch("tracer.shadow._FEW", 0),
-            patch("tracer.visibility._LARGE", large),
+            patch("tracer.shadow.occlusion._PIXELS_EACH", samples_each),
+            patch("tracer.shadow.occlusion._SPLIT_EACH", samples_each),
+            patch("tracer.shadow.occlusion._FEW", 0),
+            patch("tracer.view.visibility._LARGE", large),
         ):
             images = render(scene), scattered(scene)
         for image in images:
@@ -72,7 +74,7 @@ def test_random_scenes(kind: str, width: int, height: int) -> None:
 def test_light_buffers_of_a_part_of_the_field(kind: str) -> None:
     for seed in range(4):
         scene = random_scene(kind, seed, 60, 44)
-        with patch("tracer.light_buffers._CROWDED", 0.9):
+        with patch("tracer.shadow.grid._CROWDED", 0.9):
             assert_same(scene)
 
 
@@ -81,9 +83,9 @@ def test_light_buffers_of_large_cells(kind: str) -> None:
     for pairs in (1, 40, 1000):
         scene = random_scene(kind, pairs, 60, 44)
         with (
-            patch("tracer.light_buffers._PAIRS", pairs),
-            patch("tracer.shadow._PIXELS_EACH", 1e9),
-            patch("tracer.shadow._FEW", 0),
+            patch("tracer.shadow.grid._PAIRS", pairs),
+            patch("tracer.shadow.occlusion._PIXELS_EACH", 1e9),
+            patch("tracer.shadow.occlusion._FEW", 0),
         ):
             image = render(scene)
         np.testing.assert_array_equal(image, brute_force(scene))

@@ -10,10 +10,10 @@ import pytest
 from random_objects import triple, unit, unit_vectors
 
 from tracer import Lambertian, Surfaces
+from tracer.antialias.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.arrays import Bools, Floats, Triple
-from tracer.edges import MOST_TURN, Kind, Lines, Pencil, joined
-from tracer.intersection import box_hit
-from tracer.outlines import box_corners, silhouette_planes
+from tracer.shapes.intersection import box_hit
+from tracer.view.outlines import box_corners, silhouette_planes
 
 
 def some_lines(rng: np.random.Generator, count: int) -> Lines:

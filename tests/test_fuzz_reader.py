@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracer import Scene, SceneFileError, load_scene, reader
+from tracer import Scene, SceneFileError, load_scene
+from tracer.scene import reader
 
 VALID = b"""<?xml version="1.0" encoding="utf-8"?>
 <!-- everything that the format has -->

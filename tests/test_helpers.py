@@ -21,20 +21,20 @@ import numpy as np
 import pytest
 from jobs import SHAPE, add, die, fail, here, refuse
 
-import tracer.helpers
+import tracer.picture.helpers
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
-from tracer.helpers import Job, helped, received
-from tracer.scene import Surfaces
-from tracer.workers import AHEAD, Numbers, Team
+from tracer.picture.helpers import Job, helped, received
+from tracer.picture.workers import AHEAD, Numbers, Team
+from tracer.scene.model import Surfaces
 
 
 @pytest.fixture(autouse=True)
 def crew(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No helpers before or after; they find this module."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    tracer.helpers._crew.stop()
+    tracer.picture.helpers._crew.stop()
     yield
-    tracer.helpers._crew.stop()
+    tracer.picture.helpers._crew.stop()
 
 
 def together(
@@ -84,12 +84,12 @@ def test_a_program_with_many_open_files() -> None:
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system with helpers")
 def test_no_help_where_there_is_one_processor() -> None:
     code = """if True:
-        import os, sys, tracer, tracer.helpers
+        import os, sys, tracer, tracer.picture.helpers
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
         scene = tracer.Scene(camera=tracer.Camera(), width=4000, height=2500)
         for _ in range(3):
             tracer.render(scene)
-        sys.exit(len(tracer.helpers._crew._helpers))
+        sys.exit(len(tracer.picture.helpers._crew._helpers))
     """
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
@@ -194,8 +194,8 @@ def test_it_must_pay_to_start_one() -> None:
             list(team.results(here(add(0))))
         return len(team.workers)
 
-    tracer.helpers._crew._load = 0.0
-    enough = tracer.helpers._START
+    tracer.picture.helpers._crew._load = 0.0
+    enough = tracer.picture.helpers._START
     assert [workers(0.4 * enough) for _ in range(4)] == [0, 0, 1, 1]
 
 
@@ -206,7 +206,7 @@ def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(os, "memfd_create", none)
         assert set(together(0.5, wait=False)) == {os.getpid()}
-    too_much = tracer.helpers._SHARED
+    too_much = tracer.picture.helpers._SHARED
     add_0, add_more = partial(add, 0), partial(add, bytes(too_much))
     for job in (Job(add_0, (AHEAD, too_much)), Job(add_more, SHAPE)):
         with helped(8, 1, job, np.inf) as team:
@@ -218,11 +218,11 @@ def test_without_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_nothing_is_left_of_a_helper_that_cannot_be_had(
     count: int, files_left: Callable[[int], AbstractContextManager[None]]
 ) -> None:
-    tracer.helpers._crew.forget()
+    tracer.picture.helpers._crew.forget()
     with files_left(count):
         assert set(together(0.5, count=2, wait=False)) == {os.getpid()}
-        tracer.helpers._crew.stop()
-        tracer.helpers._crew.forget()
+        tracer.picture.helpers._crew.stop()
+        tracer.picture.helpers._crew.forget()
 
 
 @pytest.mark.parametrize("name", ["python3", "a-program-of-its-own"])
@@ -237,8 +237,8 @@ def test_a_helper_that_cannot_start(
     assert set(together(0.5, wait=False)) == {os.getpid()}
     assert (tmp_path / "started").exists() == (name == "python3")
     # Nor is another started, or a zombie left, unless it pays again.
-    assert set(together(0.5, wait=False, load=tracer.helpers._START / 2)) == {os.getpid()}
-    assert not tracer.helpers._crew._helpers
+    assert set(together(0.5, wait=False, load=tracer.picture.helpers._START / 2)) == {os.getpid()}
+    assert not tracer.picture.helpers._crew._helpers
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
 
@@ -310,9 +310,9 @@ def test_pictures_with_help(samples: int, monkeypatch: pytest.MonkeyPatch) -> No
     alone = render(scene, samples, threads=1)
     together(0.5)  # from here on there is one
     assert np.array_equal(render(scene, samples, threads=2), alone)
-    monkeypatch.setattr(tracer.rendering, "_BAND_SAMPLES", 1000)
-    parts = tracer.rendering._Picture.of(scene, samples)
-    assert tracer.rendering._Bands.of(parts, 2).total > 10
+    monkeypatch.setattr(tracer.picture.rendering, "_BAND_SAMPLES", 1000)
+    parts = tracer.picture.rendering._Picture.of(scene, samples)
+    assert tracer.picture.rendering._Bands.of(parts, 2).total > 10
     assert np.array_equal(render(scene, samples, threads=2), alone)
 
 
@@ -339,7 +339,7 @@ def test_every_processor_that_is_asked_for(
     threads: int, others: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And no more than there are."""
-    monkeypatch.setattr(tracer.rendering, "processors", lambda: 3)
+    monkeypatch.setattr(tracer.picture.rendering, "processors", lambda: 3)
     teams: list[Team] = []
     scene = picture(200, 300)
     original = Team.results
@@ -353,5 +353,5 @@ def test_every_processor_that_is_asked_for(
 
 
 def test_helpers_have_room_for_the_largest_bands() -> None:
-    pixels = tracer.rendering._BAND_SAMPLES * tracer.rendering._SPLIT_BANDS
-    assert AHEAD * pixels * 3 * 8 <= tracer.helpers._SHARED // 2
+    pixels = tracer.picture.rendering._BAND_SAMPLES * tracer.picture.rendering._SPLIT_BANDS
+    assert AHEAD * pixels * 3 * 8 <= tracer.picture.helpers._SHARED // 2

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from tracer import write_png
-from tracer.image import PNG, _shifts, packed, quantise, write_bands
+from tracer.picture.png import PNG, _shifts, packed, quantise, write_bands
 
 
 def codes_of(values) -> np.ndarray:
@@ -249,7 +249,7 @@ class TestWhatIsThereAlready:
             raise OSError(why, os.strerror(why), path)
 
         monkeypatch.setattr(os, "access", lambda *_: False)
-        monkeypatch.setattr("tracer.image.open", refuses, raising=False)
+        monkeypatch.setattr("tracer.picture.png.open", refuses, raising=False)
         with pytest.raises(OSError, match=os.strerror(why)):
             write_png(picture, np.zeros((1, 1, 3)))
         assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]

@@ -10,9 +10,11 @@ from probe import EPS, moved
 from random_scenes import KINDS, random_scene
 
 from reference.oracle import Oracle
-from tracer import Box, Lambertian, PointLight, Scene, Sphere, antialias, render, rendering
+from tracer import Box, Lambertian, PointLight, Scene, Sphere, render
+from tracer.antialias import refine as antialias
 from tracer.arrays import Floats, Ints
-from tracer.rendering import render_each
+from tracer.picture import rendering
+from tracer.picture.rendering import render_each
 
 
 def picture(kind: str, seed: int) -> tuple[Scene, Floats]:

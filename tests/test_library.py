@@ -25,7 +25,7 @@ from tracer import (
     load_scene,
     render,
 )
-from tracer.checks import MAX_PIXELS
+from tracer.scene.schema import MAX_PIXELS
 
 # Every way to copy an object.
 COPIES: dict[str, Callable[[Any], Any]] = {

@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
 
-from tracer import Camera, Lambertian, PointLight, Scene, Surfaces, light_buffers, render
+from tracer import Camera, Lambertian, PointLight, Scene, Surfaces, render
 from tracer.arrays import Floats
-from tracer.camera import raster_of
-from tracer.light_buffers import _PAIRS, LightBuffer, light_buffer_finder
-from tracer.occluders import Candidates, occluders_of
-from tracer.visibility import view_of
+from tracer.shadow import grid as light_buffers
+from tracer.shadow.grid import _PAIRS, LightBuffer, light_buffer_finder
+from tracer.shadow.occluders import Candidates, occluders_of
+from tracer.view.camera import raster_of
+from tracer.view.visibility import view_of
 
 WHITE = Lambertian()
 

@@ -33,18 +33,20 @@ def test_what_is_not_there():
         _ = tracer.ray
 
 
-NAMES = [f"tracer.{module.name}" for module in pkgutil.iter_modules(tracer.__path__)]
+NAMES = [module.name for module in pkgutil.walk_packages(tracer.__path__, "tracer.")]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_modules_take_from_each_other_what_is_public(name):
     for node in ast.walk(ast.parse(inspect.getsource(import_module(name)))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tracer."):
-            public = import_module(node.module).__all__
+            public = getattr(import_module(node.module), "__all__", dir(import_module(node.module)))
             assert {alias.name for alias in node.names} <= set(public), node.module
 
 
-@pytest.mark.parametrize("name", ["tracer.contents", "tracer.reader", "tracer.scene"])
+@pytest.mark.parametrize(
+    "name", ["tracer.scene.contents", "tracer.scene.reader", "tracer.scene.model"]
+)
 def test_constants_and_types_are_public_or_not_by_their_name(name):
     module = import_module(name)
     for node in ast.parse(inspect.getsource(module)).body:

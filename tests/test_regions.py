@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tracer.antialias.edges import Kind, Lines
+from tracer.antialias.lattice import Lattice
+from tracer.antialias.regions import mixed, post_stratified, sides_of
 from tracer.arrays import Floats, Ints
-from tracer.edges import Kind, Lines
-from tracer.regions import mixed, post_stratified, sides_of
-from tracer.sampling import Lattice
 
 FINE = (np.arange(400) + 0.5) / 400 - 0.5
 

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tracer.sampling import CENTRES, Lattice
+from tracer.antialias.lattice import CENTRES, Lattice
 
 SIDES = range(2, 17)
 

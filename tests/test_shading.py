@@ -10,7 +10,7 @@ import pytest
 from probe import EPS, Vector, colored, radiance_along
 
 from tracer import Box, Lambertian, Phong, PointLight, Sphere
-from tracer.shading import Materials, highlight
+from tracer.light.shading import Materials, highlight
 
 # The top of the floor is y = 0; the eye above the origin looks straight down: n = v = (0, 1, 0).
 FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))

@@ -15,10 +15,10 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Sphere, render
 from tracer.arrays import Bools, Floats
-from tracer.intersection import INSIDE
-from tracer.occluders import Candidates, Occluders, ShadowEdges, candidates_by_kind
-from tracer.shadow import Shadows
-from tracer.visibility import Hits
+from tracer.shadow.occluders import Candidates, Occluders, ShadowEdges, candidates_by_kind
+from tracer.shadow.occlusion import Shadows
+from tracer.shapes.intersection import INSIDE
+from tracer.view.visibility import Hits
 
 
 @pytest.mark.usefixtures("pixels_are_split")

@@ -8,9 +8,9 @@ from random_scenes import KINDS, random_scene
 
 from tracer import render
 from tracer.arrays import Bools
-from tracer.shadow import Shadows
-from tracer.shadow_cache import ShadowCache
-from tracer.visibility import Hits
+from tracer.shadow.occlusion import Shadows
+from tracer.shadow.shadow_cache import ShadowCache
+from tracer.view.visibility import Hits
 
 
 # Stretches remember nothing.

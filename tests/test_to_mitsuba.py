@@ -20,7 +20,7 @@ from converters.flavours import WRITTEN
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
 from reference.command import own_scenes
-from tracer.image import PNG
+from tracer.picture.png import PNG
 
 ROOT = Path(__file__).resolve().parent.parent
 EXR = b"\x76\x2f\x31\x01"

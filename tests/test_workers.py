@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tracer.helpers
-from tracer.workers import Channel, Numbers, Worker, forked
+import tracer.picture.helpers
+from tracer.picture.workers import Channel, Numbers, Worker, forked
 
 COUNT = 11
 
@@ -25,7 +25,7 @@ COUNT = 11
 @pytest.fixture(autouse=True)
 def no_helpers() -> None:
     """Whoever helped in other tests is no longer there."""
-    tracer.helpers._crew.stop()
+    tracer.picture.helpers._crew.stop()
 
 
 def patiently(number: int) -> int:

@@ -9,11 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tracer.checks import SceneError
-    from tracer.image import write_png
-    from tracer.reader import SceneFileError, load_scene
-    from tracer.rendering import render
-    from tracer.scene import (
+    from tracer.picture.png import write_png
+    from tracer.picture.rendering import render
+    from tracer.scene.model import (
         Box,
         Camera,
         Lambertian,
@@ -24,6 +22,8 @@ if TYPE_CHECKING:
         Sphere,
         Surfaces,
     )
+    from tracer.scene.reader import SceneFileError, load_scene
+    from tracer.scene.schema import SceneError
 
 __all__ = [
     "Box",
@@ -47,17 +47,17 @@ __version__ = "1.0.0"
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
-        "SceneError": "tracer.checks",
-        "SceneFileError": "tracer.reader",
-        "load_scene": "tracer.reader",
-        "render": "tracer.rendering",
-        "write_png": "tracer.image",
+        "SceneError": "tracer.scene.schema",
+        "SceneFileError": "tracer.scene.reader",
+        "load_scene": "tracer.scene.reader",
+        "render": "tracer.picture.rendering",
+        "write_png": "tracer.picture.png",
     }
 
     def __getattr__(name: str) -> object:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module = import_module(_MODULES.get(name, "tracer.scene"))
+        module = import_module(_MODULES.get(name, "tracer.scene.model"))
         value = globals()[name] = getattr(module, name)
         return value
 

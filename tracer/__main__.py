@@ -17,11 +17,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from tracer import __version__
-from tracer.command import at_least, begin, heed_signals, is_folder, named, say, targets
+from tracer.commands import at_least, begin, heed_signals, is_folder, named, say, targets
 from tracer.messages import printable
 
 if TYPE_CHECKING:
-    from tracer.image import Packed
+    from tracer.picture.png import Packed
 
 __all__ = ["main", "run"]
 
@@ -121,9 +121,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
-    from tracer.image import packed, write_bands
-    from tracer.reader import SceneFileError, load_scene
-    from tracer.rendering import render_each
+    from tracer.picture.png import packed, write_bands
+    from tracer.picture.rendering import render_each
+    from tracer.scene.reader import SceneFileError, load_scene
 
     begin()
     start = perf_counter()

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.edges import Kind, Lines
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices
-from tracer.edges import Kind, Lines
 
 __all__ = ["Points", "mixed", "post_stratified", "sides_of"]
 

@@ -32,10 +32,10 @@ from tracer.arrays import (
     ranges,
     rows,
 )
-from tracer.capsules import box_and_capsule, sphere_and_capsule
-from tracer.intersection import SURFACE_TOLERANCE
-from tracer.occluders import SLACK, Balls, Candidates, Occluders
-from tracer.visibility import Hits
+from tracer.shadow.capsules import box_and_capsule, sphere_and_capsule
+from tracer.shadow.occluders import SLACK, Balls, Candidates, Occluders
+from tracer.shapes.intersection import SURFACE_TOLERANCE
+from tracer.view.visibility import Hits
 
 __all__ = ["StretchFinder", "stretch_finder"]
 

@@ -20,18 +20,18 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
+from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.arrays import Floats
-from tracer.camera import Raster, raster_of
-from tracer.lighting import Lighting, lighting_of, radiance_at
-from tracer.memory import keep_heap
-from tracer.outlines import frames_of
-from tracer.sampling import CENTRES, Lattice
-from tracer.scene import Scene
-from tracer.visibility import view_of
-from tracer.workers import AHEAD, forked, processors
+from tracer.light.lighting import Lighting, lighting_of, radiance_at
+from tracer.picture.memory import keep_heap
+from tracer.picture.workers import AHEAD, forked, processors
+from tracer.scene.model import Scene
+from tracer.view.camera import Raster, raster_of
+from tracer.view.outlines import frames_of
+from tracer.view.visibility import view_of
 
 if TYPE_CHECKING:
-    from tracer.helpers import Fill
+    from tracer.picture.helpers import Fill
 
 __all__ = ["render", "render_each"]
 
@@ -91,7 +91,7 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
-    from tracer.helpers import Job, helped
+    from tracer.picture.helpers import Job, helped
 
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
@@ -192,7 +192,7 @@ class _Picture(NamedTuple):
         per_side = isqrt(samples - 1) + 1
         raster = raster_of(scene.camera, scene.width, scene.height, (right, down))
         if per_side > 1:
-            from tracer.antialias import dense
+            from tracer.antialias.refine import dense
 
             if dense(frames_of(raster, scene.surfaces), per_side):
                 lattice = Lattice.of(per_side)
@@ -226,7 +226,7 @@ class _Picture(NamedTuple):
         each = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
         often = 0
         if self.split:
-            from tracer.antialias import splittings
+            from tracer.antialias.refine import splittings
 
             often = 1 + splittings(self.per_side)
         return scene.width * scene.height * self.lattice.size * (1 + _SPLIT * often) * each
@@ -332,7 +332,7 @@ class _Renderer(NamedTuple):
             part = out[top - rows.start : last - rows.start][:tall, left : left + at_once]
             here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
             if picture.split:
-                from tracer.antialias import antialiased
+                from tracer.antialias.refine import antialiased
 
                 antialiased(self.lighting, *here, picture.per_side, part)
             elif lattice.size > 1:

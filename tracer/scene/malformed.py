@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import IO
 from xml.parsers.expat import errors
 
-from tracer.contents import LineElement
 from tracer.messages import character, short
+from tracer.scene.contents import LineElement
 
 __all__ = ["remedy"]
 

@@ -1,11 +1,11 @@
-"""From a scene file to a :class:`~tracer.scene.Scene`.
+"""From a scene file to a :class:`~tracer.scene.model.Scene`.
 
 The file is parsed as a stream, and only a part of its tree is ever held: each
 child of the root is taken in, and dropped, once it has ended.
 
 Each fault of a file is told in a line of its own, as ``FILE:LINE: element: what
 is wrong; what would be right``, up to the place where the file is no longer XML
-or passes a limit, or has `MAX_FAULTS` of :mod:`tracer.contents`.  Line numbers take
+or passes a limit, or has `MAX_FAULTS` of :mod:`tracer.scene.contents`.  Line numbers take
 time, so a large file is read without them first, and again from its start if
 it has any fault.  All that is read is held against the limits below, so that
 no file can exhaust memory or time.
@@ -20,9 +20,9 @@ from collections.abc import Iterable
 from typing import IO, TYPE_CHECKING, Any
 from xml.parsers import expat
 
-from tracer.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
 from tracer.messages import printable, quoted, short
-from tracer.scene import Scene
+from tracer.scene.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
+from tracer.scene.model import Scene
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -149,7 +149,7 @@ class _LineReader:
                     )
             parser.Parse(b"", True)
         except expat.ExpatError as error:
-            from tracer.malformed import remedy  # after a fault only
+            from tracer.scene.malformed import remedy  # after a fault only
 
             message = expat.ErrorString(error.code)
             right = remedy(message, error.lineno, parser.ErrorByteIndex, self.open, file)

@@ -13,10 +13,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from tracer.antialias.boundaries import Patches, footprints_of, intersections, near_lights
+from tracer.antialias.edges import Lines
+from tracer.antialias.lattice import Samples, Scattered
 from tracer.arrays import Bools, Floats, Ints, indices
-from tracer.boundaries import Patches, footprints_of, intersections, near_lights
-from tracer.edges import Lines
-from tracer.lighting import (
+from tracer.light.lighting import (
     Highlights,
     Lighting,
     incoming_at,
@@ -25,9 +26,8 @@ from tracer.lighting import (
     radiance_at,
     shade,
 )
-from tracer.occluders import ShadowEdges
-from tracer.sampling import Samples, Scattered
-from tracer.visibility import visible_and_behind
+from tracer.shadow.occluders import ShadowEdges
+from tracer.view.visibility import visible_and_behind
 
 __all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.antialias.lattice import Covered, Samples, Scattered
 from tracer.arrays import (
     Bools,
     Floats,
@@ -24,11 +25,10 @@ from tracer.arrays import (
     select,
     spread,
 )
-from tracer.camera import Raster
-from tracer.intersection import Disc, box_hit, disc_in_row, sphere_hit
-from tracer.outlines import Outlines, boxes_around, outlines_of
-from tracer.sampling import Covered, Samples, Scattered
-from tracer.scene import Surfaces
+from tracer.scene.model import Surfaces
+from tracer.shapes.intersection import Disc, box_hit, disc_in_row, sphere_hit
+from tracer.view.camera import Raster
+from tracer.view.outlines import Outlines, boxes_around, outlines_of
 
 __all__ = ["Group", "Hits", "View", "view_of", "visible", "visible_and_behind"]
 

@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Floats, Ints, changes, expand, ranges
-from tracer.camera import Raster
-from tracer.outlines import Spans
+from tracer.view.camera import Raster
+from tracer.view.outlines import Spans
 
 __all__ = ["CENTRES", "Covered", "Lattice", "Rows", "Samples", "Scattered"]
 

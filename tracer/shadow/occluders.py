@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, Triple, columns, indices, pick, ranges, spread
-from tracer.intersection import INSIDE, OUTSIDE, SURFACE_TOLERANCE, sphere_side
-from tracer.scene import Surfaces
-from tracer.visibility import Hits, View
+from tracer.scene.model import Surfaces
+from tracer.shapes.intersection import INSIDE, OUTSIDE, SURFACE_TOLERANCE, sphere_side
+from tracer.view.visibility import Hits, View
 
 __all__ = [
     "SLACK",

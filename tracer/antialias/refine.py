@@ -22,15 +22,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracer.antialias.classify import Cells, LightingIn, Seen, look, look_at, radiance_in
+from tracer.antialias.crossings import crossed, outlines_across
+from tracer.antialias.curvature import curvature, extrapolated
+from tracer.antialias.edges import Kind, Lines, joined
+from tracer.antialias.lattice import CENTRES, Lattice
+from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
-from tracer.crossings import crossed, outlines_across
-from tracer.curvature import curvature, extrapolated
-from tracer.edges import Kind, Lines, joined
-from tracer.lighting import Lighting
-from tracer.looks import Cells, LightingIn, Seen, look, look_at, radiance_in
-from tracer.outlines import Frames
-from tracer.regions import Points, mixed, post_stratified, sides_of
-from tracer.sampling import CENTRES, Lattice
+from tracer.light.lighting import Lighting
+from tracer.view.outlines import Frames
 
 __all__ = ["antialiased", "dense", "splittings"]
 

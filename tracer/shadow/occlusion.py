@@ -28,8 +28,16 @@ from tracer.arrays import (
     pick,
     put,
 )
-from tracer.camera import Raster
-from tracer.intersection import (
+from tracer.shadow.occluders import (
+    Candidates,
+    Finder,
+    Occluders,
+    Pairs,
+    ShadowEdges,
+    point_candidates,
+)
+from tracer.shadow.packets import StretchFinder, stretch_finder
+from tracer.shapes.intersection import (
     INSIDE,
     ON,
     OUTSIDE,
@@ -38,16 +46,8 @@ from tracer.intersection import (
     sphere_blocks,
     sphere_crosses,
 )
-from tracer.occluders import (
-    Candidates,
-    Finder,
-    Occluders,
-    Pairs,
-    ShadowEdges,
-    point_candidates,
-)
-from tracer.stretches import StretchFinder, stretch_finder
-from tracer.visibility import Hits
+from tracer.view.camera import Raster
+from tracer.view.visibility import Hits
 
 __all__ = ["Shadows", "shadows_of"]
 
@@ -131,7 +131,7 @@ class Shadows(NamedTuple):
 
         `found`: the points' shadow edges.  A point is a place among these, or -1 for none.
         """
-        from tracer.shadow_cache import ShadowCache
+        from tracer.shadow.shadow_cache import ShadowCache
 
         known = ShadowCache.of(self.finder, found)
         return lambda near: self._replace(finder=known._replace(near=near))
@@ -268,6 +268,6 @@ def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     if len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST)):
         return Shadows(occluders, stretch_finder(occluders))
-    from tracer.light_buffers import light_buffer_finder
+    from tracer.shadow.grid import light_buffer_finder
 
     return Shadows(occluders, light_buffer_finder(occluders))

@@ -35,10 +35,10 @@ from tracer.arrays import (
     pick,
     scaled,
 )
-from tracer.occluders import SLACK, Candidates, Occluders, candidates_by_kind
-from tracer.outlines import box_corners, silhouette_planes
-from tracer.scene import Surfaces
-from tracer.visibility import Hits
+from tracer.scene.model import Surfaces
+from tracer.shadow.occluders import SLACK, Candidates, Occluders, candidates_by_kind
+from tracer.view.outlines import box_corners, silhouette_planes
+from tracer.view.visibility import Hits
 
 __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 

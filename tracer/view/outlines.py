@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot, each, expand, indices, pick
-from tracer.camera import Raster
-from tracer.intersection import disc_in_row, power_of
-from tracer.scene import Surfaces
+from tracer.scene.model import Surfaces
+from tracer.shapes.intersection import disc_in_row, power_of
+from tracer.view.camera import Raster
 
 __all__ = [
     "Frames",

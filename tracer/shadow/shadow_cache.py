@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, indices, rows
-from tracer.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
-from tracer.visibility import Hits
+from tracer.shadow.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
+from tracer.view.visibility import Hits
 
 __all__ = ["ShadowCache"]
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.lattice import Samples
 from tracer.arrays import (
     Bools,
     Floats,
@@ -21,13 +22,12 @@ from tracer.arrays import (
     scaled,
     select,
 )
-from tracer.intersection import INSIDE
-from tracer.occluders import occluders_of
-from tracer.sampling import Samples
-from tracer.scene import Scene
-from tracer.shading import Materials, highlight
-from tracer.shadow import Shadows, shadows_of
-from tracer.visibility import Group, Hits, View, visible
+from tracer.light.shading import Materials, highlight
+from tracer.scene.model import Scene
+from tracer.shadow.occluders import occluders_of
+from tracer.shadow.occlusion import Shadows, shadows_of
+from tracer.shapes.intersection import INSIDE
+from tracer.view.visibility import Group, Hits, View, visible
 
 __all__ = [
     "Highlights",

@@ -19,9 +19,9 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer import checks
 from tracer.arrays import Floats, Ints, Vector
-from tracer.checks import Fault, SceneError
+from tracer.scene import schema as checks
+from tracer.scene.schema import Fault, SceneError
 
 __all__ = [
     "Box",

@@ -15,9 +15,8 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
 
 from tracer.arrays import Vector
-from tracer.checks import MAX_PIXELS, Fault, SceneError
 from tracer.messages import character, quoted, short
-from tracer.scene import (
+from tracer.scene.model import (
     Camera,
     Lambertian,
     Phong,
@@ -27,6 +26,7 @@ from tracer.scene import (
     Sphere,
     Surfaces,
 )
+from tracer.scene.schema import MAX_PIXELS, Fault, SceneError
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

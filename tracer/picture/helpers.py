@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Floats
-from tracer.workers import (
+from tracer.picture.workers import (
     POSSIBLE,
     Channel,
     Numbers,
@@ -44,13 +44,13 @@ import sys
 sys.path[:] = {path!r}
 import tracer
 del sys.path[0]
-import tracer.antialias, tracer.light_buffers, tracer.rendering, tracer.shadow_cache
-from tracer.helpers import run_helper
+import tracer.antialias.refine, tracer.light_buffers, tracer.rendering, tracer.shadow_cache
+from tracer.picture.helpers import run_helper
 run_helper{ends!r}
 """
 
 # The folder that holds the package.
-_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_FOLDER = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
 # Bytes of memory that each helper shares with this process; pages that are not used cost nothing.
 _SHARED = 1 << 27

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.edges import Kind, Lines, Pencil, joined, sagitta_error
 from tracer.arrays import (
     Bools,
     Floats,
@@ -29,14 +30,13 @@ from tracer.arrays import (
     scaled,
     select,
 )
-from tracer.camera import Raster
-from tracer.edges import Kind, Lines, Pencil, joined, sagitta_error
-from tracer.intersection import OUTSIDE
-from tracer.lighting import Incoming, Lighting
-from tracer.occluders import ShadowEdges
-from tracer.outlines import box_corners, silhouette_planes
-from tracer.scene import Surfaces
-from tracer.visibility import Group, Hits
+from tracer.light.lighting import Incoming, Lighting
+from tracer.scene.model import Surfaces
+from tracer.shadow.occluders import ShadowEdges
+from tracer.shapes.intersection import OUTSIDE
+from tracer.view.camera import Raster
+from tracer.view.outlines import box_corners, silhouette_planes
+from tracer.view.visibility import Group, Hits
 
 __all__ = ["Patches", "footprints_of", "intersections", "near_lights"]
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracer.antialias.classify import Cells, Seen
+from tracer.antialias.edges import Kind, Lines, Pencil, joined
 from tracer.arrays import Floats, Ints, each, expand, indices, pick
-from tracer.edges import Kind, Lines, Pencil, joined
-from tracer.looks import Cells, Seen
-from tracer.outlines import Outlines
-from tracer.scene import Surfaces
-from tracer.visibility import View
+from tracer.scene.model import Surfaces
+from tracer.view.outlines import Outlines
+from tracer.view.visibility import View
 
 __all__ = ["crossed", "outlines_across"]
 

@@ -1,0 +1,1 @@
+"""Pixels that edges cross."""

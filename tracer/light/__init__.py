@@ -1,0 +1,1 @@
+"""Materials, and the radiance of what is seen."""

@@ -1,0 +1,1 @@
+"""Pictures in bands, worked on by several processes, and PNG files."""
