@@ -2,26 +2,24 @@
 
     python -m reference.ablation [--quick]
 
-writes `ablation.csv` into this folder, and its tables into the study, `README.md`.
-Everything is timed in turns, in one process unless a line says two.  At one sample a pixel no part
-changes what is seen or which lights reach it; antialiasing is judged by time and error.
+writes `ablation.md` and `ablation.csv` into this folder.  At one sample a pixel no part changes
+what is seen or which lights reach it; antialiasing is judged by time and error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 from unittest import mock
 
 import numpy as np
 
-from reference import machine
-from reference.command import HERE, SCENES, need_scenes, parser, result, run
-from reference.tables import Ratio, Table, quote, write_records
-from reference.timing import Task, Timing, interleaved, on_copies
+from reference.command import SCENES, need_scenes, parser, result, run
+from reference.tables import Ratio, Table, measured_on, write_tables
+from reference.timing import Task, Timing, interleaved
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
@@ -148,59 +146,33 @@ def without(part: Part) -> Iterator[None]:
         yield
 
 
-# --- The tables --------------------------------------------------------------------------
-
-
-def _one_sample(quick: bool) -> Table:
-    """Times at one sample a pixel."""
-    wide = (320, 180) if quick else (1280, 720)
-    names = "four-spheres", "sticks-perspective", "sunflower", "many-objects"
-    scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), *wide) for name in names}
-    scenes["1,000 small objects"] = crowd(1000)
-    scenes["2,000 rods"] = rods(2000)
-    parts = [Part(_ALL, []), *ONE_SAMPLE]
-    found = [_timed(scene, parts, 1, quick) for scene in scenes.values()]
-    return Table(
-        "One sample a pixel",
-        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times"
-        f" as long it takes with a change. {wide[0]}×{wide[1]}, the last two at 640×360.",
-        ("change", *scenes),
-        [(part.name, *(spent[part.name] for spent in found)) for part in parts],
-    )
-
-
-def _antialiased(quick: bool) -> Table:
-    """Times and errors with antialiasing."""
-    names = "four-spheres", "room", "sunflower"
-    scenes = {name: resized(load_scene(SCENES / f"{name}.xml"), 320, 180) for name in names}
-    scenes["1,000 small objects"] = crowd(1000, width=320, height=180)
-    parts = [Part(_ALL, []), *ANTIALIASING]
-    rows: list[list[object]] = [[part.name] for part in parts]
+def _table(
+    title: str, scenes: dict[str, Scene], parts: Sequence[Part], samples: int, *, quick: bool
+) -> Table:
+    """Times, in the first row in milliseconds, and errors where pixels are antialiased."""
+    every = [Part(_ALL, []), *parts]
+    rows: list[list[object]] = [[part.name] for part in every]
     header = ["change"]
     for name, scene in scenes.items():
-        truth = Truth.of(scene, truth_side(quick))
-        spent = _timed(scene, parts, _SAMPLES, quick)
-        header += [name, f"{name}: RMSE"]
-        for row, part in zip(rows, parts, strict=True):
-            row += [spent[part.name], truth.error(_render(scene, part, _SAMPLES))]
+        tasks: dict[str, Task] = {
+            part.name: partial(_render, scene, part, samples) for part in every
+        }
+        spent = interleaved(tasks, 1 if quick else _ROUNDS)
+        truth = Truth.of(scene, truth_side(quick)) if samples > 1 else None
+        header += [name, "RMSE"] if truth else [name]
+        for row, part in zip(rows, every, strict=True):
+            # The fastest: other work of the machine only ever adds to a time.
+            low, whole = spent[part.name].low, spent[_ALL].low
+            row.append(Timing(low, low, low) if part is every[0] else Ratio(low / whole))
+            if truth:
+                row.append(f"{truth.error(_render(scene, part, samples)):.6f}")
     return Table(
-        f"{_SAMPLES} samples a pixel",
-        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds, then how many times"
-        " as long; and the error of each. 320×180.",
+        title,
+        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times as"
+        " long it takes with a change.",
         tuple(header),
         [tuple(row) for row in rows],
     )
-
-
-def _timed(scene: Scene, parts: Sequence[Part], samples: int, quick: bool) -> dict[str, Timing]:
-    """Time pictures without each of the parts, in turns."""
-    tasks: dict[str, Task] = {
-        part.name: on_copies(partial(_render, part=part, samples=samples), scene, _ROUNDS)
-        for part in parts
-    }
-    for task in tasks.values():
-        task(-1)
-    return interleaved(tasks, 1 if quick else _ROUNDS)
 
 
 def _render(scene: Scene, part: Part, samples: int) -> Floats:
@@ -208,41 +180,32 @@ def _render(scene: Scene, part: Part, samples: int) -> Floats:
         return render(scene, samples, threads=part.processes)
 
 
-def _shown(table: Table) -> Table:
-    """Fastest times, in all rows but the first as multiples of it; errors with six decimals.
-
-    What else the machine does only ever adds to a time: parts that gain a tenth drown in medians.
-    """
-    every = table.rows[0]
-
-    def cell(value: object, whole: object) -> object:
-        if isinstance(value, float):
-            return f"{value:.6f}"
-        if isinstance(value, Timing) and isinstance(whole, Timing):
-            return Timing.of([value.low]) if value is whole else Ratio(value.low / whole.low)
-        return value
-
-    header = tuple(name.rpartition(": ")[2] for name in table.header)
-    return replace(table, header=header, rows=[tuple(map(cell, row, every)) for row in table.rows])
+def _scenes(*names: str, size: tuple[int, int]) -> dict[str, Scene]:
+    return {name: resized(load_scene(SCENES / f"{name}.xml"), *size) for name in names}
 
 
 def main() -> None:
-    """Measure, and write the tables."""
-    used = parser("reference.ablation", __doc__, quick="small sizes, one round, a rough truth")
+    """Measure, and write the page."""
+    used = parser("reference.ablation", __doc__, quick="small pictures")
     options = used.parse_args()
     need_scenes(used)
-    where = machine.describe()
-    found = [_one_sample(options.quick), _antialiased(options.quick)]
-    write_records(result("ablation.csv", quick=options.quick), where, found)
-    shown = [_shown(table) for table in found]
-    for table in shown:
-        print(table.markdown())
-    if options.quick:
-        return
-    made = (
-        f"Measured by `python -m reference.ablation` on {where}; one process, unless it says two."
+    wide, small = ((64, 36), (64, 36)) if options.quick else ((1280, 720), (320, 180))
+    one = _scenes("four-spheres", "sticks-perspective", "sunflower", "many-objects", size=wide)
+    one["1,000 small objects"] = resized(crowd(1000), *small)
+    one["2,000 rods"] = resized(rods(2000), *small)
+    many = _scenes("four-spheres", "room", "sunflower", size=small)
+    many["1,000 small objects"] = resized(crowd(1000), *small)
+    found = [
+        _table("One sample a pixel", one, ONE_SAMPLE, 1, quick=options.quick),
+        _table(f"{_SAMPLES} samples a pixel", many, ANTIALIASING, _SAMPLES, quick=options.quick),
+    ]
+    head = (
+        "# What each part buys\n\nMade by `python -m reference.ablation`: each line leaves out, or"
+        " changes, one part of the tracer and keeps all others. One process, unless it says two."
+        f" {wide[0]}×{wide[1]}; the objects by number, and all antialiased pictures,"
+        f" {small[0]}×{small[1]}."
     )
-    quote(HERE / "README.md", "ablation", made, shown)
+    write_tables(result("ablation.md", quick=options.quick), head, measured_on(), found)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""How the charts look: one style, labels beside their curves, SVG + PNG + CSV."""
+"""The style of the charts: fonts, colours, labels beside their curves; written as SVG."""
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,9 +25,7 @@ __all__ = [
     "label_ends",
     "label_losses",
     "plt",
-    "read_csv",
     "save",
-    "write_csv",
 ]
 
 HALO = [withStroke(linewidth=3, foreground="white")]
@@ -170,42 +167,22 @@ def _label(axes: Any, ends: Sequence[End], along: int) -> None:
 
 
 def headline(figure: Any, title: str, note: str) -> None:
-    """The title of a whole figure, of one line or two, and a note below it."""
-    height, lines = figure.get_figheight(), title.count("\n") + 1
+    """Write the title of a whole figure, and a note below it."""
+    height = figure.get_figheight()
     for words, below, look in (
-        (title, 0.2, {"fontsize": 18, "weight": "bold", "linespacing": 1.3}),
-        (note, 0.28 + 0.34 * lines, {"fontsize": 11, "color": "#444444", "linespacing": 1.4}),
+        (title, 0.2, {"fontsize": 18, "weight": "bold"}),
+        (note, 0.62, {"fontsize": 11, "color": "#444444", "linespacing": 1.4}),
     ):
         figure.text(0.03, 1 - below / height, words, va="top", **look)
 
 
 def save(figure: Any, path: Path) -> None:
-    """Write a figure as SVG and PNG; the path has neither suffix."""
-    figure.savefig(path.with_suffix(".png"), dpi=110, pil_kwargs={"optimize": True})
+    """Write a figure as SVG."""
     # As path effects, halos would be written as the outlines of all their glyphs.
     for k, text in enumerate(figure.findobj(Text)):
         if text.get_path_effects():
             text.set(gid=f"halo{k}", path_effects=[])
     figure.savefig(written := io.StringIO(), format="svg", metadata={"Date": None})
     svg = written.getvalue().replace("</style>", _STYLE, 1)
-    path.with_suffix(".svg").write_text(svg, encoding="utf-8")
+    path.write_text(svg, encoding="utf-8")
     plt.close(figure)
-
-
-def write_csv(
-    path: Path, machine: str, header: Sequence[str], rows: Iterable[Sequence[object]]
-) -> None:
-    """Write numbers, under a comment that names the machine."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(f"# {machine}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(
-            [f"{v:.6g}" if isinstance(v, (float, np.floating)) else v for v in row] for row in rows
-        )
-
-
-def read_csv(path: Path) -> list[list[str]]:
-    """The rows of a table, without its header."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.reader(file))[2:]

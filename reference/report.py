@@ -26,7 +26,7 @@ from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
-from reference.machine import describe
+from reference.tables import measured_on
 from tracer.commands import is_folder, named, say
 from tracer.messages import printable
 from tracer.picture.png import quantise, whole_file
@@ -93,7 +93,7 @@ def _summary(results: Sequence[CheckResult], unread: Sequence[str]) -> str:
         " in linear light: away from edges they may differ by at most"
         f" {MAX_DIFFERENCE:g}. {verdict}</p>",
         *(f'<p class="bad">Not compared: {_lines(fault)}</p>' for fault in unread),
-        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(describe())}</p>',
+        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(measured_on())}</p>',
     ]
     return "\n".join(lines)
 

@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.variant import LLVM, SCALAR, mi, use
-from reference import alternatives, machine
+from reference import alternatives
 from reference.alternatives import closest_approach, exactly, expanded, float32, float64, textbook
 from reference.charts import (
     HALO,
@@ -34,11 +34,10 @@ from reference.charts import (
     label_ends,
     label_losses,
     plt,
-    read_csv,
     save,
-    write_csv,
 )
 from reference.command import need_table, parser, result, run
+from reference.tables import measured_on, read_csv, write_csv
 from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
 from tracer.arrays import Floats, Vector
 
@@ -442,7 +441,7 @@ def _chart(path: Path) -> Any:
         " radiance (✕: useless from there on).  Right: share of pixels decided wrongly.",
     )
     curves: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-    for title, _, at, name, _, value in read_csv(path):
+    for title, _, at, name, _, value in read_csv(path)[1]:
         curves[title][name].append((float(at), float(value)))
     for axes, panel in zip(grid.ravel(), PANELS, strict=True):
         found = {name: np.array(points).T for name, points in curves[panel.title].items()}
@@ -459,11 +458,11 @@ def main() -> None:
     if options.redraw:
         need_table(used, chart)
     else:
-        where = machine.describe()
+        where = measured_on()
         # All of them before the stored table is replaced.
         rows = [*_rows(methods_of(), step=3 if options.quick else 1)]
         write_csv(chart, where, _COLUMNS, rows)
-    save(_chart(chart), chart)
+    save(_chart(chart), chart.with_suffix(".svg"))
 
 
 if __name__ == "__main__":

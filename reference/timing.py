@@ -1,4 +1,4 @@
-"""Timing in turns: a machine that is busy for a while slows down all alike."""
+"""Times of tasks that run in turns: a machine that is busy for a while slows down all alike."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from statistics import median
 from time import perf_counter, sleep
 from typing import TypeAlias, TypeVar
 
-from reference.workloads import afresh
-from tracer import Scene
+__all__ = ["Task", "Timing", "interleaved", "process"]
 
-__all__ = ["Task", "Timing", "interleaved", "on_copies", "process"]
-
-Task: TypeAlias = Callable[[int], object]
-"""Work to be timed, told which round it is."""
+Task: TypeAlias = Callable[[], object]
+"""Work to be timed."""
 
 _Name = TypeVar("_Name", bound=Hashable)
 
 # Seconds between tasks: threads of the one before, Mitsuba's above all, spin for some 10 ms.
 _PAUSE = 0.02
+
+# Short times vary most: a task goes on until its times add up to the first, in seconds, for at most
+# the second times the rounds asked for.
+_ENOUGH, _MORE = 0.5, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,38 +50,26 @@ def _ms(seconds: float) -> str:
 
 
 def interleaved(
-    tasks: dict[_Name, Task], rounds: int, *, most: int = 0, seconds: float = 0.0
+    tasks: dict[_Name, Task], rounds: int, *, enough: float = _ENOUGH
 ) -> dict[_Name, Timing]:
-    """Time tasks in turns: a round runs each once, after a pause.
-
-    Tasks that took less than `seconds` in these rounds go on until they have, for `most` rounds
-    in all.
-    """
+    """Time tasks in turns, each after a run to warm up: a round runs each once, after a pause."""
+    for task in tasks.values():
+        task()
     taken: dict[_Name, list[float]] = {name: [] for name in tasks}
-    for k in range(max(rounds, most)):
+    for number in range(_MORE * rounds):
         for name, task in tasks.items():
-            if k < rounds or sum(taken[name]) < seconds:
+            if number < rounds or sum(taken[name]) < enough:
                 sleep(_PAUSE)
                 start = perf_counter()
-                task(k)
+                task()
                 taken[name].append(perf_counter() - start)
     return {name: Timing.of(spent) for name, spent in taken.items()}
 
 
-def on_copies(picture: Callable[[Scene], object], scene: Scene, rounds: int) -> Task:
-    """Render a fresh copy of a scene in each round: nothing can be left from the one before.
-
-    The copy for round 0 looks the same as the scene; round -1, to warm up, has one of its own.
-    """
-    copies = [afresh(scene, k) for k in range(rounds + 1)]
-    return lambda k: picture(copies[k])
-
-
 def process(command: Sequence[str]) -> Task:
-    """Run a process in silence, whatever the round; raises if it fails.
+    """Run a process in silence; raises if it fails.
 
-    Python may keep what it compiles, as it does unless told otherwise: the first run compiles the
-    modules, and no other has to.
+    Python may keep what it compiles: the first run compiles the modules, and no other has to.
     """
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    return lambda _: subprocess.run(command, check=True, capture_output=True, env=environment)
+    return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)

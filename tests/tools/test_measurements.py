@@ -1,0 +1,176 @@
+"""Benchmark, ablation and the speed-accuracy chart: complete, and honest in what they compare.
+
+No time is asserted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+import pytest
+from scene_files import small
+
+from converters.variant import LLVM, use
+from reference import ablation, benchmark, command, speed_accuracy
+from reference.benchmark import growth_exponent
+from reference.speed_accuracy import Lead, Point
+from reference.tables import Ratio, Table, measured_on, read_csv, write_tables
+from reference.timing import Timing, interleaved
+from reference.truth import Truth, truth_side
+from reference.workloads import crowd
+from tracer import render
+
+
+def test_the_growth_exponent_of_a_power_law() -> None:
+    sizes = [10, 100, 1000]
+    timings = [Timing.of([n**0.4]) for n in sizes]
+    assert growth_exponent(sizes, timings) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("ratio", "shown"), [(0.5, "0.50×"), (0.998, "1.0×"), (42.4, "42×")])
+def test_ratios_have_two_digits(ratio: float, shown: str) -> None:
+    assert str(Ratio(ratio)) == shown
+
+
+def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
+    order: list[str] = []
+
+    def task(name: str, seconds: float) -> Callable[[], None]:
+        return lambda: (order.append(name), sleep(seconds))[1]
+
+    timings = interleaved({"a": task("a", 0.03), "b": task("b", 0)}, 2, enough=0.05)
+    assert order[:6] == ["a", "b"] * 3  # after one of each to warm up
+    assert set(order[6:]) == {"b"}
+    assert all(0 < t.low <= t.median <= t.high for t in timings.values())
+
+
+def test_a_page_and_its_csv_say_where_they_were_measured(tmp_path: Path) -> None:
+    rows: list[tuple[object, ...]] = [("room", Timing.of([0.04, 0.05, 0.09]), Ratio(0.25))]
+    table = Table("Title", "A note.", ("scene", "time", "ratio"), rows)
+    where = measured_on()
+    write_tables(tmp_path / "page.md", "# Page\n\nMade so.", where, [table])
+    page = (tmp_path / "page.md").read_text()
+    assert page == (
+        f"# Page\n\nMade so. Measured on {where}.\n\n## Title\n\nA note.\n\n"
+        "| scene | time | ratio |\n|---|---|---|\n| room | 50.0 (40.0–90.0) | 0.25× |\n"
+    )
+    assert read_csv(tmp_path / "page.csv") == (
+        where,
+        [
+            ["Title", "room", "time", "0.05", "0.04", "0.09"],
+            ["Title", "room", "ratio", "0.25", "", ""],
+        ],
+    )
+
+
+def test_memory_is_that_of_a_process_with_its_workers() -> None:
+    here = benchmark.peak(sys.executable, "-c", "")
+    more = benchmark.peak(sys.executable, "-c", "x = bytearray(50_000_000)")
+    # A bare interpreter takes about ten, this process with Mitsuba hundreds.
+    assert here < 40
+    assert more - here == pytest.approx(50, abs=10)
+    script = "import os, time; os.fork(); x = bytearray(50_000_000); time.sleep(0.5)"
+    both = benchmark.peak(sys.executable, "-c", script)
+    assert both - here == pytest.approx(100, abs=20)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", benchmark.SECTIONS, ids=lambda section: section.__name__)
+def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
+    table = section(1, True)
+    assert table.rows
+    assert all(len(row) == len(table.header) for row in table.rows)
+    lines = table.markdown().splitlines()
+    assert {line.count("|") for line in lines if line.startswith("|")} == {len(table.header) + 1}
+
+
+@pytest.mark.parametrize("part", ablation.ONE_SAMPLE, ids=lambda part: part.name)
+def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
+    for scene in (small("highlights", 96, 54), crowd(300, width=96, height=54)):
+        picture = render(scene, threads=1)
+        with ablation.without(part):
+            other = render(scene, threads=1)
+        # Highlights from vectors round differently.
+        assert np.abs(other - picture).max() <= 1e-12
+
+
+@pytest.mark.parametrize("part", ablation.ANTIALIASING, ids=lambda part: part.name)
+def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.Part) -> None:
+    scene = small("sunflower", 96, 54)
+    picture = render(scene, samples=16, threads=1)
+    with ablation.without(part):
+        other = render(scene, samples=16, threads=1)
+    assert np.array_equal(render(scene, samples=16, threads=1), picture)
+    error = np.abs(other - picture)
+    # Several edges cross most of its pixels, in which 16 samples err by a few hundredths.
+    assert np.sqrt((error**2).mean()) < 0.01
+    assert error.max() < 0.2
+
+
+def _curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]:
+    return [
+        Point("any", method, 4**k, error, Timing.of([seconds]))
+        for k, (error, seconds) in enumerate(errors_and_seconds)
+    ]
+
+
+OURS = _curve("this tracer", (1e-2, 1.0), (5e-4, 2.0), (1e-4, 4.0))
+FAST = _curve("Mitsuba multijitter", (1e-2, 3.0), (1e-5, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("curves", "level", "ours", "theirs"),
+    [
+        # Over the fastest rival; NumPy's grid is none.
+        ([OURS, FAST, _curve("uniform grid", (1e-2, 0.1), (1e-5, 0.1))], 1e-3, 2, 3),
+        ([OURS, FAST, _curve("Mitsuba independent", (1e-2, 9.0), (1e-4, 9.0))], 1e-3, 2, 3),
+        # Rivals take any number of samples; this tracer those of its points.
+        ([OURS, _curve("Mitsuba independent", (1e-2, 1.0), (1e-4, 4.0))], 1e-3, 2, 2),
+        # Where no rival comes so far, they are met where they come; to be better is as good.
+        ([OURS, _curve("Mitsuba independent", (1.0, 1.0), (0.1, 2.0))], 0.1, 1, 2),
+    ],
+)
+def test_the_lead_is_over_the_fastest_rival_at_the_same_error(
+    curves: list[list[Point]], level: float, ours: float, theirs: float
+) -> None:
+    lead = Lead.of([point for curve in curves for point in curve])
+    assert lead is not None
+    assert (lead.level, lead.ours, lead.theirs) == pytest.approx((level, ours, theirs))
+
+
+def test_without_a_rival_there_is_no_lead() -> None:
+    assert Lead.of([*OURS, *_curve("uniform grid", (1e-2, 0.1))]) is None
+    assert str(Lead(1e-3, 2.0, 3.0)) == "1.5× faster"
+    assert str(Lead(1e-3, 3.0, 1.5)) == "2.0× slower"
+
+
+@pytest.mark.slow
+def test_speed_accuracy_of_a_small_picture(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    scene = small("four-spheres", 32, 18)
+    monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
+    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
+    if use().variant != LLVM:
+        with pytest.raises(SystemExit, match="1"):
+            speed_accuracy.main()
+        assert LLVM in capsys.readouterr().err
+        return
+    speed_accuracy.main()
+    _, points = speed_accuracy._stored(tmp_path / "speed_accuracy.csv")
+    ours = {point.samples: point.error for point in points if point.method == "this tracer"}
+    assert sorted(ours) == [1, 4, 9, 16, 36, 144]
+    assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
+    truth = Truth.of(scene, truth_side(quick=True))
+    assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
+    chart = tmp_path / "speed_accuracy.svg"
+    chart.unlink()
+    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick", "--redraw"])
+    monkeypatch.delattr(speed_accuracy, "measure")
+    speed_accuracy.main()
+    assert chart.exists()
