@@ -13,7 +13,7 @@ import numpy as np
 from converters.flavours import exact
 from converters.variant import ensure, mi, use
 from tracer.arrays import Floats
-from tracer.picture.png import whole_file
+from tracer.commands import atomic_file
 from tracer.scene.model import Scene
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
@@ -87,5 +87,5 @@ def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
     ensure()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    with whole_file(path, _EXR) as file:
+    with atomic_file(path, _EXR) as file:
         file.write(stream.raw_buffer())

@@ -25,8 +25,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from tracer.commands import at_least, begin, end, heed_signals, is_folder, named, say, targets
-from tracer.messages import printable
+from tracer.commands import (
+    allow_interrupts,
+    atomic_file,
+    exit_process,
+    file_name,
+    install_signal_handlers,
+    is_folder,
+    output_paths,
+    print_line,
+    printable,
+    whole_number,
+)
 
 __all__ = ["main", "run"]
 
@@ -54,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A path such as / has no name to replace; reading it will fail later, with a clear message.
     beside = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
     files = _png_and_exr if options.render else lambda target: (target,)
-    found = targets(parser, options.scenes, options.output, beside, files)
+    found = output_paths(parser, options.scenes, options.output, beside, files)
     if options.check and options.samples is not None:
         parser.error("--check compares at the centres of the pixels; it takes no --samples")
     if options.variant is not None and not (options.render or options.check):
@@ -65,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
     except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
-        say(sys.stderr, f"{error}; install it with pip install -e .")
+        print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
     except KeyboardInterrupt:
         return 130
@@ -79,14 +89,14 @@ def _ready(options: argparse.Namespace) -> bool:
         import_module("reference.check" if options.check else "converters.rendering")
         from converters.variant import use
 
-        begin()
+        allow_interrupts()
         choice = use(options.variant)
     except (ImportError, OSError) as error:
         missing = isinstance(error, ModuleNotFoundError)
         remedy = "; install it with pip install -e '.[reference]'" if missing else ""
-        say(sys.stderr, printable(f"Mitsuba cannot run: {error}{remedy}"))
+        print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}{remedy}"))
         return False
-    say(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
+    print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
     return True
 
 
@@ -106,11 +116,11 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scenes", nargs="+", type=named, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
-        type=named,
+        type=file_name,
         metavar="PATH",
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
@@ -120,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--samples",
-        type=at_least(1),
+        type=whole_number(1),
         metavar="N",
         help="samples a pixel, which Mitsuba may round up (default: 64 in the stock flavour, the"
         " pixel's centre in the exact)",
@@ -158,28 +168,27 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
             target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
     except TROUBLE as error:
-        say(sys.stderr, told(scene, error))
+        print_line(sys.stderr, told(scene, error))
     except OSError as error:
         _say_unwritten(target, error)
     return False
 
 
 def _say_unwritten(path: Path, error: OSError) -> None:
-    say(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
+    print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import WRITTEN, exact, stock
-    from tracer.picture.png import whole_file
     from tracer.scene.reader import load_scene
 
-    begin()
+    allow_interrupts()
     name, flavour = ("exact", exact) if options.exact else ("stock", stock)
     scene = load_scene(path)
     text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
-    with whole_file(target, WRITTEN.encode()) as file:
+    with atomic_file(target, WRITTEN.encode()) as file:
         file.write(text.encode())
-    say(sys.stdout, printable(f"{target}: {name} flavour"))
+    print_line(sys.stdout, printable(f"{target}: {name} flavour"))
     return True
 
 
@@ -197,7 +206,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         except OSError as error:
             _say_unwritten(written, error)
             return False
-    say(sys.stdout, printable(f"{png} and {exr.name}: {scene.width} x {scene.height}"))
+    print_line(sys.stdout, printable(f"{png} and {exr.name}: {scene.width} x {scene.height}"))
     return True
 
 
@@ -209,15 +218,15 @@ def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     write_comparison(
         target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")
     )
-    say(sys.stdout, result.report())
-    say(sys.stdout, printable(f"  {target}"))
+    print_line(sys.stdout, result.report())
+    print_line(sys.stdout, printable(f"  {target}"))
     return not result.faults
 
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
-    heed_signals()
-    end(main())
+    install_signal_handlers()
+    exit_process(main())
 
 
 if __name__ == "__main__":

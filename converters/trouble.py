@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from tracer.messages import printable
+from tracer.commands import printable
 from tracer.scene.reader import SceneFileError
 
 __all__ = ["TROUBLE", "told"]

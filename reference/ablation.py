@@ -177,7 +177,7 @@ def _table(
 
 def _render(scene: Scene, part: Part, samples: int) -> Floats:
     with without(part):
-        return render(scene, samples, threads=part.processes)
+        return render(scene, samples, processes=part.processes)
 
 
 def _scenes(*names: str, size: tuple[int, int]) -> dict[str, Scene]:

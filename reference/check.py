@@ -25,7 +25,7 @@ from converters.visible import bounds
 from reference.compare import Figures, figures
 from reference.oracle import Oracle
 from tracer.arrays import Bools, Floats
-from tracer.messages import printable
+from tracer.commands import printable
 from tracer.picture.rendering import render
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene

@@ -10,8 +10,7 @@ from typing import NoReturn
 
 from tqdm import tqdm
 
-from tracer.commands import end, no_folder
-from tracer.messages import printable
+from tracer.commands import exit_process, no_working_folder, printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
@@ -93,7 +92,7 @@ def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[P
     try:
         replaces = os.path.realpath(output) in map(os.path.realpath, inputs)
     except OSError as error:
-        used.exit(2, no_folder(error) + "\n")
+        used.exit(2, no_working_folder(error) + "\n")
     if replaces:
         used.error(printable(f"{output}: this would replace an input; choose another with -o"))
 
@@ -104,4 +103,4 @@ def run(main: Callable[[], int | None]) -> NoReturn:
         status = main()
     except KeyboardInterrupt:
         status = 130
-    end(status or 0)
+    exit_process(status or 0)

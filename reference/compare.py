@@ -22,9 +22,8 @@ from skimage.metrics import structural_similarity
 from reference.command import run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer.arrays import Bools, Floats
-from tracer.commands import is_folder, named, say
-from tracer.messages import printable
-from tracer.picture.png import PNG, quantise, whole_file
+from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
+from tracer.picture.png import PNG, to_codes
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -155,7 +154,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
             shown = shown.removesuffix("...")[:-1] + "..."
         draw.text((x, y), shown, fill=_INK, font=font)
 
-    panels = (quantise(a), quantise(b), np.round(255 * shown).astype(np.uint8))
+    panels = (to_codes(a), to_codes(b), np.round(255 * shown).astype(np.uint8))
     for k, (codes, title) in enumerate(zip(panels, titles, strict=True)):
         left = _MARGIN + k * (column + _MARGIN)
         panel = Image.fromarray(np.ascontiguousarray(codes)).resize(
@@ -166,7 +165,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     if gain:
         legend = "orange: the left is brighter, blue: it is darker"
         write(left, _MARGIN + _LABEL + panel_height + 4, legend)
-    with whole_file(path, PNG) as file:
+    with atomic_file(path, PNG) as file:
         sheet.save(file, format="PNG")
 
 
@@ -266,7 +265,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "-o",
         "--output",
-        type=named,
+        type=file_name,
         metavar="PATH",
         help="the comparison, or a folder for it that is there (A.compare.png)",
     )
@@ -284,7 +283,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _compare(options, output)
     except MemoryError:
-        say(sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part"))
+        print_line(
+            sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part")
+        )
         return 2
 
 
@@ -295,25 +296,25 @@ def _compare(options: argparse.Namespace, output: Path) -> int:
             codes.append(read_picture(path))
         except (OSError, SyntaxError, ValueError) as error:  # the second is Pillow's, of a PNG
             reason = getattr(error, "strerror", None) or error
-            say(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
+            print_line(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
             return 2
     diagnosis = diagnose(*codes)
     if codes[0].shape != codes[1].shape:
-        say(sys.stdout, diagnosis.text)
+        print_line(sys.stdout, diagnosis.text)
         return 1
     a, b = (linear(picture) for picture in codes)
     result = figures(a, b)
     try:
         write_comparison(output, a, b, (printable(options.a.name), printable(options.b.name)))
     except OSError as error:
-        say(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
+        print_line(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
         return 2
     named_files = (("A", options.a), ("B", options.b)) if diagnosis.kind != "identical" else ()
     notes = [note for name, path in named_files if (note := _note(name, path))]
     if not notes or diagnosis.kind != "other":  # or else the format may be to blame, not the scene
         notes.append(diagnosis.text)
     for line in (str(result), *notes, printable(str(output))):
-        say(sys.stdout, line)
+        print_line(sys.stdout, line)
     if options.ssim is None and options.max is None:
         return int(diagnosis.kind != "identical")
     within = (options.ssim is None or result.ssim >= options.ssim) and (

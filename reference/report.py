@@ -27,9 +27,8 @@ from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.tables import measured_on
-from tracer.commands import is_folder, named, say
-from tracer.messages import printable
-from tracer.picture.png import quantise, whole_file
+from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
+from tracer.picture.png import to_codes
 
 __all__ = ["main", "page"]
 
@@ -212,7 +211,7 @@ def _time(seconds: float) -> str:
 
 
 def _image(light: NDArray[np.float64], alt: str) -> str:
-    return _picture(quantise(light), alt)
+    return _picture(to_codes(light), alt)
 
 
 def _picture(codes: NDArray[np.uint8], alt: str) -> str:
@@ -249,7 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "-o",
         "--output",
-        type=named,
+        type=file_name,
         metavar="PATH",
         default=str(BUILD / _NAME),
         help="the page to write, or a folder for it (%(default)s)",
@@ -264,7 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         use(options.variant)
     except ImportError as error:
-        say(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+        print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
         return 1
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
@@ -278,18 +277,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.append(result)
         except (*TROUBLE, OSError) as error:
             unread.append(told(path, error))
-            say(sys.stderr, unread[-1])
+            print_line(sys.stderr, unread[-1])
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
     text = page(results, comments, charts, unread)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(output, _HTML) as file:
+        with atomic_file(output, _HTML) as file:
             file.write(text.encode())
     except OSError as error:
         reason = error.strerror or error
-        say(sys.stderr, printable(f"{output}: cannot be written: {reason}"))
+        print_line(sys.stderr, printable(f"{output}: cannot be written: {reason}"))
         return 1
-    say(sys.stdout, printable(str(output)))
+    print_line(sys.stdout, printable(str(output)))
     return int(bool(unread) or any(result.faults for result in results))
 
 

@@ -32,7 +32,7 @@ from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
-from tracer.picture.png import quantise
+from tracer.picture.png import to_codes
 
 __all__ = ["Lead", "Point", "main", "measure"]
 
@@ -271,7 +271,7 @@ def _thumbnail(axes: Any, scene: Scene) -> None:
     """Show the scene where no curve comes: at little time and little error."""
     small = resized(scene, round(160 * scene.width / scene.height), 160)
     inset = axes.inset_axes((0.015, 0.02, 0.33, 0.27), anchor="SW")
-    inset.imshow(quantise(render(small, 16)))
+    inset.imshow(to_codes(render(small, 16)))
     inset.axis("off")
 
 

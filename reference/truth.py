@@ -28,13 +28,17 @@ def truth_side(quick: bool) -> int:
 
 
 def supersampled(
-    scene: Scene, side: int, offset: tuple[float, float] = (0.0, 0.0), *, threads: int | None = None
+    scene: Scene,
+    side: int,
+    offset: tuple[float, float] = (0.0, 0.0),
+    *,
+    processes: int | None = None,
 ) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 
     They are the pixels of a picture `side` times as large, rendered at one
     sample a pixel and averaged; of several smaller ones, where that is too large.
-    `offset` and `threads`: see `tracer.render`.
+    `offset` and `processes`: see `tracer.render`.
     """
     width, height = scene.width, scene.height
     apart = 1
@@ -54,7 +58,7 @@ def supersampled(
     for dx, dy in product(shifts, shifts):
         moved = (dx + step * offset[0], dy + step * offset[1])
         top = 0
-        for sums in render_each(large, sums_across, threads=threads, offset=moved):
+        for sums in render_each(large, sums_across, processes=processes, offset=moved):
             np.add.at(total, (top + np.arange(len(sums))) // step, sums)
             top += len(sums)
     return total / side**2

@@ -27,7 +27,7 @@ def test_light_that_a_hollow_ball_keeps_out_begins_nowhere_on_it(
         return number, at
 
     monkeypatch.setattr(Patches, "_near_terminator", noted)
-    assert render(scene, samples=16, threads=1).any()
+    assert render(scene, samples=16, processes=1).any()
     assert sum(asked) >= 60 * 60
 
 

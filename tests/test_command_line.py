@@ -24,7 +24,7 @@ from converters import to_mitsuba
 from tracer import __main__ as command_line
 from tracer.commands import _interrupted
 from tracer.picture import rendering
-from tracer.picture.png import PNG, quantise
+from tracer.picture.png import PNG, to_codes
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
@@ -71,7 +71,7 @@ def test_a_picture_is_written_beside_its_scene(scene):
     assert (done.returncode, done.stderr) == (0, "")
     assert names(scene.parent) == ["ball.xml", "ball.xml.png"]
     with Image.open(f"{scene}.png") as picture:
-        expected = quantise(tracer.render(tracer.load_scene(scene)))
+        expected = to_codes(tracer.render(tracer.load_scene(scene)))
         assert (np.asarray(picture) == expected).all()
         assert expected.max() > 0
 
@@ -107,15 +107,15 @@ def test_output_folder(scene, made):
 
 
 def test_samples_and_threads(scene):
-    assert run(scene, "--samples", 4, "--threads", 2).returncode == 0
+    assert run(scene, "--samples", 4, "--processes", 2).returncode == 0
     with Image.open(f"{scene}.png") as picture:
-        expected = quantise(tracer.render(tracer.load_scene(scene), samples=4))
+        expected = to_codes(tracer.render(tracer.load_scene(scene), samples=4))
         assert (np.asarray(picture) == expected).all()
 
 
 def test_no_files_for_workers(scene):
     done = subprocess.run(
-        command(scene, "--quiet", "--threads", 2),
+        command(scene, "--quiet", "--processes", 2),
         capture_output=True,
         env=ENVIRONMENT,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (9, 9)),
@@ -174,8 +174,8 @@ def test_help():
             "argument --samples: must be a whole number from 1 to 999999999, is '1_0'",
         ),
         (
-            ["ball.xml", "--threads", "-1"],
-            "argument --threads: must be a whole number from 0 to 999999999, is '-1'",
+            ["ball.xml", "--processes", "-1"],
+            "argument --processes: must be a whole number from 1 to 999999999, is '-1'",
         ),
         (["ball.xml", "-o"], "argument -o/--output: expected one argument"),
         (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
@@ -247,7 +247,7 @@ def limited(scene: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
         "from tracer.__main__ import main\n"
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
         f"resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)\n"
-        f"sys.exit(main([{str(scene)!r}, '--threads', '1']))\n"
+        f"sys.exit(main([{str(scene)!r}, '--processes', '1']))\n"
     )
     return subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
@@ -336,8 +336,8 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
 def test_no_interrupt_interrupts_what_another_has_begun(monkeypatch):
     """As when a user is impatient, or each process of a pipe is sent one."""
     seconds = iter([10.0, 10.1, 10.4, 10.6])
-    monkeypatch.setattr("tracer.commands._begun", True)
-    monkeypatch.setattr("tracer.commands._deaf_until", 0.0)
+    monkeypatch.setattr("tracer.commands._interruptible", True)
+    monkeypatch.setattr("tracer.commands._ignored_until", 0.0)
     monkeypatch.setattr("tracer.commands.monotonic", seconds.__next__)
     heeded = []
     for _ in range(4):
@@ -383,7 +383,7 @@ def test_an_interrupt_that_the_shell_ignores(scene):
 def test_ends_of_children_that_the_caller_ignores(scene):
     """As some servers do, whose commands inherit it: no process can wait for its children."""
     done = subprocess.run(
-        command(scene, "--quiet", "--threads", 2),
+        command(scene, "--quiet", "--processes", 2),
         capture_output=True,
         env=ENVIRONMENT,
         preexec_fn=lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN),
@@ -520,7 +520,7 @@ def test_what_draws_nothing_does_not_wait_for_numpy(arguments):
     "module",
     [
         *("tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"),
-        *(f"tracer.{m}" for m in ("antialias", "edges", "helpers", "light_buffers", "malformed")),
+        *("tracer.antialias.refine", "tracer.picture.helpers", "tracer.scene.malformed"),
     ],
 )
 def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, module):

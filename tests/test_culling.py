@@ -219,7 +219,7 @@ def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(lighting, "visible", counted)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 40 * 30)
-    image = render(scene, threads=1)
+    image = render(scene, processes=1)
     assert 0 < most <= 40 * 30 * 8 / 60
     assert np.array_equal(image, brute_force(scene))
 

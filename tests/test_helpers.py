@@ -145,9 +145,9 @@ def test_a_scene_of_which_a_helper_does_not_know_all(
     monkeypatch.setattr(sys.modules["__main__"], "Red", Red, raising=False)
     before = set(together(0.5))
     scene = replace(picture(300, 200), surfaces=(Sphere(shader=Red(diffuse=(1, 0, 0))),))
-    alone = render(scene, threads=1)
+    alone = render(scene, processes=1)
     for _ in range(3):
-        assert np.array_equal(render(scene, threads=2), alone)
+        assert np.array_equal(render(scene, processes=2), alone)
     assert set(together(0.5)) == before
 
 
@@ -307,22 +307,22 @@ def test_surfaces_arrive_as_they_were() -> None:
 @pytest.mark.parametrize("samples", [1, 4])
 def test_pictures_with_help(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = picture(300, 200)
-    alone = render(scene, samples, threads=1)
+    alone = render(scene, samples, processes=1)
     together(0.5)  # from here on there is one
-    assert np.array_equal(render(scene, samples, threads=2), alone)
+    assert np.array_equal(render(scene, samples, processes=2), alone)
     monkeypatch.setattr(tracer.picture.rendering, "_BAND_SAMPLES", 1000)
     parts = tracer.picture.rendering._Picture.of(scene, samples)
     assert tracer.picture.rendering._Bands.of(parts, 2).total > 10
-    assert np.array_equal(render(scene, samples, threads=2), alone)
+    assert np.array_equal(render(scene, samples, processes=2), alone)
 
 
 def test_pictures_in_threads() -> None:
     scenes = [picture(200 + k, 100) for k in range(4)]
-    alone = [render(scene, threads=1) for scene in scenes]
+    alone = [render(scene, processes=1) for scene in scenes]
     wrong: list[int] = []
 
     def draw(k: int) -> None:
-        pictures = [render(scenes[k], threads=2) for _ in range(10)]
+        pictures = [render(scenes[k], processes=2) for _ in range(10)]
         wrong.extend(k for image in pictures if not np.array_equal(image, alone[k]))
 
     together(0.5)
@@ -345,11 +345,11 @@ def test_every_processor_that_is_asked_for(
     original = Team.results
     try:
         Team.results = lambda self, work: teams.append(self) or original(self, work)  # type: ignore
-        image = render(scene, threads=threads)
+        image = render(scene, processes=threads)
     finally:
         Team.results = original  # type: ignore[method-assign]
     assert [len(team.workers) for team in teams] == [others]
-    assert np.array_equal(image, render(scene, threads=1))
+    assert np.array_equal(image, render(scene, processes=1))
 
 
 def test_helpers_have_room_for_the_largest_bands() -> None:

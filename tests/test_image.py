@@ -15,13 +15,13 @@ import pytest
 from PIL import Image
 
 from tracer import write_png
-from tracer.picture.png import PNG, _shifts, packed, quantise, write_bands
+from tracer.picture.png import PNG, _shifts, packed, to_codes, write_bands
 
 
 def codes_of(values) -> np.ndarray:
     """The codes of any number of values."""
     padded = np.resize(np.asarray(values, dtype=float), (1, -(-len(values) // 3), 3))
-    return quantise(padded).ravel()[: len(values)]
+    return to_codes(padded).ravel()[: len(values)]
 
 
 def power(values: np.ndarray) -> np.ndarray:
@@ -100,15 +100,15 @@ def test_the_codes_change_at_every_threshold():
     ],
 )
 def test_codes(x, code):
-    assert quantise(np.full((2, 3, 3), x)).tolist() == [[[code] * 3] * 3] * 2
+    assert to_codes(np.full((2, 3, 3), x)).tolist() == [[[code] * 3] * 3] * 2
 
 
 def test_the_codes_do_not_depend_on_the_layout_of_the_array():
     image = np.random.default_rng(1).uniform(size=(7, 9, 3))
-    expected = quantise(image)
-    assert (quantise(np.asfortranarray(image)) == expected).all()
-    assert (quantise(image[::-1, ::-1])[::-1, ::-1] == expected).all()
-    assert (quantise(image.tolist()) == expected).all()
+    expected = to_codes(image)
+    assert (to_codes(np.asfortranarray(image)) == expected).all()
+    assert (to_codes(image[::-1, ::-1])[::-1, ::-1] == expected).all()
+    assert (to_codes(image.tolist()) == expected).all()
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_pillow_reads_what_was_written(tmp_path, size):
     with Image.open(tmp_path / "picture.png") as picture:
         assert picture.format == "PNG"
         assert picture.mode == "RGB"
-        assert (np.asarray(picture) == quantise(image)).all()
+        assert (np.asarray(picture) == to_codes(image)).all()
     with Image.open(tmp_path / "picture.png") as picture:
         picture.verify()  # the checksums
 
@@ -164,7 +164,7 @@ def test_bands_make_the_picture(tmp_path, rows):
     bands = (packed(image[row : row + rows]) for row in range(0, 7, rows))
     write_bands(tmp_path / "picture.png", 5, 7, bands)
     with Image.open(tmp_path / "picture.png") as picture:
-        assert (np.asarray(picture) == quantise(image)).all()
+        assert (np.asarray(picture) == to_codes(image)).all()
 
 
 @pytest.mark.parametrize("rows", [1, 7, 300])
@@ -249,7 +249,7 @@ class TestWhatIsThereAlready:
             raise OSError(why, os.strerror(why), path)
 
         monkeypatch.setattr(os, "access", lambda *_: False)
-        monkeypatch.setattr("tracer.picture.png.open", refuses, raising=False)
+        monkeypatch.setattr("tracer.commands.open", refuses, raising=False)
         with pytest.raises(OSError, match=os.strerror(why)):
             write_png(picture, np.zeros((1, 1, 3)))
         assert [path.read_bytes() for path in picture.parent.iterdir()] == [PRECIOUS]

@@ -134,10 +134,10 @@ def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(rendering, "processors", lambda: threads)
     scene, image = picture(kind, 6)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 31)
-    bands = list(render_each(scene, np.copy, threads=threads))
+    bands = list(render_each(scene, np.copy, processes=threads))
     assert len(bands) == scene.height
     assert np.array_equal(np.concatenate(bands), image)
-    assert np.array_equal(render(scene, threads=threads), image)
+    assert np.array_equal(render(scene, processes=threads), image)
 
 
 @pytest.mark.usefixtures("pixels_are_split")
@@ -151,12 +151,12 @@ def test_antialiased_in_another_order_and_in_bands(
         scene = random_scene(kind, seed, 36, 24)
         if kind in TIED and -1 <= scene.camera.view_point[1] <= 0:
             continue
-        image = render(in_order(scene, np.arange(len(scene.surfaces))), 16, threads=1)
+        image = render(in_order(scene, np.arange(len(scene.surfaces))), 16, processes=1)
         shuffled = in_order(scene, rng.permutation(len(scene.surfaces)))
-        assert np.array_equal(render(shuffled, 16, threads=1), image)
+        assert np.array_equal(render(shuffled, 16, processes=1), image)
         with monkeypatch.context() as small:
             small.setattr(rendering, "_BAND_SAMPLES", 25)
-            bands = list(render_each(shuffled, np.copy, 16, threads=1))
+            bands = list(render_each(shuffled, np.copy, 16, processes=1))
         assert np.array_equal(np.concatenate(bands), image)
 
 
@@ -164,11 +164,11 @@ def test_antialiased_in_another_order_and_in_bands(
 def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "processors", lambda: 2)
     scene, _ = picture("scattered", 5)
-    image = render(scene, samples, threads=1)
+    image = render(scene, samples, processes=1)
     monkeypatch.setattr(rendering, "_BAND_SAMPLES", 25)
-    bands = list(render_each(scene, np.copy, samples, threads=2))
+    bands = list(render_each(scene, np.copy, samples, processes=2))
     assert np.array_equal(np.concatenate(bands), image)
-    assert np.array_equal(render(scene, samples, threads=2), image)
+    assert np.array_equal(render(scene, samples, processes=2), image)
 
 
 @pytest.mark.usefixtures("pixels_are_split", "either_finder")
@@ -176,7 +176,7 @@ def test_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     # The cells of a large band are split and sampled some at a time.
     for seed in range(3):
         scene = random_scene("scattered", seed, 36, 24)
-        image = render(scene, 16, threads=1)
+        image = render(scene, 16, processes=1)
         with monkeypatch.context() as chunks:
             chunks.setattr(antialias, "_CHUNK", 200)
-            assert np.array_equal(render(scene, 16, threads=1), image)
+            assert np.array_equal(render(scene, 16, processes=1), image)

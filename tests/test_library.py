@@ -71,7 +71,7 @@ def test_sizes_may_be_integers_of_any_kind(kind: Callable[[int], int]) -> None:
     scene = a_scene(kind(100), kind(90))
     assert (type(scene.width), type(scene.height)) == (int, int)
     assert np.array_equal(render(scene, 4), render(a_scene(100, 90), 4))
-    assert np.array_equal(render(scene, kind(4), threads=kind(1)), render(scene, 4))
+    assert np.array_equal(render(scene, kind(4), processes=kind(1)), render(scene, 4))
 
 
 def test_a_size_may_be_true() -> None:
@@ -130,22 +130,21 @@ def test_too_many_pixels_are_counted_without_overflow() -> None:
         Scene(width=np.int32(65536), height=np.int32(65536))
 
 
-@pytest.mark.parametrize("name", ["samples", "threads"])
+@pytest.mark.parametrize("name", ["samples", "processes"])
 @pytest.mark.parametrize(
     ("value", "error", "message"),
     [
         (4.0, TypeError, "must be an int, is 4.0"),
         (2.5, TypeError, "must be an int, is 2.5"),
         ("4", TypeError, "must be an int, is '4'"),
-        (-1, ValueError, "must be at least {}, is -1"),
-        (np.int8(-1), ValueError, "must be at least {}, is -1"),
+        (-1, ValueError, "must be at least 1, is -1"),
+        (np.int8(-1), ValueError, "must be at least 1, is -1"),
         (10**9, ValueError, "must be at most 999999999"),
     ],
 )
-def test_numbers_of_samples_and_threads_that_are_none(
+def test_numbers_of_samples_and_processes_that_are_none(
     name: str, value: Any, error: type[Exception], message: str
 ) -> None:
-    message = message.format({"samples": 1, "threads": 0}[name])
     with pytest.raises(error, match=f"^{name} {message}$"):
         render(a_scene(), **{name: value})
 

@@ -85,7 +85,7 @@ def test_candidates_are_handed_on_some_at_a_time(monkeypatch: pytest.MonkeyPatch
         lights=[PointLight(position=(0.6e11, 1.2e11, 0.7e11))],
         surfaces=surfaces,
     )
-    whole = render(scene, 16, threads=1)
+    whole = render(scene, 16, processes=1)
     sizes = []
     by_kind = light_buffers.candidates_by_kind
 
@@ -95,7 +95,7 @@ def test_candidates_are_handed_on_some_at_a_time(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(light_buffers, "_AT_ONCE", 1000)
     monkeypatch.setattr(light_buffers, "candidates_by_kind", counted)
-    np.testing.assert_array_equal(render(scene, 16, threads=1), whole)
+    np.testing.assert_array_equal(render(scene, 16, processes=1), whole)
     assert 500 < max(sizes) <= 1000 < sum(sizes)
 
 

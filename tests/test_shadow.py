@@ -37,7 +37,7 @@ def test_what_is_looked_at_is_as_dark_as_what_is_not(
 
     monkeypatch.setattr(Shadows, "edges", compared)
     for seed in range(6):
-        render(random_scene(kind, seed, 60, 40), samples=16, threads=1)
+        render(random_scene(kind, seed, 60, 40), samples=16, processes=1)
     assert looks
 
 
@@ -98,7 +98,7 @@ def test_looks_list_what_all_pairs_would(kind: str, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(Shadows, "edges", compared)
     for seed in range(4):
-        render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
+        render(random_scene(kind, seed, 48, 32), samples=16, processes=1)
     assert looks
 
 
@@ -135,5 +135,5 @@ def test_what_is_seen_towards_a_horizon_is_asked_for_no_more_than_elsewhere(
 
     monkeypatch.setattr(Shadows, "edges", counted)
     monkeypatch.setattr(Candidates, "pairs", tried)
-    render(scene, samples=4, threads=1)
+    render(scene, samples=4, processes=1)
     assert 0 < found < 10 * asked

@@ -32,5 +32,5 @@ def test_what_looks_have_found_is_as_dark_as_what_they_have_not(
 
     monkeypatch.setattr(Shadows, "blocked", compared)
     for seed in range(6):
-        render(random_scene(kind, seed, 48, 32), samples=16, threads=1)
+        render(random_scene(kind, seed, 48, 32), samples=16, processes=1)
     assert known

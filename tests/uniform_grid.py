@@ -18,7 +18,7 @@ def uniform(scene: Scene, per_side: int) -> Floats:
 
     Kept for the next test: nothing that antialiasing does, or leaves out there, changes it.
     """
-    return supersampled(scene, per_side, threads=1)
+    return supersampled(scene, per_side, processes=1)
 
 
 def no_worse_than_the_uniform_grid(

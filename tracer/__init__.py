@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tracer.picture.png import write_png
+    from tracer.picture.png import to_codes, write_png
     from tracer.picture.rendering import render
     from tracer.scene.model import (
         Box,
@@ -39,6 +39,7 @@ __all__ = [
     "Surfaces",
     "load_scene",
     "render",
+    "to_codes",
     "write_png",
 ]
 
@@ -51,6 +52,7 @@ if not TYPE_CHECKING:
         "SceneFileError": "tracer.scene.reader",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.rendering",
+        "to_codes": "tracer.picture.png",
         "write_png": "tracer.picture.png",
     }
 

@@ -17,7 +17,15 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from tracer import __version__
-from tracer.commands import at_least, begin, heed_signals, is_folder, named, say, targets
+from tracer.commands import (
+    allow_interrupts,
+    file_name,
+    install_signal_handlers,
+    is_folder,
+    output_paths,
+    print_line,
+    whole_number,
+)
 from tracer.messages import printable
 
 if TYPE_CHECKING:
@@ -66,18 +74,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     beside = [f"{scene}.png" for scene in arguments.scenes]
-    outputs = targets(parser, arguments.scenes, arguments.output, beside)
+    outputs = output_paths(parser, arguments.scenes, arguments.output, beside)
     try:
         status = 0
         for scene, output in zip(arguments.scenes, outputs, strict=True):
             fault = _render(scene, output, arguments)
             if fault is not None:
-                say(sys.stderr, fault)
+                print_line(sys.stderr, fault)
                 status = 1
         return status
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
-        say(sys.stderr, f"{error}; install it with python -m pip install {package}")
+        print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         return 1
     except KeyboardInterrupt:
         return 130
@@ -91,28 +99,30 @@ def _parser() -> argparse.ArgumentParser:
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
-    parser.add_argument("scenes", nargs="+", type=named, metavar="SCENE.xml", help="a scene file")
+    parser.add_argument(
+        "scenes", nargs="+", type=file_name, metavar="SCENE.xml", help="a scene file"
+    )
     parser.add_argument(
         "-o",
         "--output",
-        type=named,
+        type=file_name,
         metavar="PATH",
         help="the picture to write, always a PNG, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
     parser.add_argument(
         "--samples",
-        type=at_least(1),
+        type=whole_number(1),
         default=1,
         metavar="N",
         help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
     )
     parser.add_argument(
-        "--threads",
-        type=at_least(0),
-        default=0,
+        "--processes",
+        type=whole_number(1),
         metavar="N",
-        help="processors to use, at most all there are (default: 0, one or two, whichever pays)",
+        help="processes that render, at most one for each processor (default: one or two,"
+        " whichever pays)",
     )
     parser.add_argument("--quiet", action="store_true", help="report only what goes wrong")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -125,7 +135,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     from tracer.picture.rendering import render_each
     from tracer.scene.reader import SceneFileError, load_scene
 
-    begin()
+    allow_interrupts()
     start = perf_counter()
     shown = printable(output)
     try:
@@ -137,7 +147,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
     try:
         if arguments.output is not None and is_folder(arguments.output):
             os.makedirs(arguments.output, exist_ok=True)
-        bands = render_each(scene, packed, arguments.samples, threads=arguments.threads or None)
+        bands = render_each(scene, packed, arguments.samples, processes=arguments.processes)
         if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
             bands = _with_progress(bands, scene.height, os.path.basename(shown))
         write_bands(output, scene.width, scene.height, bands)
@@ -155,7 +165,7 @@ def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str 
         )
     if not arguments.quiet:
         seconds = perf_counter() - start
-        say(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
+        print_line(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
     return None
 
 
@@ -194,7 +204,7 @@ def _bar(name: str, rows: int) -> Any:
 
 def run() -> NoReturn:
     """`main` as a process of its own."""
-    heed_signals()
+    install_signal_handlers()
     # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
     # rendering a small picture.  The variable is read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,74 +1,98 @@
-"""What commands share: names in their arguments, what they print, and how they are interrupted.
+"""Shared by all commands: arguments, lines that are printed, whole files, signals, exit statuses.
 
-Nothing here takes long to import: a command is to heed signals before NumPy is imported.
+Nothing here takes long to import: a command handles signals before NumPy is imported.
 """
 
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
+import stat
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from time import monotonic
-from typing import NoReturn, TextIO
+from typing import IO, NoReturn, TextIO
 
 from tracer.messages import printable
 
 __all__ = [
-    "at_least",
-    "begin",
-    "end",
-    "heed_signals",
+    "FAILED",
+    "INTERRUPTED",
+    "MISUSED",
+    "allow_interrupts",
+    "atomic_file",
+    "exit_process",
+    "file_name",
+    "install_signal_handlers",
     "is_folder",
-    "named",
-    "no_folder",
-    "say",
-    "targets",
+    "no_working_folder",
+    "output_paths",
+    "print_line",
+    "printable",
+    "whole_number",
 ]
 
+FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+"""Exit statuses: something could not be done, wrong usage, ended by a signal."""
 
-def named(text: str) -> str:
-    """The type of an argument that names a file or a folder."""
+# Seconds after a signal in which no other counts, so that half-written files can be removed.
+_GRACE = 0.5
+
+
+def file_name(text: str) -> str:
+    """Type of an argument that names a file or a folder."""
     if not text:
         raise argparse.ArgumentTypeError("the name is empty; name a file")
     return text
 
 
-def at_least(least: int) -> Callable[[str], int]:
-    """The type of an argument that is a whole number, `least` or more."""
+def whole_number(least: int) -> Callable[[str], int]:
+    """Type of an argument that is a whole number, `least` or more."""
 
-    def whole_number(text: str) -> int:
+    def number(text: str) -> int:
         if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
             wanted = f"must be a whole number from {least} to 999999999"
             raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}")
         return int(text)
 
-    return whole_number
+    return number
 
 
 def is_folder(path: str) -> bool:
-    """Whether results are to be written to a folder of this name, there or not."""
+    """Whether results are to be written to a folder of this name, which need not exist yet."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
 
 
-def no_folder(error: OSError) -> str:
-    """What is wrong if a path has no place: only the folder that it starts from can be missing."""
+def no_working_folder(error: OSError) -> str:
+    """Message for a path that cannot be resolved: the folder that it starts from is gone."""
     return f"the working folder cannot be found: {error.strerror or error}; change to another"
 
 
-def targets(
+def output_paths(
     parser: argparse.ArgumentParser,
     scenes: Sequence[str],
     output: str | None,
     beside: Sequence[str],
     files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda target: (target,),
 ) -> list[str]:
-    """Where each scene's result goes: to `output` if that is given, or else `beside` the scene.
+    """Choose where each scene's result goes.
 
-    `files`: all that is written for a target.  Ends with wrong usage, and status 2, where one of
-    these would replace a scene, or two of them each other; with status 1 in a folder that is gone.
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Ends the process: with status 2 where a result would replace a scene or another result,
+        with 1 in a working folder that is gone.
+    scenes : sequence of str
+    output : str or None
+        The option `-o`: a file, or a folder for all results.
+    beside : sequence of str
+        A result's path beside each scene, for want of `output`.
+    files
+        All that is written for a result's path.
     """
     if output is None:
         found = list(beside)
@@ -78,31 +102,30 @@ def targets(
         found = [output]
     else:
         wrong = "several scenes need a folder; to have it made, end it in"
-        _misused(parser, f"-o {output}: {wrong} {os.sep}")
+        parser.error(printable(f"-o {output}: {wrong} {os.sep}"))
     try:
         inputs = {os.path.realpath(scene) for scene in scenes}
         taken: dict[str, str] = {}
         for scene, target in zip(scenes, found, strict=True):
             for path in files(target):
                 place = os.path.realpath(path)
+                wrong = ""
                 if place in inputs:
-                    _misused(parser, f"{path}: this would replace a scene; choose another with -o")
-                if place in taken:
+                    wrong = "this would replace a scene; choose another with -o"
+                elif place in taken:
                     both = f"{taken[place]} and {scene} would both be written there"
-                    _misused(parser, f"{path}: {both}; do them one by one")
+                    wrong = f"{both}; do them one by one"
+                if wrong:
+                    parser.error(printable(f"{path}: {wrong}"))
                 taken[place] = scene
     except OSError as error:
-        parser.exit(1, no_folder(error) + "\n")
+        parser.exit(FAILED, no_working_folder(error) + "\n")
     except ValueError as error:  # a NUL
-        _misused(parser, f"no such name: {error}")
+        parser.error(printable(f"no such name: {error}"))
     return found
 
 
-def _misused(parser: argparse.ArgumentParser, wrong: str) -> NoReturn:
-    parser.error(printable(wrong))
-
-
-def say(stream: TextIO | None, text: str) -> None:
+def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line at once, or not at all if that fails: the files that are written matter more."""
     if stream is None:
         return
@@ -111,15 +134,100 @@ def say(stream: TextIO | None, text: str) -> None:
         print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
 
 
-_begun = False
+@contextmanager
+def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[bytes]]:
+    """Open a new file that replaces `path` once it is whole, and vanishes after an error.
 
-# For so long after a signal, in seconds, no other is heeded: what it has left half-written goes.
-_DEAF = 0.5
-_deaf_until = 0.0
+    Parameters
+    ----------
+    path : str or path-like
+        A link stays one: what it points to is replaced.
+    begins : bytes
+        The first bytes of such files.  A file that begins otherwise is somebody's work, and stays,
+        unless it is empty.
+
+    Yields
+    ------
+    binary file
+
+    Raises
+    ------
+    OSError
+        If it cannot be written, or what is there is no regular file, or of another kind.
+    """
+    target = os.path.realpath(path)
+    mode = None
+    if os.path.islink(target):  # to itself, or it would have been followed
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), target)
+    if os.path.exists(target):
+        mode = os.stat(target).st_mode
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, "not a regular file", target)
+        with open(target, "r+b") as there:  # to be replaced only by those who may write it
+            if there.read(len(begins)) not in (begins, b""):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
+    try:
+        part = _part_file(target)
+    except OSError as error:
+        error.filename = target
+        raise
+    try:
+        with part:
+            yield part
+            part.flush()
+            if mode is not None:
+                os.chmod(part.name, stat.S_IMODE(mode))
+            if os.name == "nt":  # an open file cannot be moved there
+                part.close()
+            os.replace(part.name, target)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(part.name)
+        raise
 
 
-def heed_signals() -> None:
-    """Let signals that end a process do so with status 130; see `begin`."""
+def _part_file(target: str) -> IO[bytes]:
+    """Open a new file beside `target`, locked, and remove those that killed writers have left."""
+    folder, name = os.path.split(target)
+    # Not the name itself: that may be as long as a name can be.
+    prefix = f".{zlib.crc32(os.fsencode(name)):08x}-"
+    with suppress(OSError):
+        for other in os.listdir(folder):
+            if other.startswith(prefix) and other.endswith(".part"):
+                _remove_unlocked(os.path.join(folder, other))
+    while True:
+        part = open(os.path.join(folder, f"{prefix}{os.urandom(4).hex()}.part"), "xb")  # noqa: SIM115
+        if _locked(part, wait=True) is None or os.fstat(part.fileno()).st_nlink:
+            return part
+        part.close()  # another process has found it before it was locked, and removed it
+
+
+def _remove_unlocked(path: str) -> None:
+    """Remove a part file if its writer, which would hold a lock on it, no longer lives."""
+    with suppress(OSError), open(path, "r+b") as file:
+        if _locked(file, wait=False):
+            os.unlink(path)
+
+
+def _locked(file: IO[bytes], *, wait: bool) -> bool | None:
+    """Lock a file until it is closed; False if another process has, None if nothing can be."""
+    try:
+        from fcntl import LOCK_EX, LOCK_NB, flock  # not on all systems
+
+        flock(file, LOCK_EX if wait else LOCK_EX | LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        return None
+    return True
+
+
+_interruptible = False
+_ignored_until = 0.0
+
+
+def install_signal_handlers() -> None:
+    """Let signals that end a process do so with status 130; see `allow_interrupts`."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         number = getattr(signal, name, None)  # not all systems have the last three
         # One that is ignored stays so: in the background of a script, or under nohup.
@@ -127,16 +235,16 @@ def heed_signals() -> None:
             signal.signal(number, _interrupted)
 
 
-def begin() -> None:
+def allow_interrupts() -> None:
     """From here on signals raise KeyboardInterrupt: files may be half-written, all is imported."""
-    global _begun
-    _begun = True
+    global _interruptible
+    _interruptible = True
 
 
-def end(status: int) -> NoReturn:
+def exit_process(status: int) -> NoReturn:
     """End the process, and with it what it has started."""
-    global _begun
-    _begun = False
+    global _interruptible
+    _interruptible = False
     # Otherwise Python, as it exits, would try again to print what could not be.
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
@@ -148,10 +256,10 @@ def end(status: int) -> NoReturn:
 def _interrupted(_number: int, _frame: object) -> None:
     """Leave, with nothing half-written."""
     # An exception while NumPy is imported would pass for a fault of NumPy's.
-    if not _begun:
-        os._exit(130)
-    global _deaf_until
+    if not _interruptible:
+        os._exit(INTERRUPTED)
+    global _ignored_until
     now = monotonic()
-    if now >= _deaf_until:
-        _deaf_until = now + _DEAF
+    if now >= _ignored_until:
+        _ignored_until = now + _GRACE
         raise KeyboardInterrupt

@@ -91,9 +91,9 @@ def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
 @pytest.mark.parametrize("part", ablation.ONE_SAMPLE, ids=lambda part: part.name)
 def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
     for scene in (small("highlights", 96, 54), crowd(300, width=96, height=54)):
-        picture = render(scene, threads=1)
+        picture = render(scene, processes=1)
         with ablation.without(part):
-            other = render(scene, threads=1)
+            other = render(scene, processes=1)
         # Highlights from vectors round differently.
         assert np.abs(other - picture).max() <= 1e-12
 
@@ -101,10 +101,10 @@ def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
 @pytest.mark.parametrize("part", ablation.ANTIALIASING, ids=lambda part: part.name)
 def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.Part) -> None:
     scene = small("sunflower", 96, 54)
-    picture = render(scene, samples=16, threads=1)
+    picture = render(scene, samples=16, processes=1)
     with ablation.without(part):
-        other = render(scene, samples=16, threads=1)
-    assert np.array_equal(render(scene, samples=16, threads=1), picture)
+        other = render(scene, samples=16, processes=1)
+    assert np.array_equal(render(scene, samples=16, processes=1), picture)
     error = np.abs(other - picture)
     # Several edges cross most of its pixels, in which 16 samples err by a few hundredths.
     assert np.sqrt((error**2).mean()) < 0.01

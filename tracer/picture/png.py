@@ -7,14 +7,11 @@ when it is whole: whatever goes wrong before leaves what was there untouched.
 
 from __future__ import annotations
 
-import errno
 import math
 import os
-import stat
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
 from functools import cache
 from typing import IO, NamedTuple
 
@@ -22,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats
+from tracer.commands import atomic_file
 
-__all__ = ["PNG", "Packed", "packed", "quantise", "whole_file", "write_bands", "write_png"]
+__all__ = ["PNG", "Packed", "packed", "to_codes", "write_bands", "write_png"]
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """How a PNG file begins (ISO/IEC 15948, 5.2)."""
@@ -85,9 +83,9 @@ def packed(band: Floats) -> Packed:
     Raises
     ------
     TypeError, ValueError
-        See `quantise`.
+        See `to_codes`.
     """
-    codes = quantise(band)
+    codes = to_codes(band)
     rows, width, _ = codes.shape
     # Every row starts with the number of its filter, 0 for none: rendered pictures are full of
     # exact repeats, which filters disturb.
@@ -120,7 +118,7 @@ def write_bands(
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
-    with whole_file(path, PNG) as file:
+    with atomic_file(path, PNG) as file:
         file.write(PNG)
         # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
         _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
@@ -154,55 +152,7 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
     file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
 
 
-@contextmanager
-def whole_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[bytes]]:
-    """A new file that takes the place of `path` if all goes well, and else vanishes.
-
-    Parameters
-    ----------
-    path : str or path-like
-        A link stays one: what it points to is replaced.
-    begins : bytes
-        How such files begin.  A file that does not is somebody's work, and stays, unless it is
-        empty.
-
-    Yields
-    ------
-    binary file
-
-    Raises
-    ------
-    OSError
-        If it cannot be written, or what is there is no regular file, or of another kind.
-    """
-    target = os.path.realpath(path)
-    mode = None
-    if os.path.islink(target):  # to itself, or it would have been followed
-        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), target)
-    if os.path.exists(target):
-        mode = os.stat(target).st_mode
-        if not stat.S_ISREG(mode):
-            raise OSError(errno.EINVAL, "not a regular file", target)
-        with open(target, "r+b") as there:  # to be replaced only by those who may write it
-            if there.read(len(begins)) not in (begins, b""):
-                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
-    name = f".{os.getpid()}-{os.urandom(4).hex()}.part"
-    beside = os.path.join(os.path.dirname(target), name)
-    try:
-        with open(beside, "xb") as file:
-            yield file
-        if mode is not None:
-            os.chmod(beside, stat.S_IMODE(mode))
-        os.replace(beside, target)
-    except BaseException as error:
-        if isinstance(error, OSError) and error.filename == beside:
-            error.filename = target
-        with suppress(OSError):
-            os.unlink(beside)
-        raise
-
-
-def quantise(image: ArrayLike) -> NDArray[np.uint8]:
+def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     """The 8-bit codes of radiances: round(255 clip(x, 0, 1)^(1/2.2)).
 
     The codes are those of exact arithmetic.  The power function in float64 is

@@ -58,7 +58,7 @@ def render(
     scene: Scene,
     samples: int = 1,
     *,
-    threads: int | None = None,
+    processes: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> Floats:
     """Render a scene.
@@ -69,10 +69,10 @@ def render(
     samples : int
         Rounded up to a square, n x n: the picture's error (RMSE) is no larger than with a grid of
         n x n samples in every pixel, and mostly much smaller; 1 samples the pixels' centres.
-    threads : int, optional
-        How many processors to use, with one process on each, this one included, and no more than
-        there are; if absent or 0, one or two, whichever pays.  Processes that help start in the
-        background, and stay for the next picture.
+    processes : int, optional
+        How many processes render, this one included, and no more than there are processors; if
+        absent, one or two, whichever pays.  The others start in the background, and stay for the
+        next picture.
     offset : (float, float)
         Moves every sample, in pixels to the right and down.
 
@@ -84,10 +84,10 @@ def render(
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, or `samples` or `threads` is not an integer.
+        If `scene` is not a Scene, or `samples` or `processes` is not an integer.
     ValueError
-        If `samples` is less than 1, `threads` is negative, either is more than 999,999,999, or
-        `offset` is not two finite numbers.
+        If `samples` or `processes` is less than 1 or more than 999,999,999, or `offset` is not two
+        finite numbers.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
@@ -95,13 +95,13 @@ def render(
 
     picture = _Picture.of(scene, samples, offset)
     load = picture.load()
-    processes = _processes(threads, load >= _WORTH_HELP * picture.larger)
-    bands = _Bands.of(picture, processes)
+    count = _processes(processes, load >= _WORTH_HELP * picture.larger)
+    bands = _Bands.of(picture, count)
     job = Job(partial(_help, bands), (AHEAD, bands.tallest, scene.width, 3))
     # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
     # Whoever asks for processors by number gets helpers from the first picture on.
-    with helped(bands.total, processes - 1, job, inf if threads else load) as team:
+    with helped(bands.total, count - 1, job, inf if processes else load) as team:
         renderer = _Renderer.of(bands)
 
         def work(number: int) -> Floats | None:
@@ -120,7 +120,7 @@ def render_each(
     work: Callable[[Floats], T],
     samples: int = 1,
     *,
-    threads: int | None = None,
+    processes: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[T]:
     """Render a scene from the top, band by band, and yield what becomes of each.
@@ -130,21 +130,21 @@ def render_each(
     3) on the processor that renders it, and returns something small.
     """
     picture = _Picture.of(scene, samples, offset)
-    processes = _processes(threads, picture.load() >= _WORTH_FORKING)
-    bands = _Bands.of(picture, processes)
+    count = _processes(processes, picture.load() >= _WORTH_FORKING)
+    bands = _Bands.of(picture, count)
     renderer = _Renderer.of(bands)
 
     def result(number: int) -> T:
         return work(renderer(number))
 
-    with forked(result, bands.total, processes - 1) as team:
+    with forked(result, bands.total, count - 1) as team:
         yield from team.results(result)
 
 
-def _processes(threads: int | None, pays: bool) -> int:
+def _processes(asked: int | None, pays: bool) -> int:
     """As many as are asked for, or else one or two; not more than there are processors."""
-    asked = _integer(threads or 0, "threads", 0) or (2 if pays else 1)
-    return min(asked, processors())
+    count = (2 if pays else 1) if asked is None else _integer(asked, "processes", 1)
+    return min(count, processors())
 
 
 def _integer(value: int, name: str, least: int) -> int:
