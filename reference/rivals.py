@@ -6,16 +6,14 @@ import re
 import shutil
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from converters.flavours import exact, normalisation, stock
+from converters.flavours import exact, stock
 from converters.variant import ensure, mi
-from reference.command import built
 from reference.povray import to_pov
 from tracer.arrays import Floats
 from tracer.scene.model import Scene
@@ -23,7 +21,6 @@ from tracer.scene.model import Scene
 __all__ = [
     "mitsuba_command",
     "mitsuba_exact",
-    "mitsuba_merged",
     "mitsuba_stock",
     "mitsuba_text",
     "povray_command",
@@ -99,61 +96,8 @@ def mitsuba_stock(scene: Scene, samples: int = 1) -> Any:
     return mi.load_string(stock(scene, samples))
 
 
-def mitsuba_merged(scene: Scene) -> Any:
-    """All objects merged into one mesh of one material, spheres as icosahedra.
-
-    The wrong picture, but the fastest geometry that Mitsuba can be handed.
-    """
-    _plugins()
-    root = ET.fromstring(exact(scene))
-    for shape in root.findall("shape"):
-        root.remove(shape)
-    vertices, faces = _triangles(scene)
-    mesh = mi.Mesh("merged", len(vertices), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.float32(normalisation(scene)(vertices)).ravel()
-    parameters["faces"] = np.uint32(faces).ravel()
-    parameters.update()
-    target = built("merged.ply")
-    mesh.write_ply(str(target))
-    shape = ET.SubElement(root, "shape", type="ply")
-    ET.SubElement(shape, "string", name="filename", value=str(target))
-    ET.SubElement(shape, "boolean", name="face_normals", value="true")
-    ET.SubElement(shape, "ref", id="bsdf0")
-    return mi.load_string(ET.tostring(root, encoding="unicode"))
-
-
 def _plugins() -> None:
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-
-
-def _triangles(scene: Scene) -> tuple[Floats, Floats]:
-    """Vertices (n, 3) and faces (m, 3) of all objects."""
-    s, golden = scene.surfaces, (1 + np.sqrt(5)) / 2
-    ring = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
-    ball = np.array([np.roll(v, k) for k in range(3) for v in ring]) / np.hypot(1, golden)
-    # Three vertices that are nearest neighbours of each other span a face of the icosahedron.
-    near = np.linalg.norm(ball[:, None] - ball, axis=2) < 1.1
-    sides = [
-        (i, j, k)
-        for i in range(12)
-        for j in range(i)
-        for k in range(j)
-        if near[i, j] and near[j, k] and near[i, k]
-    ]
-    cube = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    halves = [half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))]
-    balls = s.center[:, None] + s.radius[:, None, None] * ball
-    boxes = s.min_pt[:, None] + (s.max_pt - s.min_pt)[:, None] * cube
-    first = 12 * len(balls) + 8 * np.arange(len(boxes))
-    faces = np.concatenate(
-        [
-            (12 * np.arange(len(balls))[:, None, None] + np.array(sides)).reshape(-1, 3),
-            (first[:, None, None] + np.array(halves)).reshape(-1, 3),
-        ]
-    )
-    return np.concatenate([balls.reshape(-1, 3), boxes.reshape(-1, 3)]), faces
 
 
 def povray_installed() -> bool:

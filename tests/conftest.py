@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import os
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -18,6 +19,36 @@ from tracer.shadow import occlusion as shadow
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--expect-skips",
+        metavar="NAMES",
+        help="fail if a test is skipped for lack of anything but these, separated by commas",
+    )
+
+
+def need(program: str) -> str:
+    """The path of a program; without it the test is skipped, which CI has to expect."""
+    path = shutil.which(program)
+    if path is None:
+        pytest.skip(f"{program} is not installed")
+    return path
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail on skips that nobody expects: they may hide what no longer works."""
+    expected = session.config.getoption("--expect-skips")
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if expected is None or reporter is None:
+        return
+    reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
+    known = {f"Skipped: {name} is not installed" for name in expected.split(",")}
+    for reason in sorted(reasons - known):
+        reporter.write_line(f"not expected: {reason}", red=True)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(params=["small", "large"])
