@@ -12,7 +12,8 @@ from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
 from tracer.scene.model import Scene, Surfaces
 from tracer.view.camera import Raster, raster_of
-from tracer.view.visibility import view_of, visible
+from tracer.view.view import view_of
+from tracer.view.visibility import visible
 
 __all__ = ["bounds", "visible_points", "window_point"]
 

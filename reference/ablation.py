@@ -35,6 +35,8 @@ from tracer.picture import rendering
 from tracer.shadow import grid as light_buffers
 from tracer.shadow import occlusion as shadow
 from tracer.shadow import packets as stretches
+from tracer.shapes.box import Boxes
+from tracer.shapes.sphere import Spheres
 from tracer.view import visibility
 
 __all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
@@ -65,10 +67,15 @@ class Part:
     processes: int = 1
 
 
-def _uncertain(*arguments: Any, near: Any = stretches._near) -> tuple[Any, Any]:
-    """Nothing is certainly in shadow."""
-    meets, cuts = near(*arguments)
-    return meets, np.zeros_like(cuts)
+def _uncertain(shape: Any) -> tuple[Any, str, Any]:
+    """Nothing is certainly in the shadow of a shape."""
+    capsules = shape.capsules
+
+    def only_meets(*arguments: Any) -> tuple[Any, Any]:
+        meets, cuts = capsules(*arguments)
+        return meets, np.zeros_like(cuts)
+
+    return shape, "capsules", only_meets
 
 
 def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
@@ -109,7 +116,7 @@ ONE_SAMPLE = [
         "no light buffers: stretches for all shadows",
         [(shadow, "_FEW", _ALWAYS), (shadow, "_MOST", _ALWAYS)],
     ),
-    Part("no stretch certainly in shadow", [(stretches, "_near", _uncertain)]),
+    Part("no stretch certainly in shadow", [_uncertain(Spheres), _uncertain(Boxes)]),
     Part("no long stretches before short ones", [(stretches, "_LONG", stretches._SHORT)]),
     Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
     Part("no planes between cells and objects", [(light_buffers, "_FEW_CELLS", _ALWAYS)]),

@@ -10,7 +10,7 @@ from tracer import Lambertian, Scene, render
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
 from tracer.view.camera import raster_of
-from tracer.view.visibility import view_of
+from tracer.view.view import view_of
 from tracer.view.visibility import visible as hits_of
 
 

@@ -11,33 +11,29 @@ from random_objects import a_box, a_direction, a_point, a_sphere, vector
 from tracer import Box, Camera, Surfaces
 from tracer.antialias.crossings import crossed
 from tracer.view.camera import raster_of
-from tracer.view.outlines import Outlines, Spans, outlines_of
+from tracer.view.view import View, view_of
 
 WIDTH, HEIGHT = 24, 20
 
 
-def marked(
-    outlines: Outlines, surfaces: Surfaces, top: int, height: int
-) -> set[tuple[int, int, int]]:
+def marked(view: View, top: int, height: int) -> set[tuple[int, int, int]]:
     """Row, column and object, of the whole width."""
-    found = crossed(outlines, surfaces, slice(top, top + height), slice(0, WIDTH))
+    found = crossed(view, slice(top, top + height), slice(0, WIDTH))
     return set(zip(*(m.tolist() for m in found), strict=True))
 
 
-def ends_in_fine_rows(outlines: Outlines, rows: int) -> set[tuple[int, int, int]]:
+def ends_in_fine_rows(view: View, rows: int) -> set[tuple[int, int, int]]:
     """The same of the pixels in which spans end, in so many rows of each pixel."""
     y = (np.arange(HEIGHT * rows) + 0.5) / rows
-
-    def seen(spans: Spans, first: int) -> set[tuple[int, int, int]]:
-        found = set()
+    found = set()
+    for shape in view.shapes:
+        spans = shape.spans(view.raster, y)
         for ends in (spans.left, spans.right):
             inside = np.flatnonzero((ends > 0) & (ends < WIDTH))
             column, row = ends[inside].astype(int), spans.row[inside] // rows
-            owner = spans.owner[inside] + first
+            owner = spans.owner[inside]
             found |= set(zip(row.tolist(), column.tolist(), owner.tolist(), strict=True))
-        return found
-
-    return seen(outlines.sphere_spans(y), 0) | seen(outlines.box_spans(y), outlines.radius.size)
+    return found
 
 
 def a_bar(rng: np.random.Generator) -> Box:
@@ -60,11 +56,11 @@ def test_every_end_of_an_object_is_found(seed: int) -> None:
     )
     kinds = [a_bar, a_box, a_sphere]
     surfaces = Surfaces.of([make(rng) for make in kinds for _ in range(5)])
-    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), surfaces)
-    found = marked(outlines, surfaces, 0, HEIGHT)
-    assert ends_in_fine_rows(outlines, 64) <= found
+    view = view_of(raster_of(camera, WIDTH, HEIGHT), surfaces)
+    found = marked(view, 0, HEIGHT)
+    assert ends_in_fine_rows(view, 64) <= found
     # Whatever the bands.
-    parts = (marked(outlines, surfaces, *rows) for rows in ((0, 7), (7, HEIGHT - 7)))
+    parts = (marked(view, *rows) for rows in ((0, 7), (7, HEIGHT - 7)))
     assert set.union(*parts) == found
 
 
@@ -73,6 +69,6 @@ def test_every_end_of_an_object_is_found(seed: int) -> None:
 def test_a_bar_between_two_rows_of_samples(roll: float) -> None:
     bar = Surfaces.of([Box(min_pt=(-0.2, 0.0101, -1.01), max_pt=(0.3, 0.0102, -1))])
     camera = Camera(view_up=(roll, 1, 0))
-    outlines = outlines_of(raster_of(camera, WIDTH, HEIGHT), bar)
-    columns = {column for _, column, _ in marked(outlines, bar, 0, HEIGHT)}
+    view = view_of(raster_of(camera, WIDTH, HEIGHT), bar)
+    columns = {column for _, column, _ in marked(view, 0, HEIGHT)}
     assert columns == set(range(7, 20))

@@ -12,8 +12,7 @@ from random_objects import triple, unit, unit_vectors
 from tracer import Lambertian, Surfaces
 from tracer.antialias.edges import MOST_TURN, Kind, Lines, Pencil, joined
 from tracer.arrays import Bools, Floats, Triple
-from tracer.shapes.intersection import box_hit
-from tracer.view.outlines import box_corners, silhouette_planes
+from tracer.shapes.silhouette import box_corners, silhouette_planes
 
 
 def some_lines(rng: np.random.Generator, count: int) -> Lines:
@@ -173,9 +172,9 @@ def test_outlines_of_boxes(seed: int, size: float) -> None:
     np.logical_and.at(inner, lines.cell, value > 0)
     np.logical_or.at(near, lines.cell, np.abs(value) < 1e-9 * lines.reach()[:, None])
     d = rays(pencil, x, y)
-    bounds = [tuple(np.repeat(m[:, k], x.size) for k in range(3)) for m in (low, high)]
-    t, _ = box_hit((d[0].ravel(), d[1].ravel(), d[2].ravel()), bounds[0], bounds[1])
-    hit = np.isfinite(t).reshape(inner.shape)
+    ends = [[m[:, k, None] / d[k] for k in range(3)] for m in (low, high)]
+    enter, leave = np.minimum(*ends).max(axis=0), np.maximum(*ends).min(axis=0)
+    hit = (enter <= leave) & (leave > 0)
     crossed = np.isin(np.arange(400), lines.cell)
     assert crossed.sum() > 100
     for i in range(400):

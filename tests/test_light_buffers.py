@@ -17,7 +17,7 @@ from tracer.shadow import grid as light_buffers
 from tracer.shadow.grid import _PAIRS, LightBuffer, light_buffer_finder
 from tracer.shadow.occluders import Candidates, occluders_of
 from tracer.view.camera import raster_of
-from tracer.view.visibility import view_of
+from tracer.view.view import view_of
 
 WHITE = Lambertian()
 

@@ -17,8 +17,8 @@ from tracer import Box, Camera, Sphere, render
 from tracer.arrays import Bools, Floats
 from tracer.shadow.occluders import Candidates, Occluders, ShadowEdges, candidates_by_kind
 from tracer.shadow.occlusion import Shadows
-from tracer.shapes.intersection import INSIDE
-from tracer.view.visibility import Hits
+from tracer.shapes.rounding import INSIDE
+from tracer.view.hits import Hits
 
 
 @pytest.mark.usefixtures("pixels_are_split")

@@ -10,7 +10,7 @@ from tracer import render
 from tracer.arrays import Bools
 from tracer.shadow.occlusion import Shadows
 from tracer.shadow.shadow_cache import ShadowCache
-from tracer.view.visibility import Hits
+from tracer.view.hits import Hits
 
 
 # Stretches remember nothing.

@@ -33,10 +33,10 @@ from tracer.arrays import (
 from tracer.light.lighting import Incoming, Lighting
 from tracer.scene.model import Surfaces
 from tracer.shadow.occluders import ShadowEdges
-from tracer.shapes.intersection import OUTSIDE
+from tracer.shapes.rounding import OUTSIDE
+from tracer.shapes.silhouette import box_corners, silhouette_planes
 from tracer.view.camera import Raster
-from tracer.view.outlines import box_corners, silhouette_planes
-from tracer.view.visibility import Group, Hits
+from tracer.view.hits import Group, Hits
 
 __all__ = ["Patches", "footprints_of", "intersections", "near_lights"]
 
@@ -57,7 +57,7 @@ def footprints_of(hits: Hits, radius: Floats, size: float) -> Floats:
 
     `radius`: of all spheres.
     """
-    angle = _half_angle(hits.raster, size)
+    angle = _half_angle(hits.view.raster, size)
     halves = hits.p[2] * angle
     footprints = np.empty(halves.size)
     for group in hits.groups:
@@ -99,7 +99,7 @@ def intersections(
     """
     if not behind.groups:
         return joined([])
-    raster = hits.raster
+    raster = hits.view.raster
     place = np.empty(cell.size, dtype=np.intp)
     place[hits.sample] = np.arange(hits.p.shape[1])
     sample = behind.sample
@@ -128,8 +128,8 @@ def _inverse(hits: Hits, surfaces: Surfaces, at: Ints, size: float) -> tuple[Tri
         if not group.flat:
             radius = select(group.of(surfaces.radius), at[here] - group.part.start)
             # By how much the sphere leaves its tangent plane, measured along the ray.
-            reach2 = (p[2] * _half_angle(hits.raster, size)) ** 2 * dot(p, p) / height**2
-            off[here] = reach2 / (2 * radius * np.abs(height)) * hits.raster.depth / p[2]
+            reach2 = (p[2] * _half_angle(hits.view.raster, size)) ** 2 * dot(p, p) / height**2
+            off[here] = reach2 / (2 * radius * np.abs(height)) * hits.view.raster.depth / p[2]
     return (vectors[0], vectors[1], vectors[2]), off
 
 
@@ -159,11 +159,7 @@ class Patches(NamedTuple):
 
     def height(self, at: Ints) -> Floats:
         """Height of the eye over the surface's tangent planes at some points: a number, or (n,)."""
-        lift = select(self.group.lift, at)
-        if self.group.flat:
-            return lift
-        p = rows(self.hits.p, self.group.part.start + at)
-        return lift * p[2] / self.hits.raster.depth
+        return select(self.group.height, at)
 
     def steps(self, at: Ints, rays: Triple | None = None) -> tuple[Triple, Triple]:
         """Steps of some points on their tangent planes, across their cells and down.
@@ -171,7 +167,7 @@ class Patches(NamedTuple):
         They are ray differentials (Igehy 1999), in the scene's axes.  With `rays`, which lead to
         the points from elsewhere: steps of these rays, up to their length.
         """
-        raster, group = self.hits.raster, self.group
+        raster, group = self.hits.view.raster, self.group
         p, n, height = rows(self.hits.p, group.part.start + at), pick(group.n, at), self.height(at)
         steps = []
         for k, step in enumerate((raster.step_u, raster.step_v)):
@@ -193,7 +189,7 @@ class Patches(NamedTuple):
         radius = select(self.group.of(self.lighting.view.surfaces.radius), at)
         # By how much the sphere leaves its tangent plane, measured along the ray.
         along = self.footprint[at] ** 2 / (2 * radius * self.height(at))
-        return self.hits.raster.vector_to_scene(scaled(p, along))
+        return self.hits.view.raster.vector_to_scene(scaled(p, along))
 
     def from_light(self, light: Ints, at: Ints) -> Triple:
         """Rays from lights to some points."""
@@ -267,7 +263,7 @@ class Patches(NamedTuple):
         # The look has sought what may shade the surface only for lights that its middle faces.
         kind = np.where(c > 0, Kind.SHADOW, Kind.EDGE)
         lines = Lines(self.cell[at], kind, a, b, c)
-        normal = self.hits.raster.vector_to_scene(pick(group.n, at))
+        normal = self.hits.view.raster.vector_to_scene(pick(group.n, at))
         gradient = each(lambda d, n: d / r + n, ray, normal)
         off = sagitta_error(gradient, self.sagitta(at))
         return lines.straightened(lines.turn(off), self.tolerance, unresolved)

@@ -15,7 +15,6 @@ import numpy as np
 
 from tracer.antialias.boundaries import Patches, footprints_of, intersections, near_lights
 from tracer.antialias.edges import Lines
-from tracer.antialias.lattice import Samples, Scattered
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.light.lighting import (
     Highlights,
@@ -27,6 +26,7 @@ from tracer.light.lighting import (
     shade,
 )
 from tracer.shadow.occluders import ShadowEdges
+from tracer.view.samples import Samples, Scattered
 from tracer.view.visibility import visible_and_behind
 
 __all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]

@@ -10,9 +10,7 @@ import numpy as np
 from tracer.antialias.classify import Cells, Seen
 from tracer.antialias.edges import Kind, Lines, Pencil, joined
 from tracer.arrays import Floats, Ints, each, expand, indices, pick
-from tracer.scene.model import Surfaces
-from tracer.view.outlines import Outlines
-from tracer.view.visibility import View
+from tracer.view.view import View
 
 __all__ = ["crossed", "outlines_across"]
 
@@ -20,30 +18,22 @@ __all__ = ["crossed", "outlines_across"]
 _TOUCHING = 1e-6
 
 
-def crossed(
-    outlines: Outlines, surfaces: Surfaces, rows: slice, columns: slice
-) -> tuple[Ints, Ints, Ints]:
+def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: the pixels of a rectangle that an outline may cross.
 
     Being convex, an object fills the pixels of a row whose upper and lower sides it covers.  Its
     outline may cross the others in which it is seen; or any of them, if it is not wholly known.
     """
     lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
-    _, top, bottom, _, _ = outlines.frames
-    spheres = outlines.radius.size
-    whole = np.append(np.ones(spheres, dtype=np.bool_), ~outlines.broken(surfaces))
-    found: list[tuple[Ints, Ints, Floats, Floats]] = []
-    for spans, kind in (
-        (outlines.sphere_spans, slice(0, spheres)),
-        (outlines.box_spans, slice(spheres, top.size)),
-    ):
-        if kind.start == kind.stop:
-            continue
-        owner, row, left, right = spans(lines[:-1], 1.0)
+    top, bottom = view.frames.top, view.frames.bottom
+    none = np.zeros(0, dtype=np.intp)
+    found: list[tuple[Ints, Ints, Floats, Floats]] = [(none, none, np.zeros(0), np.zeros(0))]
+    for shape in view.shapes:
+        owner, row, left, right = shape.spans(view.raster, lines[:-1], 1.0)
         # Where a line just touches an object, rounding decides what that covers of it.
-        fills = top[kind][owner] < lines[row] - _TOUCHING
-        fills &= (bottom[kind][owner] > lines[row + 1] + _TOUCHING) & whole[kind][owner]
-        covering = spans(lines)
+        fills = top[owner] < lines[row] - _TOUCHING
+        fills &= (bottom[owner] > lines[row + 1] + _TOUCHING) & shape.whole[owner - shape.first]
+        covering = shape.spans(view.raster, lines)
         # One number for line and object: spans are sorted by it.  Last, a span of nothing.
         key = np.append(covering.row * top.size + covering.owner, -1)
         begin, end = np.append(covering.left, np.inf), np.append(covering.right, -np.inf)
@@ -56,7 +46,6 @@ def crossed(
         left, stop = np.floor(left), np.floor(right) + 1
         full = np.clip(np.ceil(full), left, stop)
         full_end = np.clip(np.floor(full_end), full, stop)
-        owner += kind.start
         found += [(row, owner, left, full), (row, owner, full_end, stop)]
     row, owner, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
     start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))
@@ -66,21 +55,21 @@ def crossed(
 
 def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
     """Lines that outlines draw across cells; marks in `seen` where they are not straight."""
-    outlines, spheres = view.outlines, view.surfaces.sphere_count
+    spheres = view.spheres
     lines = []
-    at = indices(cells.owner < spheres)
+    at = indices(cells.owner < spheres.count)
     if at.size:
         cell, ball = cells.cell[at], cells.owner[at]
         pencil = _pencil(view, cells, cell, Kind.LIMB)
-        discs, turn, near = pencil.discs(pick(outlines.center, ball), outlines.radius[ball])
+        discs, turn, near = pencil.discs(pick(spheres.local, ball), spheres.radius[ball])
         # The outline of a sphere that the eye is on is no circle around its centre.
-        on = outlines.power[ball] == 0
+        on = spheres.power[ball] == 0
         turn[on], near[on] = np.inf, True
         lines.append(discs.straightened(turn, cells.tolerance, seen.unresolved, near))
-    at = indices(cells.owner >= spheres)
+    at = indices(cells.owner >= spheres.count)
     if at.size:
         pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
-        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres, axis=1), outlines.planes)
+        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres.count, axis=1), view.boxes.planes)
         edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
         seen.unresolved[pencil.cell[unknown]] = True
         lines.append(edges)

@@ -30,7 +30,8 @@ from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
-from tracer.view.outlines import Frames
+from tracer.shapes.frames import Frames
+from tracer.view.camera import Raster
 
 __all__ = ["antialiased", "dense", "splittings"]
 
@@ -61,12 +62,12 @@ _SAME = 6.0
 _LINES = 4
 
 
-def dense(frames: Frames, per_side: int) -> bool:
+def dense(frames: Frames, raster: Raster, per_side: int) -> bool:
     """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return frames.pairs_in_pixel() > _DENSE * per_side**2
+    return frames.pairs_in_pixel(raster) > _DENSE * per_side**2
 
 
 def splittings(per_side: int) -> int:
@@ -83,7 +84,7 @@ def antialiased(
     """
     view = lighting.view
     # Nothing is seen to the left and to the right of all objects.
-    _, seen_in = view.outlines.frames.window()
+    _, seen_in = view.frames.window(view.raster)
     begin, end = max(columns.start, seen_in.start), min(columns.stop, seen_in.stop)
     if begin >= end:
         return
@@ -97,7 +98,7 @@ def antialiased(
     seen = look(lighting, centres, np.arange(centres.size), 1.0, tolerance)
     bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
-    row, column, owner = crossed(view.outlines, view.surfaces, rows, slice(begin, end))
+    row, column, owner = crossed(view, rows, slice(begin, end))
     pixels = Cells(
         1.0,
         tolerance,

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.lattice import Samples
 from tracer.arrays import (
     Bools,
     Floats,
@@ -26,8 +25,11 @@ from tracer.light.shading import Materials, highlight
 from tracer.scene.model import Scene
 from tracer.shadow.occluders import occluders_of
 from tracer.shadow.occlusion import Shadows, shadows_of
-from tracer.shapes.intersection import INSIDE
-from tracer.view.visibility import Group, Hits, View, visible
+from tracer.shapes.rounding import INSIDE
+from tracer.view.hits import Group, Hits
+from tracer.view.samples import Samples
+from tracer.view.view import View
+from tracer.view.visibility import visible
 
 __all__ = [
     "Highlights",
@@ -215,11 +217,7 @@ def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
             n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
-            if group.flat:
-                place = lighting.positions[number, group.face]
-                n_dot_l[:] = group.sign * (place - group.level)
-            else:
-                dot(group.n, to_light, n_dot_l)
+            group.height_of(lighting.positions[number], to_light, n_dot_l)
             dot(to_light, to_light, length2)
             if glossy[group.owner].any():
                 dot(to_light, (p[0], p[1], p[2]), l_dot_p)
@@ -298,9 +296,7 @@ def narrow_highlights(
     if not highlights.present:
         return
     group = highlights.group
-    bending = 1 / highlights.distance
-    if not group.flat:
-        bending += 1 / group.of(highlights.lighting.view.surfaces.radius)
+    bending = 1 / highlights.distance + group.of(highlights.lighting.view.curvature)
     scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
     for number, faces in enumerate(facing):
         change = footprint * (bending + 1 / np.sqrt(incoming.length2[number])) * scale

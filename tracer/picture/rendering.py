@@ -27,8 +27,7 @@ from tracer.picture.memory import keep_heap
 from tracer.picture.workers import AHEAD, forked, processors
 from tracer.scene.model import Scene
 from tracer.view.camera import Raster, raster_of
-from tracer.view.outlines import frames_of
-from tracer.view.visibility import view_of
+from tracer.view.view import frames_of, view_of
 
 if TYPE_CHECKING:
     from tracer.picture.helpers import Fill
@@ -194,7 +193,7 @@ class _Picture(NamedTuple):
         if per_side > 1:
             from tracer.antialias.refine import dense
 
-            if dense(frames_of(raster, scene.surfaces), per_side):
+            if dense(frames_of(raster, scene.surfaces), raster, per_side):
                 lattice = Lattice.of(per_side)
                 width, height = scene.width * lattice.columns, scene.height * lattice.rows
                 offset = right * lattice.columns, down * lattice.rows
@@ -214,7 +213,7 @@ class _Picture(NamedTuple):
     @_QUIET
     def shares(self, count: int) -> list[int]:
         """`_Bands.tops` of a number of bands, for about as many outlines in each."""
-        total = np.cumsum(frames_of(self.raster, self.scene.surfaces).in_rows())
+        total = np.cumsum(frames_of(self.raster, self.scene.surfaces).in_rows(self.raster))
         between: list[int] = np.searchsorted(
             total, total[-1] * np.arange(1, count) / count
         ).tolist()
@@ -308,7 +307,7 @@ class _Renderer(NamedTuple):
         sides = picture.lattice.rows, picture.lattice.columns
         rows, columns = (
             slice(m.start // side, -(-m.stop // side))
-            for m, side in zip(view.outlines.frames.window(), sides, strict=True)
+            for m, side in zip(view.frames.window(view.raster), sides, strict=True)
         )
         return cls(bands, lighting, (rows, columns))
 

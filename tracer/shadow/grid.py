@@ -37,8 +37,8 @@ from tracer.arrays import (
 )
 from tracer.scene.model import Surfaces
 from tracer.shadow.occluders import SLACK, Candidates, Occluders, candidates_by_kind
-from tracer.view.outlines import box_corners, silhouette_planes
-from tracer.view.visibility import Hits
+from tracer.shapes.silhouette import box_corners, silhouette_planes
+from tracer.view.hits import Hits
 
 __all__ = ["LightBuffer", "LightBufferFinder", "light_buffer_finder"]
 
@@ -222,7 +222,7 @@ def light_buffer_finder(occluders: Occluders) -> LightBufferFinder:
     # A row for each axis, in one piece: of columns, minima take ten times as long.
     low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
     high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
-    seen = occluders.view.outlines.frames.in_picture()
+    seen = occluders.view.frames.in_picture(occluders.view.raster)
     buffers = (_buffer_around(light, low, high, surfaces, seen) for light in occluders.lights)
     return LightBufferFinder(occluders, tuple(buffers))
 

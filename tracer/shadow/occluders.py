@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, Triple, columns, indices, pick, ranges, spread
+from tracer.arrays import Bools, Floats, Ints, Triple, columns, each, indices, pick, ranges, spread
 from tracer.scene.model import Surfaces
-from tracer.shapes.intersection import INSIDE, OUTSIDE, SURFACE_TOLERANCE, sphere_side
-from tracer.view.visibility import Hits, View
+from tracer.view.hits import Hits
+from tracer.view.view import View
 
 __all__ = [
     "SLACK",
@@ -48,8 +48,8 @@ class Occluders(NamedTuple):
     lights : (lights, 3)
     side : (lights, n)
         Where each light is to each object: `OUTSIDE` or `INSIDE`, of spheres also `ON`.
-    on_plane : (lights, boxes)
-        Whether each light may lie in the plane of a box's face.
+    near_light : (lights, n)
+        Whether each light may be so near to each object that `Shape.touches` holds for it.
     middle, radius : three (n,) and (n,)
         A ball around each.
     size : (n,)
@@ -61,7 +61,7 @@ class Occluders(NamedTuple):
     view: View
     lights: Floats
     side: NDArray[np.int8]
-    on_plane: Bools
+    near_light: Bools
     middle: Triple
     radius: Floats
     size: Floats
@@ -234,31 +234,25 @@ def candidates_by_kind(
 
 def occluders_of(view: View, lights: Floats) -> Occluders:
     """Gather spheres and boxes, and lights (n, 3)."""
-    surfaces, eye = view.surfaces, view.raster.eye
-    center, radius, low, high = surfaces.center, surfaces.radius, surfaces.min_pt, surfaces.max_pt
-    half = 0.5 * np.sqrt(((high - low) ** 2).sum(axis=1))
-    corner = np.maximum(np.abs(low), np.abs(high))
-    size = np.concatenate([np.abs(center).sum(axis=1) + radius, corner.sum(axis=1)])
-    slack = SLACK * (size + np.abs(eye).sum())
-    away = center - lights[:, None, :]
-    distance = np.sqrt((away * away).sum(axis=2))
-    around = np.abs(lights).sum(axis=1)[:, None] + size[: radius.size]
-    inside = np.ones((len(lights), len(half)), dtype=np.bool_)
-    on_plane = ~inside
-    for k in range(3):
-        place, first, last = lights[:, k, None], low[:, k], high[:, k]
-        inside &= (first < place) & (place < last)
-        reach = slack[radius.size :] + SLACK * np.abs(place)
-        on_plane |= (np.abs(place - first) <= reach) | (np.abs(place - last) <= reach)
-    of_spheres = sphere_side(distance, radius, SURFACE_TOLERANCE * around)
-    of_boxes = np.where(inside, INSIDE, OUTSIDE).astype(np.int8)
+    both = view.spheres, view.boxes
+    size = np.concatenate([shape.size for shape in both])
+    slack = SLACK * (size + np.abs(view.raster.eye).sum())
+    # A row for each light, a column for each object.
+    point = each(lambda m: m[:, None], columns(lights, slice(None)))
+    around = SLACK * np.abs(lights).sum(axis=1)[:, None]
+    side, near = [], []
+    for shape in both:
+        every = shape.first + np.arange(shape.count)
+        side.append(shape.side(every, point))
+        near.append(shape.touches(every, point, slack[every] + around))
+    middle, radius = zip(*(shape.balls for shape in both), strict=True)
     return Occluders(
         view=view,
         lights=lights,
-        side=np.concatenate([of_spheres, of_boxes], axis=1),
-        on_plane=on_plane,
-        middle=columns(np.concatenate([center, 0.5 * (low + high)]), slice(None)),
-        radius=np.concatenate([radius, half]),
+        side=np.concatenate(side, axis=1),
+        near_light=np.concatenate(near, axis=1),
+        middle=columns(np.concatenate(middle), slice(None)),
+        radius=np.concatenate(radius),
         size=size,
         slack=slack,
     )

@@ -19,13 +19,10 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
-    Triple,
     columns,
-    dot,
     each,
     entries,
     indices,
-    pick,
     put,
 )
 from tracer.shadow.occluders import (
@@ -37,17 +34,10 @@ from tracer.shadow.occluders import (
     point_candidates,
 )
 from tracer.shadow.packets import StretchFinder, stretch_finder
-from tracer.shapes.intersection import (
-    INSIDE,
-    ON,
-    OUTSIDE,
-    SURFACE_TOLERANCE,
-    box_blocks,
-    sphere_blocks,
-    sphere_crosses,
-)
+from tracer.shapes.rounding import ON
 from tracer.view.camera import Raster
-from tracer.view.visibility import Hits
+from tracer.view.hits import Hits
+from tracer.view.view import Shape
 
 __all__ = ["Shadows", "shadows_of"]
 
@@ -147,74 +137,21 @@ class Shadows(NamedTuple):
 
         `pairs` (n,): those of the candidates; `larger` (n,) grows objects on all sides.
         """
+        occluders, balls = self.occluders, candidates.balls
         # A ball around one point is centred on it.
-        p = candidates.balls.middle if candidates.single else hits.points(pairs.point)
-        end = each(candidates.spread, columns(self.occluders.lights, candidates.light))
-        block = self._boxes_block if self._of_boxes(candidates) else self._spheres_block
-        return block(candidates, pairs, p, end, larger)
+        p = balls.middle if candidates.single else hits.points(pairs.point)
+        end = each(candidates.spread, columns(occluders.lights, candidates.light))
+        shape = self._shape(candidates)
+        # Ends that may be on a surface are looked at more closely.
+        reach = balls.radius + occluders.slack[candidates.occluder]
+        closely = shape.touches(candidates.occluder, balls.middle, reach)
+        closely |= entries(occluders.near_light, candidates.light, candidates.occluder)
+        eye, closely = occluders.view.raster.eye, candidates.spread(closely)
+        return shape.occludes(eye, pairs.occluder, p, end, closely, larger)
 
-    def _of_boxes(self, candidates: Candidates) -> bool:
-        """Whether the objects are boxes."""
-        return bool(candidates.occluder[0] >= self.occluders.surfaces.sphere_count)
-
-    def _boxes_block(
-        self, candidates: Candidates, pairs: Pairs, p: Triple, end: Triple, larger: Floats | None
-    ) -> Bools:
-        """`_blocks` for boxes, from points `p` to the lights at `end`."""
-        surfaces = self.occluders.surfaces
-        box = candidates.occluder - surfaces.sphere_count
-        corners = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-        low, high = (each(candidates.spread, corner) for corner in corners)
-        if larger is not None:
-            low, high = each(lambda c: c - larger, low), each(lambda c: c + larger, high)
-        blocks = box_blocks(p, end, low, high)
-        # Ends that may be on a face's plane are looked at more closely.
-        at = indices(candidates.spread(self._on_planes(candidates, *corners)))
-        if at.size:
-            near, some = pick(p, at), pairs.take(at)
-            tolerance = self._tolerance(near, some)
-            blocks[at] = box_blocks(
-                near,
-                pick(end, at),
-                pick(low, at),
-                pick(high, at),
-                (tolerance, self._tolerance_at_light(some, tolerance)),
-            )
-        if larger is not None:
-            # A box shrunk to less than nothing blocks nothing.
-            blocks &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
-        return blocks
-
-    def _spheres_block(
-        self, candidates: Candidates, pairs: Pairs, p: Triple, end: Triple, larger: Floats | None
-    ) -> Bools:
-        """`_blocks` for spheres, from points `p` to the lights at `end`."""
-        occluders, surfaces = self.occluders, self.occluders.surfaces
-        to_light = each(np.subtract, end, p)
-        center = columns(surfaces.center, candidates.occluder)
-        to_center = each(lambda c, p: candidates.spread(c) - p, center, p)
-        radius_of = surfaces.radius[candidates.occluder]
-        radius = candidates.spread(radius_of)
-        if larger is not None:
-            radius = np.maximum(radius + larger, 0)
-        blocks = sphere_crosses(to_light, to_center, radius)
-        # Ends that may be in or on a sphere are looked at more closely.
-        aside = each(np.subtract, candidates.balls.middle, center)
-        reach = radius_of + candidates.balls.radius + occluders.slack[candidates.occluder]
-        closely = entries(occluders.side, candidates.light, candidates.occluder) != OUTSIDE
-        closely |= dot(aside, aside) <= reach * reach
-        at = indices(candidates.spread(closely))
-        if at.size:
-            some = pairs.take(at)
-            blocks[at] = sphere_blocks(
-                pick(to_light, at),
-                pick(to_center, at),
-                radius[at],
-                self._tolerance(pick(p, at), some),
-                entries(occluders.side, some.light, some.occluder),
-                occluders.view.eye_inside[some.occluder],
-            )
-        return blocks
+    def _shape(self, candidates: Candidates) -> Shape:
+        """The shape of the objects."""
+        return self.occluders.view.shape_of(candidates.occluder[0])
 
     def _gap_to_light(self, candidates: Candidates) -> Floats:
         """How far objects must grow to reach their light, for each point; negative with it inside.
@@ -222,43 +159,8 @@ class Shadows(NamedTuple):
         An object grown by more holds the light.  It may then hold the whole of a segment, and
         block nothing, where the object itself blocks it.
         """
-        surfaces, light = self.occluders.surfaces, columns(self.occluders.lights, candidates.light)
-        if not self._of_boxes(candidates):
-            away = each(np.subtract, columns(surfaces.center, candidates.occluder), light)
-            radius = surfaces.radius[candidates.occluder]
-            return candidates.spread(np.sqrt(dot(away, away)) - radius)
-        box = candidates.occluder - surfaces.sphere_count
-        low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-        sides = (*each(np.subtract, low, light), *each(np.subtract, light, high))
-        return candidates.spread(np.max(sides, axis=0))
-
-    def _on_planes(self, candidates: Candidates, low: Triple, high: Triple) -> Bools:
-        """Whether balls, or their lights, touch the plane of a face of their boxes."""
-        occluders, balls = self.occluders, candidates.balls
-        reach = balls.radius + occluders.slack[candidates.occluder]
-        box = candidates.occluder - occluders.surfaces.sphere_count
-        result = entries(occluders.on_plane, candidates.light, box)
-        for middle, a, b in zip(balls.middle, low, high, strict=True):
-            # The distance from the nearer of the two planes.
-            offset = np.abs(middle - 0.5 * (a + b))
-            offset -= 0.5 * (b - a)
-            result |= np.abs(offset, out=offset) <= reach
-        return result
-
-    def _tolerance(self, p: Triple, pairs: Pairs) -> Floats:
-        """How near to an object points count as on it, pair by pair."""
-        x, y, z = self.occluders.view.raster.eye.tolist()
-        ray = p[0] - x, p[1] - y, p[2] - z
-        reach: Floats = np.sqrt(dot(ray, ray)) + sum(each(np.abs, p))
-        return SURFACE_TOLERANCE * (reach + self.occluders.size[pairs.occluder])
-
-    def _tolerance_at_light(self, pairs: Pairs, tolerance: Floats) -> Floats:
-        """How near to a box its light counts as on it; `tolerance`: how near the points do."""
-        occluders = self.occluders
-        reach = np.abs(occluders.lights).sum(axis=1)[pairs.light]
-        at_light = SURFACE_TOLERANCE * (reach + occluders.size[pairs.occluder])
-        inside = entries(occluders.side, pairs.light, pairs.occluder) == INSIDE
-        return np.where(inside, tolerance, np.maximum(tolerance, at_light))
+        light = columns(self.occluders.lights, candidates.light)
+        return candidates.spread(self._shape(candidates).gap(candidates.occluder, light))
 
 
 def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:

@@ -32,10 +32,9 @@ from tracer.arrays import (
     ranges,
     rows,
 )
-from tracer.shadow.capsules import box_and_capsule, sphere_and_capsule
 from tracer.shadow.occluders import SLACK, Balls, Candidates, Occluders
-from tracer.shapes.intersection import SURFACE_TOLERANCE
-from tracer.view.visibility import Hits
+from tracer.view.hits import Hits
+from tracer.view.view import Shape
 
 __all__ = ["StretchFinder", "stretch_finder"]
 
@@ -49,12 +48,13 @@ class _OccluderLists(NamedTuple):
 
     Attributes
     ----------
-    spheres : bool
+    shape : Spheres or Boxes
+        Of what is listed.
     first, listed : (lights * n + 1,) and (m,)
         For light l and object i: listed[first[l * n + i]:first[l * n + i + 1]].
     """
 
-    spheres: bool
+    shape: Shape
     first: Ints
     listed: Ints
 
@@ -103,31 +103,30 @@ class StretchFinder(NamedTuple):
 
 def stretch_finder(occluders: Occluders) -> StretchFinder:
     """Prepare the coarsest step: all objects tried against each other."""
-    spheres, count = occluders.surfaces.sphere_count, len(occluders.surfaces)
-    kinds = np.arange(spheres), np.arange(spheres, count)
     # Nothing shades a lone object.
-    lists = (_occluder_lists(occluders, kind) for kind in kinds if kind.size and count > 1)
+    shapes = occluders.view.shapes if len(occluders.surfaces) > 1 else ()
+    lists = (_occluder_lists(occluders, shape) for shape in shapes)
     return StretchFinder(occluders, tuple(some for some in lists if some.listed.size))
 
 
-def _occluder_lists(occluders: Occluders, occluder: Ints) -> _OccluderLists:
-    """Try occluders (n,), all spheres or all boxes, against all objects that they may shade."""
-    lights, spheres = occluders.lights, bool(occluder[0] < occluders.surfaces.sphere_count)
+def _occluder_lists(occluders: Occluders, shape: Shape) -> _OccluderLists:
+    """Try all objects of a shape against all objects that they may shade."""
+    lights, occluder = occluders.lights, shape.first + np.arange(shape.count)
     around_light = SLACK * np.abs(lights).sum(axis=1)
     light, own = (m.ravel() for m in np.indices(occluders.side.shape))
-    seen = occluders.view.outlines.frames.in_picture()
+    seen = occluders.view.frames.in_picture(occluders.view.raster)
     counts, listed = [np.zeros(1, dtype=np.intp)], [occluder[:0]]
     # A row for each light and each object it may light, a column for each that may shade it.
     for some in batches(np.full(light.size, occluder.size)):
         at, one = light[some, None], own[some, None]
         thickness = occluders.radius[one] + 2 * occluders.slack[one] + around_light[at]
         middle = pick(occluders.middle, one)
-        may, _ = _near(occluders, spheres, middle, thickness, at, occluder)
+        may, _ = shape.capsules(occluder, middle, columns(lights, at), thickness)
         may &= (one != occluder) & seen[one]
         counts.append(np.count_nonzero(may, axis=1))
         listed.append(occluder[np.nonzero(may)[1]])
     first = np.cumsum(np.concatenate(counts))
-    return _OccluderLists(spheres, first, np.concatenate(listed))
+    return _OccluderLists(shape, first, np.concatenate(listed))
 
 
 class _Search(NamedTuple):
@@ -170,7 +169,8 @@ class _Search(NamedTuple):
     ) -> tuple[Ints, Ints, Ints]:
         """Those of the given lights, tiles and objects whose object may come between."""
         middle, radius = pick(tiles.middle, tile), tiles.radius[tile]
-        meets, _ = _near(self.occluders, lists.spheres, middle, radius, light, occluder)
+        end = columns(self.occluders.lights, light)
+        meets, _ = lists.shape.capsules(occluder, middle, end, radius)
         near = indices(meets)
         return light[near], tile[near], occluder[near]
 
@@ -184,9 +184,8 @@ class _Search(NamedTuple):
         some = indices(entries(self.asked, light, stretch))
         light, stretch, occluder = light[some], stretch[some], occluder[some]
         balls = self.balls.take(stretch)
-        meets, cuts = _near(
-            self.occluders, lists.spheres, balls.middle, balls.radius, light, occluder
-        )
+        end = columns(self.occluders.lights, light)
+        meets, cuts = lists.shape.capsules(occluder, balls.middle, end, balls.radius)
         put(self.asked, light[cuts], stretch[cuts], False)
         self._darken(light, balls, cuts)
         near = indices(meets & entries(self.asked, light, stretch))
@@ -197,9 +196,8 @@ class _Search(NamedTuple):
         light, stretch, occluder = light[at], stretch[at], occluder[at]
         balls = _on_chords(self.occluders, self.hits, self.balls.owner[stretch], start, length)
         balls.radius[:] += self.margin[stretch]
-        meets, cuts = _near(
-            self.occluders, lists.spheres, balls.middle, balls.radius, light, occluder
-        )
+        end = columns(self.occluders.lights, light)
+        meets, cuts = lists.shape.capsules(occluder, balls.middle, end, balls.radius)
         self._darken(light, balls, cuts)
         # A short stretch is marked as a whole, so its first point tells.
         near = indices(meets & ~entries(self.dark, light, start))
@@ -253,14 +251,14 @@ def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     # between the ends holds them.
     a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
     half = each(lambda a, b: 0.5 * (a + b), a, b)
-    middle = hits.raster.point_to_scene(half)
+    middle = hits.view.raster.point_to_scene(half)
     across = each(np.subtract, b, a)
     radius = 0.5 * np.sqrt(dot(across, across))
     spheres, eye_inside = occluders.surfaces.sphere_count, occluders.view.eye_inside
     if eye_inside[:spheres].any():
         # Seen from inside, an arc may be longer: then all of the sphere is the ball.
         inside = indices(eye_inside[owner] & (owner < spheres) & (count > 1))
-        center = hits.raster.to_camera(occluders.surfaces.center[owner[inside]])
+        center = hits.view.raster.to_camera(occluders.surfaces.center[owner[inside]])
         longer = inside[~_is_short(pick(half, inside), pick(across, inside), center)]
         for m, c in zip(middle, occluders.middle, strict=True):
             m[longer] = c[owner[longer]]
@@ -272,7 +270,7 @@ def _on_points(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     """Put balls around stretches, which follow each other, of points that lie anywhere."""
     low, high = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
     half = 0.5 * (high - low)
-    middle = hits.raster.point_to_scene(rows(low + half, slice(None)))
+    middle = hits.view.raster.point_to_scene(rows(low + half, slice(None)))
     radius = np.sqrt((half * half).sum(axis=0))
     return Balls(owner, start, count, middle, radius + occluders.slack[owner])
 
@@ -288,26 +286,3 @@ def _is_short(middle: Triple, chord: Triple, center: Triple) -> Bools:
     size = dot(away, away) + dot(middle, middle) + dot(center, center)
     short: Bools = beyond > SLACK * size
     return short
-
-
-def _near(
-    occluders: Occluders,
-    spheres: bool,
-    middle: Triple,
-    radius: Floats,
-    light: Ints,
-    occluder: Ints,
-) -> tuple[Bools, Bools]:
-    """Whether objects may come between balls and lights, and whether they surely do.
-
-    The objects are all spheres, or all boxes.
-    """
-    surfaces, end = occluders.surfaces, columns(occluders.lights, light)
-    if spheres:
-        center = columns(surfaces.center, occluder)
-        return sphere_and_capsule(middle, end, radius, center, surfaces.radius[occluder])
-    box = occluder - surfaces.sphere_count
-    low, high = columns(surfaces.min_pt, box), columns(surfaces.max_pt, box)
-    # What counts as on a face may be so far off it.
-    thickness = radius + 2 * SURFACE_TOLERANCE * occluders.size[occluder]
-    return box_and_capsule(middle, end, thickness, low, high)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, indices, rows
 from tracer.shadow.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
-from tracer.view.visibility import Hits
+from tracer.view.hits import Hits
 
 __all__ = ["ShadowCache"]
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from brute_force import blocks, light_side, size_of
+from brute_force import blocks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe import Surface
 from random_objects import a_box, a_point, a_sphere, triple, unit_vectors, vector
 
-from tracer import Box, Sphere, Surfaces
+from tracer import Box, Camera, Sphere, Surfaces
 from tracer.arrays import Bools, Floats
-from tracer.shadow.capsules import box_and_capsule, sphere_and_capsule
-from tracer.shapes.intersection import SURFACE_TOLERANCE
+from tracer.shapes.rounding import SURFACE_TOLERANCE
+from tracer.view.camera import raster_of
+from tracer.view.view import Shape, view_of
 
 SLACK = 1e-9
 """Of all sizes around: so much thicker than their balls capsules are asked for."""
@@ -93,15 +96,21 @@ class Case:
             low, high = (np.array(v) * scale + shift for v in (surface.min_pt, surface.max_pt))
             self.surface = Box(min_pt=vector(low), max_pt=vector(high))
         self.middle, self.light = middle * scale + shift, light * scale + shift
-        around = np.abs(self.middle).sum() + np.abs(self.light).sum() + size_of(self.surface)
+        shape = alone(self.surface)
+        around = np.abs(self.middle).sum() + np.abs(self.light).sum() + shape.size[0]
         self.thickness = float(radius * scale + SLACK * (around + radius * scale))
-        x, y, z = (points * scale + shift).T
-        reach = np.abs(x) + np.abs(y) + np.abs(z)
-        side = light_side(self.surface, vector(self.light))
-        self.blocked = [
-            blocks(self.surface, eye_inside, side, (x, y, z), vector(self.light), reach)
-            for eye_inside in (False, True)
+        p = triple(points * scale + shift)
+        # Of a point on a sphere it counts from which side it is seen.
+        sides = [
+            replace(shape, power=np.array([m])) if not shape.flat else shape for m in (1.0, -1)
         ]
+        self.blocked = [blocks(side, np.zeros(3), p, vector(self.light)) for side in sides]
+
+
+def alone(*surfaces: Surface) -> Shape:
+    """A shape with objects of one kind; where they are seen from does not matter."""
+    (shape,) = view_of(raster_of(Camera(), 1, 1), Surfaces.of(surfaces)).shapes
+    return shape
 
 
 @np.errstate(all="ignore")
@@ -109,12 +118,8 @@ def capsules(cases: list[Case]) -> tuple[Bools, Bools]:
     """Whether the objects, all of one kind, meet and cut their capsules."""
     start, end = triple([c.middle for c in cases]), triple([c.light for c in cases])
     thickness = np.array([c.thickness for c in cases])
-    surfaces = Surfaces.of([c.surface for c in cases])
-    if len(surfaces.radius):
-        center = triple(surfaces.center)
-        return sphere_and_capsule(start, end, thickness, center, surfaces.radius)
-    low, high = triple(surfaces.min_pt), triple(surfaces.max_pt)
-    return box_and_capsule(start, end, thickness, low, high)
+    shape = alone(*(c.surface for c in cases))
+    return shape.capsules(np.arange(len(cases)), start, end, thickness)
 
 
 @np.errstate(all="ignore")
@@ -159,10 +164,10 @@ def test_ends_on_a_planet(radius: float) -> None:
     rng = np.random.default_rng(1)
     height = 2 * radius * SURFACE_TOLERANCE * rng.uniform(-1, 1, (2, 1000))
     x, z = 1e-9 * radius * rng.normal(size=(2, 2, 1000))
-    center = np.zeros(1000), np.full(1000, -radius), np.zeros(1000)
+    planet = alone(Sphere(center=(0, -radius, 0), radius=radius))
     start, end = zip(x, height, z, strict=True)
     thickness = np.full(1000, 1e-30)
-    meets, cuts = sphere_and_capsule(start, end, thickness, center, np.full(1000, radius))
+    meets, cuts = planet.capsules(np.zeros(1000, dtype=np.intp), start, end, thickness)
     assert meets.all()
     assert not cuts.any()
 
@@ -171,10 +176,8 @@ def test_ends_on_a_planet(radius: float) -> None:
 def test_light_straight_over_a_large_ball(size: float) -> None:
     # A box aside of the segment along an axis, but within the ball at its foot.
     start, end = (np.zeros(1),) * 3, (np.zeros(1), np.array([10 * size]), np.zeros(1))
-    low, high = np.array([[3.0], [2.0], [-1.0]]) * size, np.array([[5.0], [2.5], [1.0]]) * size
+    box = alone(Box(min_pt=(3 * size, 2 * size, -size), max_pt=(5 * size, 2.5 * size, size)))
     with np.errstate(all="ignore"):
-        meets, cuts = box_and_capsule(
-            start, end, np.array([14 * size]), (low[0], low[1], low[2]), (high[0], high[1], high[2])
-        )
+        meets, cuts = box.capsules(np.zeros(1, np.intp), start, end, np.array([14 * size]))
     assert meets.all()
     assert not cuts.any()

@@ -15,13 +15,13 @@ from probe import scene_of
 from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
-from tracer.antialias.lattice import Samples, Scattered
 from tracer.arrays import Floats
 from tracer.light import lighting
 from tracer.picture import rendering
 from tracer.view.camera import raster_of
-from tracer.view.outlines import frames_of
-from tracer.view.visibility import Hits, View, view_of
+from tracer.view.hits import Hits
+from tracer.view.samples import Samples, Scattered
+from tracer.view.view import View, frames_of, view_of
 
 
 def assert_same(scene: Scene) -> None:
@@ -163,8 +163,8 @@ def test_nothing_is_seen_outside_the_window(kind: str) -> None:
         raster = raster_of(scene.camera, scene.width, scene.height)
         frames = frames_of(raster, scene.surfaces)
         image = brute_force(scene)
-        assert not image[frames.in_rows() == 0].any()
-        image[frames.window()] = 0
+        assert not image[frames.in_rows(raster) == 0].any()
+        image[frames.window(raster)] = 0
         assert not image.any()
 
 
@@ -176,11 +176,11 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     raster = raster_of(alone.camera, alone.width, alone.height)
     frames = frames_of(raster, alone.surfaces)
     seen = render(alone).any(axis=2)
-    for window, axis in zip(frames.window(), (1, 0), strict=True):
+    for window, axis in zip(frames.window(raster), (1, 0), strict=True):
         first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()
         assert first - 3 <= window.start <= first
         assert last < window.stop <= last + 4
-    assert np.array_equal(np.unique(frames.in_rows()), [0, 1])
+    assert np.array_equal(np.unique(frames.in_rows(raster)), [0, 1])
 
 
 def test_a_row_of_rays_along_an_edge() -> None:
