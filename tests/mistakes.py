@@ -6,12 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tracer import Lambertian, Scene, render
-from tracer.antialias.lattice import CENTRES
+from tracer import Hits, Lambertian, Scene, first_hits, render
 from tracer.arrays import Floats
-from tracer.view.camera import raster_of
-from tracer.view.view import view_of
-from tracer.view.visibility import visible as hits_of
 
 
 def no_highlights(scene: Scene) -> Floats:
@@ -22,7 +18,7 @@ def no_highlights(scene: Scene) -> Floats:
 
 def no_shadows(scene: Scene) -> Floats:
     """Each surface as if it were alone in the world."""
-    _, owner = visible(scene)
+    owner = visible(scene).surface.reshape(scene.height, scene.width)
     image = np.zeros((scene.height, scene.width, 3))
     for index, surface in enumerate(scene.surfaces):
         own = owner == index
@@ -30,13 +26,7 @@ def no_shadows(scene: Scene) -> Floats:
     return image
 
 
-@np.errstate(all="ignore")
-def visible(scene: Scene) -> tuple[Floats, Floats]:
-    """What is seen: points (h, w, 3) and the places of their surfaces (h, w); NaN for nothing."""
-    height, width = scene.height, scene.width
-    view = view_of(raster_of(scene.camera, width, height), scene.surfaces)
-    hits = hits_of(view, CENTRES.samples(slice(0, height), slice(0, width)))
-    points, owner = np.full((height * width, 3), np.nan), np.full(height * width, np.nan)
-    points[hits.sample] = np.stack(hits.points(slice(None)), axis=1)
-    owner[hits.sample] = scene.surfaces.file_index[hits.own]
-    return points.reshape(height, width, 3), owner.reshape(height, width)
+def visible(scene: Scene) -> Hits:
+    """Surfaces at the pixels' centres, row by row."""
+    row, column = np.divmod(np.arange(scene.height * scene.width), scene.width)
+    return first_hits(scene, column + 0.5, row + 0.5)

@@ -31,7 +31,7 @@ def wrong_gamma(scene: Scene) -> Floats:
 
 def falling_off(scene: Scene) -> Floats:
     """Lights as strong as they should be at the middle distance, but falling off."""
-    points, _ = visible(scene)
+    points = visible(scene).point.reshape(scene.height, scene.width, 3)
     image = np.zeros((scene.height, scene.width, 3))
     for light in scene.lights:
         distance2 = ((points - light.position) ** 2).sum(axis=2)

@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     )
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
+    from tracer.view.first_hits import Hits, first_hits
 
 __all__ = [
     "Box",
     "Camera",
+    "Hits",
     "Lambertian",
     "Phong",
     "PointLight",
@@ -37,6 +39,7 @@ __all__ = [
     "Shader",
     "Sphere",
     "Surfaces",
+    "first_hits",
     "load_scene",
     "render",
     "to_codes",
@@ -48,8 +51,10 @@ __version__ = "1.0.0"
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
+        "Hits": "tracer.view.first_hits",
         "SceneError": "tracer.scene.schema",
         "SceneFileError": "tracer.scene.reader",
+        "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.rendering",
         "to_codes": "tracer.picture.png",
