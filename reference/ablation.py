@@ -25,8 +25,8 @@ from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.classify import LightingIn, Seen
-from tracer.antialias.edges import Lines
 from tracer.antialias.lattice import Lattice
+from tracer.antialias.lines import Lines
 from tracer.antialias.regions import Points
 from tracer.arrays import Floats, Ints
 from tracer.light import shading

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tracer.antialias.edges import Kind, Lines
 from tracer.antialias.lattice import Lattice
+from tracer.antialias.lines import Kind, Lines
 from tracer.antialias.regions import mixed, post_stratified, sides_of
 from tracer.arrays import Floats, Ints
 
@@ -98,7 +98,7 @@ def test_a_shadow_divides_a_single_surface() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_means_of_roots_within_a_limb_are_exact(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    lines = lines_in(rng, np.ones(200, dtype=np.intp), Kind.LIMB)
+    lines = lines_in(rng, np.ones(200, dtype=np.intp), Kind.SILHOUETTE)
     # Some of them pass their cells by.
     lines = lines._replace(c=lines.c * np.where(rng.random(200) < 0.3, -3.0, 1.0))
     steep = np.maximum(np.abs(lines.a), np.abs(lines.b))

@@ -13,8 +13,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.boundaries import Patches, footprints_of, intersections, near_lights
-from tracer.antialias.edges import Lines
+from tracer.antialias.edges import Views, footprints_of
+from tracer.antialias.lines import Lines
+from tracer.antialias.margins import Margins, fitted, joined, sheets
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.light.lighting import (
     Highlights,
@@ -30,6 +31,9 @@ from tracer.view.samples import Samples, Scattered
 from tracer.view.visibility import visible_and_behind
 
 __all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]
+
+# Cells with a larger footprint than this, as a part of the distance to a light, are split.
+_WIDE = 0.1
 
 LightingIn: TypeAlias = Callable[[Ints], Lighting]
 """Given the cell of each sample: the lighting, with what is known of shadows in those cells."""
@@ -90,7 +94,7 @@ class Seen(NamedTuple):
         Of the sample in each cell's middle.
     key : (n,)
         See `key_of`; -1 where nothing is seen.
-    lines : list of Lines
+    lines : Lines
         What divides the surfaces: where they meet, ridges, shadows and terminators.
     cell : (n,)
         The cell of each sample that was taken.
@@ -102,7 +106,7 @@ class Seen(NamedTuple):
 
     radiance: Floats
     key: Ints
-    lines: list[Lines]
+    lines: Lines
     cell: Ints
     shadow_edges: ShadowEdges
     unresolved: Bools
@@ -139,6 +143,7 @@ def look_at(
     size: float,
     tolerance: float,
     share: float = 1.0,
+    outlines: tuple[Margins, ...] | list[Margins] = (),
 ) -> Seen:
     """Look at cells of a size around positions in any order.
 
@@ -146,7 +151,7 @@ def look_at(
     `share`: see `look`.
     """
     samples, order = Scattered.of(x, y)
-    return look(lighting_in(cell[order]), samples, order, size, tolerance, share)
+    return look(lighting_in(cell[order]), samples, order, size, tolerance, share, outlines)
 
 
 def look(
@@ -156,6 +161,7 @@ def look(
     size: float,
     tolerance: float,
     share: float = 1.0,
+    outlines: tuple[Margins, ...] | list[Margins] = (),
 ) -> Seen:
     """Look at cells of a size around samples.
 
@@ -164,19 +170,19 @@ def look(
     """
     radiance, key = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
-    surfaces = lighting.view.surfaces
-    hits, behind = visible_and_behind(lighting.view, samples, size)
-    lines = [intersections(hits, behind, surfaces, cell, size, tolerance, unresolved)]
+    view = lighting.view
+    hits, behind = visible_and_behind(view, samples, size)
     incoming = incoming_at(lighting, hits)
     facing = incoming.n_dot_l > 0
-    footprint = footprints_of(hits, surfaces.radius, size)
+    footprint = footprints_of(hits, view.surfaces.radius, size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
-    wide = near_lights(incoming, share * footprint)
+    wide = np.any(incoming.length2 < (share * footprint / _WIDE) ** 2, axis=0)
     unresolved[cell[hits.sample[wide]]] = True
-    reach = footprint.copy()
-    reach[wide] = 0
+    reach = np.where(wide, 0, footprint)
     blocked, found = lighting.shadows.edges(hits, facing, reach)
     lit = facing & ~blocked
+    views = Views(lighting, hits, sheets(hits), cell[hits.sample], footprint, size)
+    margins = [*outlines, *views.intersections(behind), *views.shadows(found)]
     for group in hits.groups:
         inside, part = cell[group.sample], group.part
         here, reached = incoming.part(part), lit[:, part]
@@ -187,7 +193,7 @@ def look(
         key[inside] = key_of(group, reached)
         for places in narrow_highlights(highlights, here, facing[:, part], share * footprint[part]):
             unresolved[inside[places]] = True
-        patches = Patches(lighting, hits, group, inside, footprint[part], size, tolerance)
-        lines.append(patches.shadows(found, unresolved))
-        lines.append(patches.ridges() if group.flat else patches.terminators(here, unresolved))
+        margins += views.creases(group) if group.flat else views.terminators(group, incoming)
+    lines, curved = fitted(joined(margins), tolerance)
+    unresolved[curved] = True
     return Seen(radiance, key, lines, cell, found, unresolved)

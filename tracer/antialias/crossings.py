@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, Seen
-from tracer.antialias.edges import Kind, Lines, Pencil, joined
-from tracer.arrays import Floats, Ints, each, expand, indices, pick
+from tracer.arrays import Floats, Ints, expand
 from tracer.view.view import View
 
-__all__ = ["crossed", "outlines_across"]
+__all__ = ["crossed"]
 
 # A line so near to the top or bottom of an object, in pixels, may touch it and no more.
 _TOUCHING = 1e-6
@@ -51,40 +49,3 @@ def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))
     span, column = expand(stop - start, start)
     return row[span] + rows.start, column, owner[span]
-
-
-def outlines_across(view: View, cells: Cells, seen: Seen) -> Lines:
-    """Lines that outlines draw across cells; marks in `seen` where they are not straight."""
-    spheres = view.spheres
-    lines = []
-    at = indices(cells.owner < spheres.count)
-    if at.size:
-        cell, ball = cells.cell[at], cells.owner[at]
-        pencil = _pencil(view, cells, cell, Kind.LIMB)
-        discs, turn, near = pencil.discs(pick(spheres.local, ball), spheres.radius[ball])
-        # The outline of a sphere that the eye is on is no circle around its centre.
-        on = spheres.power[ball] == 0
-        turn[on], near[on] = np.inf, True
-        lines.append(discs.straightened(turn, cells.tolerance, seen.unresolved, near))
-    at = indices(cells.owner >= spheres.count)
-    if at.size:
-        pencil = _pencil(view, cells, cells.cell[at], Kind.EDGE)
-        a, b, c = each(lambda m: m.take(cells.owner[at] - spheres.count, axis=1), view.boxes.planes)
-        edges, _, unknown = pencil.boxes((a, b, c / view.raster.depth))
-        seen.unresolved[pencil.cell[unknown]] = True
-        lines.append(edges)
-    return joined(lines)
-
-
-def _pencil(view: View, cells: Cells, cell: Ints, kind: Kind) -> Pencil:
-    """Rays through the middles of some cells, in the camera's axes."""
-    raster = view.raster
-    s, g = raster.across(cells.x[cell]), raster.down(cells.y[cell])
-    zero, one = np.zeros(s.size), np.ones(s.size)
-    return Pencil(
-        kind,
-        cell,
-        (s, g, raster.depth * one),
-        (raster.step_u * cells.size * one, zero, zero),
-        (zero, raster.step_v * cells.size * one, zero),
-    )

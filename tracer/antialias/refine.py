@@ -23,10 +23,11 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.antialias.classify import Cells, LightingIn, Seen, look, look_at, radiance_in
-from tracer.antialias.crossings import crossed, outlines_across
+from tracer.antialias.crossings import crossed
 from tracer.antialias.curvature import curvature, extrapolated
-from tracer.antialias.edges import Kind, Lines, joined
+from tracer.antialias.edges import silhouettes
 from tracer.antialias.lattice import CENTRES, Lattice
+from tracer.antialias.lines import Kind, Lines, joined
 from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
@@ -95,16 +96,20 @@ def antialiased(
     # The finer the grid that is asked for, the less a sample may be off.
     tolerance = _CURVATURE / per_side**1.5
     centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
-    seen = look(lighting, centres, np.arange(centres.size), 1.0, tolerance)
+    row, column, owner = crossed(view, rows, slice(begin, end))
+    pixel = (row - top) * width + column - left
+    x, y = centres.positions()
+    outlines = silhouettes(view, pixel, owner, x[pixel], y[pixel], 1.0)
+    seen = look(lighting, centres, np.arange(centres.size), 1.0, tolerance, 1.0, outlines)
     bend, error = curvature(seen.radiance, seen.key, width)
     mean = np.add(seen.radiance, bend, out=bend)
-    row, column, owner = crossed(view, rows, slice(begin, end))
     pixels = Cells(
         1.0,
         tolerance,
-        *centres.positions(),
+        x,
+        y,
         error,
-        (row - top) * width + column - left,
+        pixel,
         owner,
     )
     inside = np.zeros((height, width), dtype=np.bool_)
@@ -126,10 +131,10 @@ def _refine(
     `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
     asked for.  `wanted` (n,): where means are of interest.
     """
-    lines = joined([outlines_across(lighting.view, cells, seen), *seen.lines])
+    lines = seen.lines
     unresolved = cells.error > cells.tolerance
     # Just within a limb light bends because it falls off towards that line: points there tell.
-    unresolved[lines.cell[(lines.kind == Kind.LIMB) & (lines.c < 0)]] = False
+    unresolved[lines.cell[(lines.kind == Kind.SILHOUETTE) & (lines.c < 0)]] = False
     unresolved |= seen.unresolved
     same = _SAME * cells.tolerance
     lines = _few(lines.take(indices(wanted[lines.cell])), same, unresolved)
@@ -185,7 +190,7 @@ def _look_beyond(
     # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
     seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
-    found = joined(seen.lines)
+    found = seen.lines
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
     lines = Lines(cell[found.cell], found.kind, a, b, c).crossing()
@@ -254,7 +259,10 @@ def _split(
         part = some[begin : begin + step]
         quarters, inside = cells.split(part), part.repeat(4)
         x, y, size = quarters.x, quarters.y, quarters.size
-        closer = look_at(lighting_in, x, y, inside, size, cells.tolerance)
+        q = quarters.cell
+        outlines = silhouettes(lighting.view, q, quarters.owner, x[q], y[q], size)
+        # `cell` of a quarter's silhouettes is the quarter
+        closer = look_at(lighting_in, x, y, inside, size, cells.tolerance, 1.0, outlines)
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

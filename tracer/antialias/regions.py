@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edges import Kind, Lines
+from tracer.antialias.lines import Kind, Lines
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices
 
 __all__ = ["Points", "mixed", "post_stratified", "sides_of"]
@@ -73,7 +73,7 @@ def sides_of(lines: Lines, same: float) -> tuple[Points, Bools]:
     side = np.repeat([1.0, -1.0], share.size)
     other = np.tile(lines.kind != Kind.SHADOW, 2)
     beyond = other & (side * np.tile(lines.c, 2) <= same * np.tile(lines.reach(), 2))
-    limb = indices(lines.kind == Kind.LIMB)
+    limb = indices(lines.kind == Kind.SILHOUETTE)
     within = share.size + limb
     shares[within] = 0  # two points stand for that side
     sides = Points(np.tile(lines.cell, 2), shares, x, y)
