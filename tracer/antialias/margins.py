@@ -87,6 +87,8 @@ def fitted(margins: Margins, tolerance: float) -> tuple[Lines, Ints]:
     curvature, and so its turn over that length, is |t . H t| / |g|.
     """
     cell, kind, value = margins
+    # Whatever the unit of lengths, squares of squares stay within the range of numbers.
+    value = value / reach(value)
     middle, right, left, below, above, corner = value
     a, b = right - left, below - above
     xx, yy = 4 * (right + left - 2 * middle), 4 * (below + above - 2 * middle)
@@ -108,7 +110,7 @@ def fitted(margins: Margins, tolerance: float) -> tuple[Lines, Ints]:
     straight = turn <= _MOST_TURN
     crosses = lines.crosses()
     # Arcs may cross cells that their tangents miss; NaN rules nothing out.
-    near = np.where(straight, crosses, ~(np.abs(middle) > reach(value)))
+    near = np.where(straight, crosses, ~(np.abs(middle) > 1))
     most = np.where(kind == Kind.SILHOUETTE, _SILHOUETTE_TURN, _TURN) * tolerance
     curved = near & ~(turn <= np.minimum(most, _MOST_TURN))
     return lines.take(indices(straight & crosses)), cell[indices(curved)]
