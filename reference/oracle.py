@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import permutations
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from tracer.scene.model import Box, Phong, Scene, Shader, Sphere
 
@@ -403,7 +403,7 @@ def _replace(v: Vector, axis: int, value: Decimal) -> Vector:
     return x, y, z
 
 
-def _vector(v: tuple[float, float, float]) -> Vector:
+def _vector(v: Any) -> Vector:
     return Decimal(v[0]), Decimal(v[1]), Decimal(v[2])
 
 

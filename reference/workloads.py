@@ -6,9 +6,10 @@ from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
-from tracer.arrays import Floats, Vector
+from tracer.arrays import Vector
 
 __all__ = ["CROWDS", "Crowd", "afresh", "calm", "crowd", "lit_by", "resized", "rods", "to_xml"]
 
@@ -167,7 +168,7 @@ def to_xml(scene: Scene) -> str:
     """A scene in the tracer's own format."""
     camera, s = scene.camera, scene.surfaces
 
-    def numbers(values: Floats | tuple[float, ...]) -> str:
+    def numbers(values: ArrayLike) -> str:
         return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))
 
     surfaces = [""] * len(s)

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from tracer.antialias import refine as antialias
-from tracer.scene import reader
 from tracer.shadow import occlusion as shadow
 
 # So that its assertions show their values when they fail, as those in test files do.
@@ -49,12 +48,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     for reason in sorted(reasons - known):
         reporter.write_line(f"not expected: {reason}", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
-
-
-@pytest.fixture(params=["small", "large"])
-def either_reader(request, monkeypatch):
-    """All files are read as small ones are, or as large ones."""
-    monkeypatch.setattr(reader, "_LARGE", {"small": reader.MAX_BYTES, "large": 0}[request.param])
 
 
 @pytest.fixture

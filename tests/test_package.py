@@ -45,7 +45,7 @@ def test_modules_take_from_each_other_what_is_public(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["tracer.scene.contents", "tracer.scene.reader", "tracer.scene.model"]
+    "name", ["tracer.scene.elements", "tracer.scene.reader", "tracer.scene.model"]
 )
 def test_constants_and_types_are_public_or_not_by_their_name(name):
     module = import_module(name)

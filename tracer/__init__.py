@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
+    from tracer.scene.writer import save_scene
     from tracer.view.first_hits import Hits, first_hits
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "first_hits",
     "load_scene",
     "render",
+    "save_scene",
     "to_codes",
     "write_png",
 ]
@@ -57,6 +59,7 @@ if not TYPE_CHECKING:
         "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.rendering",
+        "save_scene": "tracer.scene.writer",
         "to_codes": "tracer.picture.png",
         "write_png": "tracer.picture.png",
     }

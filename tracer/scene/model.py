@@ -1,17 +1,18 @@
 """The scene: frozen, validated dataclasses, and the arrays the tracer reads.
 
-Everything is checked when it is made, whether it comes from XML or from
-Python, so the renderer never meets an impossible value.  A check that fails
-raises :class:`SceneError`, which tells all faults that can be told at once, not only
-the first.
+Everything is checked when it is made, whether it comes from XML or from Python, so the renderer
+never meets an impossible value: numbers are finite, lengths and coordinates other than 0 within
+`schema.SMALLEST` and `schema.LARGEST` in size, and colours not negative.  A check that fails
+raises `SceneError`, which reports all faults that can be found at once, not only the first.
+The fields' metadata are the table of elements that files are read by: see `schema.of`.
 
-Surfaces come in thousands, so :class:`Surfaces` keeps them as arrays and
-checks them whole; it still reads like a sequence of :class:`Sphere` and
-:class:`Box`.
+Surfaces come in thousands, so :class:`Surfaces` keeps them as arrays and checks them whole; it
+still reads like a sequence of :class:`Sphere` and :class:`Box`.
 """
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, overload
@@ -19,9 +20,9 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats, Ints, Vector
-from tracer.scene import schema as checks
-from tracer.scene.schema import Fault, SceneError
+from tracer.arrays import Floats, Ints
+from tracer.scene import schema
+from tracer.scene.schema import Fault, of
 
 __all__ = [
     "Box",
@@ -33,11 +34,26 @@ __all__ = [
     "Shader",
     "Sphere",
     "Surfaces",
+    "VectorLike",
     "unit",
 ]
 
+VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
+"""Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
+
+_ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+
 # Below this sine or cosine the camera basis has no digit left worth trusting.
 _DEGENERATE = 1e-10
+
+
+@np.errstate(under="ignore")
+def unit(vector: ArrayLike) -> Floats:
+    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
+    array = np.asarray(vector, dtype=np.float64)
+    # By a power of two: exact, so that scaled scenes stay bit-identical.
+    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
+    return array / np.sqrt(array @ array)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,45 +79,37 @@ class Camera:
     Raises
     ------
     SceneError
-        For anything but finite numbers, a zero vector, a distance or size that is not positive, a
-        length or coordinate out of range (`checks.LARGEST`), `view_up` parallel to `proj_normal` or
+        For numbers of the wrong kind, a zero vector, `view_up` parallel to `proj_normal`, or
         `proj_normal` perpendicular to `view_dir`.
     """
 
-    view_point: Vector = (0.0, 0.0, 0.0)
-    view_dir: Vector = (0.0, 0.0, -1.0)
-    view_up: Vector = (0.0, 1.0, 0.0)
-    proj_normal: Vector | None = None
-    proj_distance: float = 1.0
-    view_width: float = 1.0
-    view_height: float = 1.0
+    view_point: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(default=(0.0, 0.0, -1.0), metadata=of(schema.DIRECTION, "viewDir"))
+    view_up: VectorLike = field(default=(0.0, 1.0, 0.0), metadata=of(schema.DIRECTION, "viewUp"))
+    proj_normal: VectorLike | None = field(
+        default=None, metadata=of(schema.DIRECTION, "projNormal")
+    )
+    proj_distance: float = field(default=1.0, metadata=of(schema.LENGTH, "projDistance"))
+    view_width: float = field(default=1.0, metadata=of(schema.LENGTH, "viewWidth"))
+    view_height: float = field(default=1.0, metadata=of(schema.LENGTH, "viewHeight"))
 
     @np.errstate(under="ignore")
     def __post_init__(self) -> None:
-        checks.apply(
-            self,
-            view_point=checks.point,
-            view_dir=checks.direction,
-            view_up=checks.direction,
-            proj_normal=checks.optional(checks.direction),
-            proj_distance=checks.positive,
-            view_width=checks.positive,
-            view_height=checks.positive,
-        )
+        schema.check(self)
         faults = []
         normal = unit(self.normal)
         sine = np.linalg.norm(np.cross(unit(self.view_up), normal))
         if sine < _DEGENERATE:
-            of = "view_dir" if self.proj_normal is None else "proj_normal"
-            wrong = f"must not be parallel to {of}; choose another view_up"
+            other = "view_dir" if self.proj_normal is None else "proj_normal"
+            wrong = f"must not be parallel to {other}; choose another view_up"
             faults.append(Fault("view_up", wrong))
         if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
             wrong = "must not be perpendicular to view_dir: no ray would meet it"
             faults.append(Fault("proj_normal", wrong))
-        checks.raise_any(faults)
+        schema.raise_any(faults)
 
     @property
-    def normal(self) -> Vector:
+    def normal(self) -> VectorLike:
         """The window's normal as given: `proj_normal`, or else `view_dir`."""
         return self.view_dir if self.proj_normal is None else self.proj_normal
 
@@ -115,19 +123,17 @@ class PointLight:
     position : (3,)
     intensity : (3,)
         Linear RGB.
-
-    Raises
-    ------
-    SceneError
-        For anything but three finite numbers, a coordinate out of range (`checks.LARGEST`), or a
-        negative intensity.
+    line : int, optional
+        Where it stands in its file, if it is from one; no part of equality.
     """
 
-    position: Vector
-    intensity: Vector = (1.0, 1.0, 1.0)
+    position: VectorLike = field(metadata=of(schema.POINT, "position"))
+    # The specification says color, the published scenes say intensity.
+    intensity: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "intensity", "color"))
+    line: int | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        checks.apply(self, position=checks.point, intensity=checks.color)
+        schema.check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,17 +146,12 @@ class Lambertian:
     ----------
     diffuse : (3,)
         The colour kd: linear RGB, 1 for all of the light.
-
-    Raises
-    ------
-    SceneError
-        For a `diffuse` (kd), RGB, that is not three finite numbers of at least 0.
     """
 
-    diffuse: Vector = (1.0, 1.0, 1.0)
+    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
 
     def __post_init__(self) -> None:
-        checks.apply(self, diffuse=checks.color)
+        schema.check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,27 +167,19 @@ class Phong:
         The colours kd and ks: linear RGB, 1 for all of the light.
     exponent : float
         The larger, the smaller the highlight.
-
-    Raises
-    ------
-    SceneError
-        For a `diffuse` (kd) or `specular` (ks), RGB, that is not three finite numbers of at least
-        0, and an `exponent` that is negative or not finite.
     """
 
-    diffuse: Vector = (1.0, 1.0, 1.0)
-    specular: Vector = (0.0, 0.0, 0.0)
-    exponent: float = 1.0
+    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_ZERO, metadata=of(schema.COLOR, "specularColor"))
+    exponent: float = field(default=1.0, metadata=of(schema.EXPONENT, "exponent"))
 
     def __post_init__(self) -> None:
-        checks.apply(
-            self, diffuse=checks.color, specular=checks.color, exponent=checks.not_negative
-        )
+        schema.check(self)
 
 
 Shader: TypeAlias = Lambertian | Phong
 
-_A_SHADER = checks.one_of(Lambertian, Phong)
+_SHADER = of(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,20 +191,17 @@ class Sphere:
     center : (3,)
     radius : float
     shader : Lambertian or Phong
-
-    Raises
-    ------
-    SceneError
-        For a centre that is not three finite numbers, a radius that is not positive and finite, a
-        length or coordinate out of range (`checks.LARGEST`), or a shader of another type.
+    line : int, optional
+        Where it stands in its file, if it is from one; no part of equality.
     """
 
-    center: Vector = (0.0, 0.0, 0.0)
-    radius: float = 1.0
-    shader: Shader = field(default_factory=Lambertian)
+    center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
+    radius: float = field(default=1.0, metadata=of(schema.LENGTH, "radius"))
+    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        checks.apply(self, center=checks.point, radius=checks.positive, shader=_A_SHADER)
+        schema.check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,21 +213,26 @@ class Box:
     min_pt, max_pt : (3,)
         Opposite corners, with the least and the largest coordinates.
     shader : Lambertian or Phong
+    line : int, optional
+        Where it stands in its file, if it is from one; no part of equality.
 
     Raises
     ------
     SceneError
-        For corners that are not three finite numbers, a coordinate out of range (`checks.LARGEST`),
-        `min_pt` beyond `max_pt` along any axis, or a shader of another type.
+        For values of the wrong kind, or `min_pt` beyond `max_pt` along any axis.
     """
 
-    min_pt: Vector
-    max_pt: Vector
-    shader: Shader = field(default_factory=Lambertian)
+    min_pt: VectorLike = field(metadata=of(schema.POINT, "minPt"))
+    max_pt: VectorLike = field(metadata=of(schema.POINT, "maxPt"))
+    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        checks.apply(self, min_pt=checks.point, max_pt=checks.point, shader=_A_SHADER)
-        checks.raise_any(checks.order_faults(np.array([self.min_pt]), np.array([self.max_pt])))
+        schema.check(self)
+        corners = np.array([self.min_pt, self.max_pt])
+        schema.raise_any(
+            Fault("min_pt", wrong) for _, wrong in schema.order_faults(corners[:1], corners[1:])
+        )
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -257,12 +252,13 @@ class Surfaces(Sequence[Sphere | Box]):
     sphere_shader, box_shader : (S,) and (B,)
         Index into `shaders`.
     shaders : tuple of Lambertian or Phong
+    line : (S + B,)
+        Where each stands in its file, spheres first; 0 if it is from none.
 
     Raises
     ------
     SceneError
-        For arrays that do not fit together; for a radius that is not positive, `min_pt` beyond
-        `max_pt`, or a number that is not finite or out of range (`checks.LARGEST`).
+        For arrays that do not fit together, or numbers that no sphere or box may have.
     """
 
     def __init__(
@@ -277,37 +273,37 @@ class Surfaces(Sequence[Sphere | Box]):
         box_shader: ArrayLike = (),
         box_index: ArrayLike | None = None,
         shaders: tuple[Shader, ...] = (),
+        line: ArrayLike | None = None,
     ) -> None:
         faults: list[Fault] = []
-        self.center = checks.rows(center, "center", faults)
-        self.radius = checks.values(radius, "radius", faults)
-        self.min_pt = checks.rows(min_pt, "min_pt", faults)
-        self.max_pt = checks.rows(max_pt, "max_pt", faults)
-        self.sphere_shader = checks.integers(sphere_shader, "sphere_shader", faults)
-        self.box_shader = checks.integers(box_shader, "box_shader", faults)
+        self.center = schema.POINT.table(center, "center", faults)
+        self.radius = schema.LENGTH.table(radius, "radius", faults)
+        self.min_pt = schema.POINT.table(min_pt, "min_pt", faults)
+        self.max_pt = schema.POINT.table(max_pt, "max_pt", faults)
+        self.sphere_shader = schema.integers(sphere_shader, "sphere_shader", faults)
+        self.box_shader = schema.integers(box_shader, "box_shader", faults)
         spheres, boxes = len(self.center), len(self.min_pt)
         if sphere_index is None:
             sphere_index = np.arange(spheres)
         if box_index is None:
             box_index = np.arange(spheres, spheres + boxes)
-        self.sphere_index = checks.integers(sphere_index, "sphere_index", faults)
-        self.box_index = checks.integers(box_index, "box_index", faults)
-        self.shaders = checks.list_of(Lambertian, Phong)(shaders, "shaders", faults)
+        if line is None:
+            line = np.zeros(spheres + boxes)
+        self.sphere_index = schema.integers(sphere_index, "sphere_index", faults)
+        self.box_index = schema.integers(box_index, "box_index", faults)
+        self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(
+            shaders, "shaders", faults
+        )
+        self.line = schema.integers(line, "line", faults).astype(np.int32)
         # What does not fit together cannot be checked further.
-        faults = faults or self._misfits()
-        if not faults:
-            faults += checks.positive_faults("radius", self.radius, self.sphere_index)
-            faults += checks.point_faults("center", self.center, self.sphere_index)
-            faults += checks.point_faults("min_pt", self.min_pt, self.box_index)
-            faults += checks.point_faults("max_pt", self.max_pt, self.box_index)
-            faults += checks.order_faults(self.min_pt, self.max_pt, self.box_index)
-        checks.raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
+        faults = faults or self._misfits() or self._faults()
+        schema.raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
         self._protect()
 
     def _misfits(self) -> list[Fault]:
         """What is wrong with lengths, shaders and indices."""
         faults: list[Fault] = []
-        for name, of in (
+        for name, other in (
             ("radius", "center"),
             ("sphere_shader", "center"),
             ("sphere_index", "center"),
@@ -315,9 +311,9 @@ class Surfaces(Sequence[Sphere | Box]):
             ("box_shader", "min_pt"),
             ("box_index", "min_pt"),
         ):
-            count, needed = len(getattr(self, name)), len(getattr(self, of))
+            count, needed = len(getattr(self, name)), len(getattr(self, other))
             if count != needed:
-                faults.append(Fault(name, f"needs {needed}, as many as {of}; has {count}"))
+                faults.append(Fault(name, f"needs {needed}, as many as {other}; has {count}"))
         for name in ("sphere_shader", "box_shader"):
             places = getattr(self, name)
             wrong = places[(places < 0) | (places >= len(self.shaders))]
@@ -330,7 +326,24 @@ class Surfaces(Sequence[Sphere | Box]):
         if len(index) == len(self) and missing.any():
             message = f"must together be a permutation of 0 ... {len(self) - 1}"
             faults.append(Fault("sphere_index, box_index", message))
+        if len(self.line) != len(self) and not faults:
+            faults.append(Fault("line", f"needs {len(self)}, one a surface; has {len(self.line)}"))
         return faults
+
+    def _faults(self) -> list[Fault]:
+        """What is wrong with numbers."""
+        found = [
+            ("radius", self.sphere_index, schema.LENGTH.faults(self.radius[:, None])),
+            ("center", self.sphere_index, schema.POINT.faults(self.center)),
+            ("min_pt", self.box_index, schema.POINT.faults(self.min_pt)),
+            ("max_pt", self.box_index, schema.POINT.faults(self.max_pt)),
+            ("min_pt", self.box_index, schema.order_faults(self.min_pt, self.max_pt)),
+        ]
+        return [
+            Fault(name, message, index.item(i))
+            for name, index, faults in found
+            for i, message in faults
+        ]
 
     def _protect(self) -> None:
         for value in vars(self).values():
@@ -349,13 +362,15 @@ class Surfaces(Sequence[Sphere | Box]):
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
         faults: list[Fault] = []
-        items: tuple[Sphere | Box, ...] = checks.list_of(Sphere, Box)(surfaces, "surfaces", faults)
-        checks.raise_any(faults)
+        items: tuple[Sphere | Box, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces", faults)
+        schema.raise_any(faults)
         # By identity: objects that share a shader keep sharing it.
         place = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(place)}
-        spheres = [(i, item) for i, item in enumerate(items) if isinstance(item, Sphere)]
-        boxes = [(i, item) for i, item in enumerate(items) if isinstance(item, Box)]
+        spheres: list[tuple[int, Any]] = []
+        boxes: list[tuple[int, Any]] = []
+        for i, item in enumerate(items):
+            (spheres if isinstance(item, Sphere) else boxes).append((i, item))
         return cls(
             center=[item.center for _, item in spheres],
             radius=[item.radius for _, item in spheres],
@@ -366,6 +381,7 @@ class Surfaces(Sequence[Sphere | Box]):
             box_shader=[slot[id(item.shader)] for _, item in boxes],
             box_index=[i for i, _ in boxes],
             shaders=tuple(place.values()),
+            line=[item.line or 0 for _, item in spheres + boxes],
         )
 
     def __len__(self) -> int:
@@ -391,43 +407,38 @@ class Surfaces(Sequence[Sphere | Box]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
+        order = np.argsort(self.file_index)
         if isinstance(index, slice):
-            return tuple(map(self._surface, np.argsort(self.file_index)[index].tolist()))
-        (at,) = np.flatnonzero(self.file_index == range(len(self))[index]).tolist()
-        return self._surface(at)
+            return tuple(map(self._surface, order[index].tolist()))
+        return self._surface(order[index].item())
 
     def __iter__(self) -> Iterator[Sphere | Box]:
-        # In order from the start: to look for each takes as long as there are surfaces.
         return map(self._surface, np.argsort(self.file_index).tolist())
 
     def _surface(self, at: int) -> Sphere | Box:
         """One by its place in the arrays, spheres first."""
+        line = self.line[at].item() or None
         if at < self.sphere_count:
-            x, y, z = self.center[at].tolist()
-            shader = self.shaders[self.sphere_shader[at]]
-            return Sphere(center=(x, y, z), radius=float(self.radius[at]), shader=shader)
+            return schema.unchecked(
+                Sphere,
+                center=tuple(self.center[at].tolist()),
+                radius=self.radius[at].item(),
+                shader=self.shaders[self.sphere_shader[at]],
+                line=line,
+            )
         at -= self.sphere_count
-        x0, y0, z0 = self.min_pt[at].tolist()
-        x1, y1, z1 = self.max_pt[at].tolist()
-        shader = self.shaders[self.box_shader[at]]
-        return Box(min_pt=(x0, y0, z0), max_pt=(x1, y1, z1), shader=shader)
+        return schema.unchecked(
+            Box,
+            min_pt=tuple(self.min_pt[at].tolist()),
+            max_pt=tuple(self.max_pt[at].tolist()),
+            shader=self.shaders[self.box_shader[at]],
+            line=line,
+        )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
             return NotImplemented
-        # Equal shaders get the same number, wherever they stand in the two tuples.
-        numbers: dict[Shader, int] = {}
-        return all(map(np.array_equal, self._in_order(numbers), other._in_order(numbers)))
-
-    def _in_order(self, numbers: dict[Shader, int]) -> Iterable[NDArray[Any]]:
-        """All arrays, spheres and boxes each in file order, and shaders as their `numbers`."""
-        shader = np.array([numbers.setdefault(s, len(numbers)) for s in self.shaders], np.intp)
-        for index, places, *values in (
-            (self.sphere_index, self.sphere_shader, self.center, self.radius),
-            (self.box_index, self.box_shader, self.min_pt, self.max_pt),
-        ):
-            for array in (index, shader[places], *values):
-                yield array[np.argsort(index)]
+        return len(self) == len(other) and all(map(operator.eq, self, other))
 
     def __hash__(self) -> int:
         # Length and first surface are enough for a hash: all the arrays would take long.
@@ -437,63 +448,62 @@ class Surfaces(Sequence[Sphere | Box]):
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+_DEFAULT_CAMERA = Camera()
+
+
+def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
+    """The kind of a scene's surfaces."""
+    if isinstance(value, Surfaces):
+        return value
+    try:
+        return Surfaces.of(value)
+    except schema.SceneError as error:
+        faults += error.faults
+        return Surfaces()
+
+
+@dataclass(frozen=True, slots=True, init=False)
 class Scene:
     """What is seen (`surfaces`), by what light, through which camera.
 
     Parameters
     ----------
-    camera : Camera
     width, height : int
-        Size of the picture in pixels; their product is at most `checks.MAX_PIXELS`, 2^28.
+        Size of the picture in pixels; their product is at most `schema.MAX_PIXELS`, 2^28.
+    camera : Camera
     lights : iterable of PointLight
     surfaces : iterable of Sphere and Box, or Surfaces
 
     Raises
     ------
     SceneError
-        For a picture of no pixels, or of more than `checks.MAX_PIXELS`; for sizes that are not
-        integers, or parts of the wrong type.
+        For a picture of no pixels or too many, or parts of the wrong type.
     """
 
-    camera: Camera = field(default_factory=Camera)
-    width: int
-    height: int
-    lights: tuple[PointLight, ...] = ()
-    surfaces: Surfaces = field(default_factory=Surfaces)
+    camera: Camera = field(metadata=of(schema.one_of(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=of(schema.list_of(PointLight)))
+    surfaces: Surfaces = field(metadata=of(_surfaces))
+    width: int = field(metadata=of(schema.size))
+    height: int = field(metadata=of(schema.size))
 
-    def __post_init__(self) -> None:
-        checks.apply(
-            self,
-            camera=checks.one_of(Camera),
-            lights=checks.list_of(PointLight),
-            surfaces=_surfaces,
-            width=checks.size,
-            height=checks.size,
-        )
-        if self.width * self.height > checks.MAX_PIXELS:
+    # Written out, as it takes more types than the fields keep.
+    def __init__(
+        self,
+        *,
+        width: int,
+        height: int,
+        camera: Camera = _DEFAULT_CAMERA,
+        lights: Iterable[PointLight] = (),
+        surfaces: Iterable[Sphere | Box] = (),
+    ) -> None:
+        given = {"camera": camera, "lights": lights, "surfaces": surfaces}
+        for name, value in {**given, "width": width, "height": height}.items():
+            object.__setattr__(self, name, value)
+        schema.check(self)
+        if self.width * self.height > schema.MAX_PIXELS:
             gib = self.width * self.height * 24 / 2**30
             wrong = (
                 f"{self.width} x {self.height} pixels are too many: the picture would take"
-                f" {gib:.3g} GiB of memory; at most {checks.MAX_PIXELS} pixels are allowed"
+                f" {gib:.3g} GiB of memory; at most {schema.MAX_PIXELS} pixels are allowed"
             )
-            raise SceneError([Fault("width, height", wrong)])
-
-
-@np.errstate(under="ignore")
-def unit(vector: ArrayLike) -> Floats:
-    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
-    array = np.asarray(vector, dtype=np.float64)
-    # By a power of two: exact, so that scaled scenes stay bit-identical.
-    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
-    return array / np.sqrt(array @ array)
-
-
-def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
-    if isinstance(value, Surfaces):
-        return value
-    try:
-        return Surfaces.of(value)
-    except SceneError as error:
-        faults += error.faults
-        return Surfaces()
+            raise schema.SceneError([Fault("width, height", wrong)])

@@ -1,14 +1,10 @@
 """From a scene file to a :class:`~tracer.scene.model.Scene`.
 
-The file is parsed as a stream, and only a part of its tree is ever held: each
-child of the root is taken in, and dropped, once it has ended.
+Elements are taken in as rows of tables, one table for each dataclass that they make.  Numbers are
+converted many at a time, and checked all at once at the end.
 
-Each fault of a file is told in a line of its own, as ``FILE:LINE: element: what
-is wrong; what would be right``, up to the place where the file is no longer XML
-or passes a limit, or has `MAX_FAULTS` of :mod:`tracer.scene.contents`.  Line numbers take
-time, so a large file is read without them first, and again from its start if
-it has any fault.  All that is read is held against the limits below, so that
-no file can exhaust memory or time.
+Each fault is reported in a line of its own, as ``FILE:LINE: element: what is wrong; what would be
+right``, up to the place where the file is no longer XML or passes a limit, or has `MAX_FAULTS`.
 """
 
 from __future__ import annotations
@@ -16,31 +12,40 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Iterable
-from typing import IO, TYPE_CHECKING, Any
-from xml.parsers import expat
+from array import array
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields
+from itertools import repeat
+from typing import IO, Any
 
+import numpy as np
+
+from tracer.arrays import Floats
 from tracer.messages import printable, quoted, short
-from tracer.scene.contents import CONTAINERS, Contents, Faults, GiveUp, LineElement
-from tracer.scene.model import Scene
+from tracer.scene import model
+from tracer.scene.elements import MAX_BYTES, BinaryFile, Element, GiveUp, Parser
+from tracer.scene.remedies import decimals, mended, nearest, words
+from tracer.scene.schema import Numbers, SceneError, order_faults, unchecked
 
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
+__all__ = ["MAX_FAULTS", "SceneFileError", "load_scene"]
 
-__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "SceneFileError", "load_scene"]
+MAX_FAULTS = 1_000
+"""How many faults are reported before the reader gives up on a file."""
 
-MAX_BYTES = 1 << 28
-"""Largest scene file: 256 MiB, about two million objects."""
-MAX_TOKEN = 1 << 20
-"""Longest tag, comment or text, in bytes or characters."""
-MAX_NESTING = 64
-"""Deepest nesting, and most children of anything but the scene."""
+# How many undefined shaders get a suggestion: each search among many names takes milliseconds.
+_SUGGESTIONS = 30
 
-# Bytes parsed at a time: so few that the part of the tree they make stays in cache.
-_CHUNK = 1 << 14
+# The tag of each parameter that messages name.
+_TAGS = {
+    each.name: each.metadata["tags"][0]
+    for made in (model.Camera, model.Box)
+    for each in fields(made)
+    if each.metadata
+}
 
-# From this many bytes on, reading without line numbers saves more time than its imports take.
-_LARGE = 1 << 17
+# The kind of a shader in a surface: its place among all shaders.
+_PLACE = Numbers(1, ())
 
 
 class SceneFileError(ValueError):
@@ -55,19 +60,20 @@ class SceneFileError(ValueError):
 
     def __init__(self, lines: Iterable[str]) -> None:
         self.lines = tuple(lines)
-        super().__init__("\n".join(self.lines))
+        super().__init__(self.lines)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # By default an exception is copied as cls(*args), and `args` holds only the message.
-        return type(self), (self.lines,), self.__dict__
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
 
 
-def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Scene:
+def load_scene(
+    source: str | bytes | os.PathLike[str] | os.PathLike[bytes] | BinaryFile,
+) -> model.Scene:
     """Read a scene file.
 
     Parameters
     ----------
-    path : str, bytes or path-like
+    source : str, bytes, path-like or binary file object
         An XML file of at most 256 MiB; its format is described in the README.
 
     Returns
@@ -79,207 +85,437 @@ def load_scene(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Sce
     SceneFileError
         If the file cannot be read, or has any fault; the message has a line for each.
     """
-    path = os.fsdecode(path)
-    faults = Faults()
+    given: Any = source
+    reader = _Reader()
     try:
-        with _opened(path, faults) as file:
-            scene = _without_lines(file) or _LineReader(faults).read(file)
-        if scene is not None:
-            return scene
-    except GiveUp:
-        pass
+        if hasattr(given, "read"):
+            name = given.name if isinstance(getattr(given, "name", None), str) else "<stream>"
+            reader.read(given)
+        else:
+            name = os.fsdecode(given)
+            with _opened(name) as file:
+                reader.read(file)
+    except GiveUp as fault:
+        reader.faults.append(fault.args)
     except OSError as error:
         reason = error.strerror or str(error)
-        faults.told.append((None, f"cannot be read: {reason}; check the path and its permissions"))
-    name = printable(path) or "''"
+        reader.faults.append((0, f"cannot be read: {reason}; check the path and its permissions"))
+    if not reader.faults:
+        return reader.scene()
+    # Whatever text comes from the file, a message is one line that any terminal can show.
     raise SceneFileError(
-        f"{name}: {message}" if line is None else f"{name}:{line}: {message}"
-        for line, message in sorted(faults.told, key=lambda fault: fault[0] or 0)
+        printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
+        for line, message in sorted(reader.faults, key=lambda fault: fault[0])
     )
 
 
-def _opened(path: str, faults: Faults) -> IO[bytes]:
+def _opened(path: str) -> IO[bytes]:
     """Open a regular file: a pipe or a device may block, or never end."""
     try:
         status = os.stat(path)
     except UnicodeEncodeError:
-        faults.give_up(None, "no path has half of a surrogate pair in it; check the path")
+        raise GiveUp(0, "no path has half of a surrogate pair in it; check the path") from None
     except ValueError:
-        faults.give_up(None, "no path has a NUL in it; check the path")
+        raise GiveUp(0, "no path has a NUL in it; check the path") from None
     if stat.S_ISDIR(status.st_mode):
-        faults.give_up(None, "is a folder; name a scene file in it")
+        raise GiveUp(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
-        faults.give_up(None, "is not a regular file; save the scene to one")
-    if status.st_size == 0:
-        faults.give_up(None, "is empty; a scene file holds <scene> ... </scene>")
+        raise GiveUp(0, "is not a regular file; save the scene to one")
     if status.st_size > MAX_BYTES:
-        faults.give_up(None, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+        raise GiveUp(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
 
 
-class _LineReader:
-    """Makes elements that know their lines from the parser's events."""
+class _Column:
+    """One element of all that a table's rows hold: their numbers, as far as these are given."""
 
-    def __init__(self, faults: Faults) -> None:
-        self.faults = faults
-        self.contents = Contents(faults)
-        self.parser = expat.ParserCreate()
-        self.open: list[LineElement] = []
-        # Whether stray text since the last tag is noted already: a long one comes in pieces.
-        self.strayed = False
+    __slots__ = ("default", "kind", "lines", "name", "numbers", "rows", "tag", "unread")
 
-    def read(self, file: IO[bytes]) -> Scene | None:
-        """Parse the file to its end, or to where it is no longer XML; None after a fault."""
-        parser = self.parser
-        parser.buffer_text = True
-        parser.StartElementHandler = self.start
-        parser.EndElementHandler = self.end
-        parser.CharacterDataHandler = self.text
-        parser.StartDoctypeDeclHandler = self.doctype
-        given = 0
+    def __init__(self, name: str, tag: str, kind: Numbers, default: Any) -> None:
+        self.name, self.tag, self.kind, self.default = name, tag, kind, default
+        # Of each element: the row, the line, and its numbers, NaN for those with a fault.
+        self.rows, self.lines, self.numbers = array("i"), array("i"), array("d")
+        # The elements that come next.
+        self.unread: list[Element] = []
+
+    def given(self) -> Floats:
+        """The numbers that are given (n, count)."""
+        return np.asarray(self.numbers).reshape(-1, self.kind.count)
+
+
+class _Table:
+    """All elements that make a dataclass, in rows, as its fields' metadata describe them."""
+
+    def __init__(self, made: type) -> None:
+        self.made = made
+        self.columns: dict[str, _Column] = {}
+        # Of each row, the line, and the place among all shaders or surfaces.
+        self.lines, self.index = array("i"), array("i")
+        for each in fields(made):
+            kind, default = each.metadata.get("kind"), each.default
+            if not isinstance(kind, Numbers):
+                kind, default = _PLACE, 0
+            for tag in each.metadata.get("tags", ()):
+                self.columns[tag] = _Column(each.name, tag, kind, default)
+
+    def values(self, name: str) -> Floats:
+        """The numbers of a field (n, count), its default or NaN where none are given."""
+        columns = [column for column in self.columns.values() if column.name == name]
+        kind, default = columns[0].kind, columns[0].default
+        if len(columns[0].rows) == len(self.lines):
+            return columns[0].given()
+        values = np.full((len(self.lines), kind.count), np.nan if default is MISSING else default)
+        for column in columns:
+            values[np.asarray(column.rows)] = column.given()
+        return values
+
+    def objects(self) -> Iterator[Any]:
+        """Make the dataclass of each row, whose numbers are known to be right."""
+        columns: dict[str, Iterable[Any]] = {"line": self.lines}
+        for column in self.columns.values():
+            if column.rows:
+                each = self.values(column.name).T.tolist()
+                columns[column.name] = zip(*each, strict=True) if len(each) > 1 else each[0]
+            else:
+                columns.setdefault(column.name, repeat(column.default))  # one tuple for all
+        names = [each.name for each in fields(self.made)]
+        used = [columns[name] for name in names]
+        for _, *row in zip(self.lines, *used, strict=False):
+            yield unchecked(self.made, **dict(zip(names, row, strict=True)))
+
+
+class _Reader(Parser):
+    """Takes elements in, as rows of tables; makes these into a scene."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.faults: list[tuple[int, str]] = []
+        self.seen: dict[str, Element] = {}
+        self.camera = model.Camera()
+        self.size = (1, 1)
+        self.lights = _Table(model.PointLight)
+        self.shaders = {made.__name__: _Table(made) for made in (model.Lambertian, model.Phong)}
+        self.surfaces = {made.__name__: _Table(made) for made in (model.Sphere, model.Box)}
+        self.surface_count = 0
+        # Shaders come last: those in surfaces are found when these are converted.
+        self.tables = [self.lights, *self.surfaces.values(), *self.shaders.values()]
+        # Of each shader's place, the line that defines it, or 0; place 0 is white.
+        self.defined = array("i", [1])
+        # A name gets its place when it first occurs, referred to or defined.
+        self.places: dict[str, int] = {}
+
+    def note(self, line: int, tag: str, message: str) -> None:
+        """Note a fault; raise `GiveUp` if it is one too many."""
+        self.faults.append((line, f"{short(tag)}: {message}"))
+        if len(self.faults) == MAX_FAULTS:
+            last = max(line for line, _ in self.faults)
+            raise GiveUp(last, f"{MAX_FAULTS} faults so far; mend these first")
+
+    def fault(self, element: Element, message: str) -> None:
+        """Note a fault of an element."""
+        self.note(element.line, element.tag, message)
+
+    def read(self, file: BinaryFile) -> None:
+        """Take in a file; note all faults, as far as it can be read."""
+        whole = False
         try:
-            while chunk := file.read(_CHUNK):
-                parser.Parse(chunk)
-                given += len(chunk)
-                # Versions of expat before 2.6 take quadratic time over one token.
-                if given - parser.CurrentByteIndex > MAX_TOKEN:
-                    self.faults.give_up(
-                        parser.CurrentLineNumber,
-                        f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter",
-                    )
-            parser.Parse(b"", True)
-        except expat.ExpatError as error:
-            from tracer.scene.malformed import remedy  # after a fault only
+            self.parse(file)
+            whole = True
+        except GiveUp as fault:
+            self.faults.append(fault.args)
+        if len(self.faults) <= MAX_FAULTS:
+            self.take(self.ended())
+            self.check_values()
+            if whole:
+                self.check_whole()
 
-            message = expat.ErrorString(error.code)
-            right = remedy(message, error.lineno, parser.ErrorByteIndex, self.open, file)
-            where = f"at column {error.offset + 1}"
-            self.faults.give_up(error.lineno, f"not XML: {message} {where}; {right}")
-        except (LookupError, ValueError, Warning):  # of the codec that the file asks for
-            self.faults.give_up(1, "not XML: unknown encoding; save the file as UTF-8")
-        finally:
-            del self.parser  # it holds this reader by its handlers: a cycle
-        return self.contents.scene()
+    def begin(self, root: Element) -> None:
+        """Check the root, whose children are still to come."""
+        if root.tag != "scene":
+            raise GiveUp(root.line, f"{short(root.tag)}: the root must be <scene>")
+        if "version" in root.attrib:
+            message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
+            raise GiveUp(root.line, message)
+        self.no_attributes(root)
 
-    def doctype(self, _name: str, system: str | None, _public: str | None, declares: bool) -> None:
-        # Nested entities grow exponentially, and declared attributes take quadratic time.
-        if declares:
-            self.faults.give_up(
-                self.parser.CurrentLineNumber,
-                "DOCTYPE: declarations are not allowed; write out what entities stand for",
-            )
-        # That file would not be read, and entities it defines be skipped, some in silence.
-        if system is not None:
-            self.faults.give_up(
-                self.parser.CurrentLineNumber,
-                "DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE",
-            )
+    def take(self, elements: Sequence[Element]) -> None:
+        """Take in children of the root."""
+        for element in elements:
+            tag = element.tag
+            if tag == "surface":
+                self.surface(element)
+            elif tag == "shader":
+                self.shader(element)
+                if "name" not in element.attrib:
+                    self.fault(element, 'has no name; add one, as in name="white"')
+            elif tag == "light":
+                self.no_attributes(element, parts=self.lights.columns)
+                self.row(self.lights, element)
+            elif tag in ("camera", "image"):
+                if self.seen.setdefault(tag, element) is not element:
+                    self.repeated(element, self.seen[tag])
+                self.take_camera(element) if tag == "camera" else self.take_image(element)
+            else:
+                self.unknown(element, "scene", ("camera", "image", "light", "shader", "surface"))
+        for table in self.tables:
+            self.convert(table)
 
-    def start(self, tag: str, attrib: dict[str, str]) -> None:
-        self.strayed = False
-        element = LineElement(tag, attrib, self.parser.CurrentLineNumber)
-        depth = len(self.open)
-        if depth > 1:
-            parent = self.open[-1]
-            parent.append(element)
-            if depth == MAX_NESTING or len(parent) > MAX_NESTING:
-                self.faults.give_up(
-                    element.line,
-                    f"{short(parent.tag)}: more than {MAX_NESTING} elements in another",
-                )
-        elif depth == 0:
-            self.contents.root(element)
-        self.open.append(element)
+    def take_camera(self, element: Element) -> None:
+        table = _Table(model.Camera)
+        self.no_attributes(element, parts=table.columns)
+        self.row(table, element)
+        parts = {column.name: column.unread[0] for column in table.columns.values() if column.rows}
+        self.convert(table)
+        given = {column.name: column.given()[0] for column in table.columns.values() if column.rows}
+        try:
+            self.camera = model.Camera(**given)
+        except SceneError as error:
+            for name, message, _ in error.faults:
+                # NaN stands for what is noted already.
+                if not np.isnan(given.get(name, 0)).any():
+                    self.note(parts.get(name, element).line, _TAGS[name], _in_tags(message))
 
-    def text(self, text: str) -> None:
-        element = self.open[-1]
-        if element.tag not in CONTAINERS:
-            element.text += text
-            if len(element.text) > MAX_TOKEN:
-                self.faults.give_up(
-                    element.line,
-                    f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter",
-                )
-        elif not (self.strayed or text.isspace()):
-            # The event comes where the text ends; the fault is where it begins.
-            text = text.lstrip()
-            self.faults.note(
-                self.parser.CurrentLineNumber - text.count("\n"),
-                f"{element.tag}: stray text {quoted(text.rstrip())}; remove it",
-            )
-            self.strayed = True
+    def take_image(self, element: Element) -> None:
+        if {"width", "height"} <= element.attrib.keys():
+            size = f"{element.attrib['width']} {element.attrib['height']}"
+            self.fault(element, f"unknown attribute 'width'; write <image>{short(size)}</image>")
+            return
+        self.no_attributes(element)
+        self.no_children(element)
+        found = words(element.text)
+        if len(found) != 2 or not all(re.fullmatch("[-+]?[0-9]+", word) for word in found):
+            wrong = "needs two whole numbers, width and height, as in 640 480"
+            self.fault(element, f"{wrong}; has {quoted(element.text.strip())}")
+            return
+        # What is too large for an int is too large for a picture.
+        width, height = (int(min(max(float(word), -1e18), 1e18)) for word in found)
+        self.size = (width, height)
+        try:
+            model.Scene(width=width, height=height)
+        except SceneError as error:
+            for fault in error.faults:
+                self.fault(element, str(fault))
 
-    def end(self, _tag: str) -> None:
-        self.strayed = False
-        element = self.open.pop()
-        if len(self.open) == 1:
-            self.contents.take([element])
+    def surface(self, element: Element) -> None:
+        table = self.type_of(element, self.surfaces)
+        if table is None:  # what else it holds cannot be judged, but shaders may be defined there
+            for child in element:
+                if child.tag == "shader":
+                    self.shader_or_reference(child)
+            return
+        table.index.append(self.surface_count)
+        self.surface_count += 1
+        self.row(table, element)
+
+    def shader(self, element: Element) -> int:
+        """Take in a shader; return its place."""
+        table = self.type_of(element, self.shaders, ("name",))
+        place = self.place(element.attrib.get("name"))
+        if self.defined[place]:
+            taken = f"is taken by the shader in line {self.defined[place]}; choose another"
+            self.fault(element, f"the name {quoted(element.attrib['name'])} {taken}")
+        self.defined[place] = self.defined[place] or element.line
+        if table is not None:
+            table.index.append(place)
+            self.row(table, element)
+        return place
+
+    def shader_or_reference(self, element: Element) -> int:
+        """Take in a surface's shader, or a reference to one; return its place."""
+        attributes = element.attrib
+        if "ref" in attributes:
+            if len(attributes) > 1 or element:
+                self.no_attributes(element, ("ref",))
+                self.no_children(element)
+            return self.place(attributes["ref"])
+        if "name" in attributes and "type" not in attributes and not element:
+            right = f'to refer to a shader, write ref="{short(attributes["name"])}"'
+            self.fault(element, f"has a name, but no type; {right}")
+            return self.place(attributes["name"])
+        return self.shader(element)
+
+    def place(self, name: str | None) -> int:
+        """Return the place of the shader of this name among all, or a new one."""
+        place = self.places.get(name) if name is not None else None
+        if place is None:
+            place = len(self.defined)
+            self.defined.append(0)
+            if name is not None:
+                self.places[name] = place
+        return place
+
+    def row(self, table: _Table, element: Element) -> None:
+        """Take in an element; what its children hold is converted later."""
+        row = len(table.lines)
+        table.lines.append(element.line)
+        parts: dict[str, Element] = {}
+        for child in element:
+            column = table.columns.get(child.tag)
+            if column is None:
+                self.unknown(child, element.attrib.get("type", element.tag), table.columns)
+            elif column.name in parts:
+                self.repeated(child, parts[column.name])
+            else:
+                parts[column.name] = child
+                column.rows.append(row)
+                column.unread.append(child)
+        for tag, column in table.columns.items():
+            if column.default is MISSING and column.name not in parts and tag not in element.attrib:
+                self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
+
+    def convert(self, table: _Table) -> None:
+        """Read the numbers of the elements that were taken in since the last call."""
+        for column in table.columns.values():
+            if unread := column.unread:
+                count = column.kind.count
+                if column.kind is _PLACE:
+                    numbers = [float(self.shader_or_reference(each)) for each in unread]
+                else:
+                    numbers = _numbers(unread, count) or [
+                        x for each in unread for x in self.numbers(each, count)
+                    ]
+                column.numbers.fromlist(numbers)
+                column.lines.extend([each.line for each in unread])
+                unread.clear()
+
+    def numbers(self, element: Element, count: int) -> list[float]:
+        """The numbers that an element holds, or NaN for each after a fault."""
+        if numbers := _numbers([element], count):
+            return numbers
+        self.no_attributes(element)
+        self.no_children(element)
+        found = words(element.text)
+        wrong = [word for word in found if not decimals([word])]
+        if wrong and (right := mended(element.text, count)):
+            self.fault(element, right)
+        elif wrong:
+            for word in wrong:
+                right = "is no decimal number; write it as 2, -.5 or 1e-3"
+                self.fault(element, f"{quoted(word)} {right}")
+        elif len(found) != count and not element:
+            self.fault(element, f"needs {count} number{'s' * (count > 1)}, has {len(found)}")
+        return [np.nan] * count
+
+    def type_of(
+        self, element: Element, tables: Mapping[str, _Table], allowed: tuple[str, ...] = ()
+    ) -> _Table | None:
+        """The table that the `type` of a shader or surface names, if any."""
+        kind = element.attrib.get("type")
+        table = tables.get(kind or "")
+        if len(element.attrib) > 1 or kind is None:
+            self.no_attributes(element, (*allowed, "type"), table.columns if table else ())
+        if kind is None:
+            choice = " or ".join(f'type="{name}"' for name in tables)
+            self.fault(element, f"has no type; add {choice}")
+        elif table is None:
+            self.fault(element, f"unknown type {quoted(kind)}; {nearest(kind, tables)}")
+        return table
+
+    def unknown(self, element: Element, parent: str, known: Iterable[str]) -> None:
+        remedy = nearest(element.tag, known)
+        for tag, kinds in (("surface", self.surfaces), ("shader", self.shaders)):
+            for kind in kinds:
+                if kind.lower() == element.tag.lower():
+                    remedy = f'write <{tag} type="{kind}">'
+        self.fault(element, f"unknown in {short(parent)}; {remedy}")
+
+    def repeated(self, element: Element, earlier: Element) -> None:
+        given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
+        self.fault(element, f"{given} already, in line {earlier.line}; keep one of the two")
+
+    def no_attributes(
+        self, element: Element, known: Sequence[str] = (), parts: Collection[str] = ()
+    ) -> None:
+        """Note all attributes but those `known`; some stand in place of elements, of its parts."""
+        for name in [name for name in element.attrib if name not in known]:
+            value = short(element.attrib[name])
+            right = f'<shader ref="{value}"/>' if name == "shader" else f"<{name}>{value}</{name}>"
+            remedy = f"write {right} in it" if name in parts else nearest(name, known)
+            self.fault(element, f"unknown attribute {quoted(name)}; {remedy}")
+
+    def no_children(self, element: Element) -> None:
+        for child in element:
+            wrong = f"no element may stand in it; remove <{short(child.tag)}>"
+            self.note(child.line, element.tag, wrong)
+
+    # From tables to a scene
+
+    def check_values(self) -> None:
+        """Note all numbers that are given and not allowed."""
+        for table in self.tables:
+            for column in table.columns.values():
+                given = column.given()
+                read = np.flatnonzero(~np.isnan(given).any(axis=1))
+                for i, message in column.kind.faults(given[read]):
+                    self.note(column.lines[read[i]], column.tag, message)
+        boxes = self.surfaces["Box"]
+        column = boxes.columns["minPt"]
+        for row, message in order_faults(boxes.values("min_pt"), boxes.values("max_pt")):
+            line = column.lines[bisect_left(column.rows, row)]
+            self.note(line, column.tag, _in_tags(message))
+
+    def check_whole(self) -> None:
+        """Note what is missing in a whole file: camera, image, and shaders that are referred to."""
+        for tag in ("camera", "image"):
+            if tag not in self.seen:
+                self.fault(self.root, f"has no {tag}; add <{tag}> ... </{tag}>")
+        defined = np.asarray(self.defined) > 0
+        if defined.all():
+            return
+        names = {place: name for name, place in self.places.items()}
+        known = [name for name, place in self.places.items() if defined[place]]
+        remedies: dict[int, str] = {}
+        for table in self.surfaces.values():
+            column = table.columns["shader"]
+            places = column.given()[:, 0].astype(np.intp)
+            for i in np.flatnonzero(~defined[places]).tolist():
+                place = int(places[i])
+                if place not in remedies:
+                    suggest = known and len(remedies) < _SUGGESTIONS
+                    remedies[place] = nearest(names[place], known) if suggest else "define it"
+                wrong = f"no shader is named {quoted(names[place])}; {remedies[place]}"
+                self.note(column.lines[i], column.tag, wrong)
+
+    def scene(self) -> model.Scene:
+        """Make the scene of a file without faults."""
+        shaders: list[model.Shader] = [model.Lambertian()] * len(self.defined)
+        for table in self.shaders.values():
+            for place, shader in zip(table.index, table.objects(), strict=True):
+                shaders[place] = shader
+        spheres, boxes = self.surfaces["Sphere"], self.surfaces["Box"]
+        return model.Scene(
+            width=self.size[0],
+            height=self.size[1],
+            camera=self.camera,
+            lights=self.lights.objects(),
+            surfaces=model.Surfaces(
+                center=spheres.values("center"),
+                radius=spheres.values("radius"),
+                sphere_shader=spheres.values("shader"),
+                sphere_index=spheres.index,
+                min_pt=boxes.values("min_pt"),
+                max_pt=boxes.values("max_pt"),
+                box_shader=boxes.values("shader"),
+                box_index=boxes.index,
+                shaders=tuple(shaders),
+                line=np.concatenate([spheres.lines, boxes.lines]),
+            ),
+        )
 
 
-# The beginning of a file that is surely UTF-8, where a search for ASCII bytes misses nothing.
-_PLAIN = (
-    rb"(?i)(\xef\xbb\xbf)?"
-    rb"(<\?xml version=[\"']1\.0[\"']( encoding=[\"']utf-8[\"'])? ?\?>|(?!<\?xml))[^\0]*\Z"
-)
-
-
-def _without_lines(file: IO[bytes]) -> Scene | None:
-    """The scene of a large file without faults; or None, with the file at its start again.
-
-    This takes less than half of the time of `_LineReader`: the tree is made in C, without lines.
-    """
-    if os.fstat(file.fileno()).st_size < _LARGE:
+def _numbers(elements: Sequence[Element], count: int) -> list[float] | None:
+    """The numbers in all `elements`; None unless each surely holds `count`, and nothing else."""
+    if any(map(len, elements)) or any(element.attrib for element in elements):
         return None
-    try:
-        contents = Contents(Faults(lined=False))
-        _parse(file, contents)
-        return contents.scene()
-    except GiveUp:
-        file.seek(0)
-        return None
+    # One text for all: to read each by itself takes longer than to make a number of it.
+    text = " ; ".join([element.text for element in elements])
+    found = text.split()
+    between = found[count :: count + 1]
+    del found[count :: count + 1]
+    whole = len(found) == count * len(elements) and between == [";"] * (len(elements) - 1)
+    return decimals(found) if whole and text.isascii() else None
 
 
-def _parse(file: IO[bytes], contents: Contents) -> None:
-    """Take in a file to its end; raise `GiveUp` as soon as it may have a fault."""
-    # Takes some milliseconds.
-    from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
-
-    builder = TreeBuilder()
-    document = builder.start("", {})
-    parser = XMLParser(target=builder)
-    end, given, taken = b"", 0, 0
-    try:
-        while chunk := file.read(_CHUNK):
-            # A DOCTYPE stands before the root, and this parser would obey its declarations.
-            if not given and (not re.match(_PLAIN, chunk) or b"<!DOCTYPE" in chunk):
-                raise GiveUp
-            # This parser swallows attributes of this name, which are a fault.
-            if b"xmlns" in end + chunk:
-                raise GiveUp
-            end = chunk[-8:]
-            given += len(chunk)
-            parser.feed(chunk)
-            if not len(document):
-                raise GiveUp
-            # The last child may not have ended, nor the text after it.
-            if _take_children(contents, document[0], len(document[0]) - 1):
-                taken = given
-            if given - taken > MAX_TOKEN:
-                raise GiveUp
-        parser.close()
-        _take_children(contents, document[0], len(document[0]))
-    except (ParseError, LookupError, ValueError):
-        raise GiveUp from None
-
-
-def _take_children(contents: Contents, scene: Element, count: int) -> bool:
-    """Take in the first `count` children of the root, and delete them; whether there are any."""
-    contents.root(scene)
-    texts = {element.tail for element in scene.iter()}
-    for tag in CONTAINERS:
-        texts.update([element.text for element in scene.iter(tag)])
-    if any(text and not text.isspace() for text in texts):
-        raise GiveUp
-    contents.take(scene[:count])
-    del scene[:count]
-    return count > 0
+def _in_tags(message: str) -> str:
+    """A message in the words of a scene file: tags stand for parameters."""
+    return re.sub(r"\w+_\w+", lambda word: _TAGS.get(word[0], word[0]), message)

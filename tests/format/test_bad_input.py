@@ -1,25 +1,26 @@
-"""Every fault of a scene file is told in a line: the exact words, and never a traceback."""
+"""Every fault of a scene file is reported in a line of its own, and never by a traceback."""
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from tracer import SceneFileError, load_scene
-from tracer.scene import contents, reader
 
+FAULTS = Path(__file__).with_name("faults.txt")
 EMPTY = "<camera/><image>4 3</image>"
 SPHERE = '<surface type="Sphere">{}</surface>'
-
-LENGTHS = "lengths other than 0 are from 1e-75 to 1e+75"
-DECIMAL = "is no decimal number; write it as 2, -.5 or 1e-3"
 
 
 def faults_of(path) -> list[str]:
@@ -30,15 +31,12 @@ def faults_of(path) -> list[str]:
     assert list(caught.value.lines) == lines
     for line in lines:
         assert line.startswith(f"{path}:")
+        assert line.isprintable()
     return [line.removeprefix(f"{path}:").strip() for line in lines]
 
 
-# Every fault is told alike, whether the file is read without line numbers first or not.
-pytestmark = pytest.mark.usefixtures("either_reader")
-
-
 @pytest.fixture
-def faults(tmp_path):
+def faults(tmp_path) -> Callable[[str | bytes], list[str]]:
     def read(content: str | bytes) -> list[str]:
         path = tmp_path / "scene.xml"
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -47,173 +45,120 @@ def faults(tmp_path):
     return read
 
 
-def cases() -> Iterator[tuple[str, list[str]]]:
-    """What `faults.txt` has: contents of files, and what is told of each."""
-    text = Path(__file__).with_name("faults.txt").read_text(encoding="utf-8")
-    text = re.sub(r"^\n?# .*\n", "", text, flags=re.M)
-    for content, told in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
-        content = content.removesuffix("\n")
+def cases() -> Iterator[tuple[str, str, list[str]]]:
+    """Cases of `faults.txt`: as they stand there, contents of files, and what is reported."""
+    text = re.sub(r"^\n?# .*\n", "", FAULTS.read_text(encoding="utf-8"), flags=re.M)
+    for case, told in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
+        content = case.removesuffix("\n")
         if content.startswith("+ "):
             content = f"<scene>{EMPTY}\n{re.sub('^[+] ', '', content, flags=re.M)}\n</scene>"
-        yield content, re.findall("^=> (.*)", told, re.M)
+        yield case, content, re.findall("^=> (.*)", told, re.M)
 
 
-@pytest.mark.parametrize(("content", "told"), [*cases()])
-def test_what_is_told(faults, content, told):
+def rewrite() -> None:
+    """Write what is reported of each case to `faults.txt`."""
+    text = FAULTS.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "scene.xml")
+        for case, content, told in cases():
+            path.write_text(content, encoding="utf-8")
+            old, new = (
+                "".join(f"=> {line}\n" for line in lines) for lines in (told, faults_of(path))
+            )
+            text = text.replace(f"\n{case}{old}", f"\n{case}{new}")
+    FAULTS.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize(("content", "told"), [case[1:] for case in cases()])
+def test_wording(faults, content, told):
     assert faults(content) == told
     # In the first line the mark of UTF-16 counts as a column.
     if not told[-1].startswith("1: not XML"):
         assert faults(content.encode("utf-16")) == told
 
 
-NOT_TEXT = [
+# What faults.txt cannot hold: a file, the line, a key part of what is reported.
+OTHERS = [
     *(
-        (
-            f'<scene>\n<surface{odd}type="Box"/></scene>',
-            "2: not XML: not well-formed (invalid token) at column 9;"
-            f" write a plain character in place of {odd!r} (U+{ord(odd):04X})",
-        )
+        (f'<scene>\n<surface{odd}type="Box"/></scene>', 2, rf"plain character .*U\+{ord(odd):04X}")
         for odd in "\u00a0\u200b\u3000\uff0f"
     ),
-    ('\n<?xml version="1.0">\n', "2: not XML: unclosed token at column 1; end it with ?>"),
-    (" \n ", "2: not XML: no element found at column 2; a scene file holds <scene> ... </scene>"),
-    (
-        b"<scene>\n\xff</scene>",
-        "2: not XML: not well-formed (invalid token) at column 1; save the file as UTF-8",
-    ),
-    (
-        b"<scene>\n<!-- \xff --></scene>",
-        "2: not XML: not well-formed (invalid token) at column 6; save the file as UTF-8",
-    ),
-    (
-        "<scene>\n<!-- \x01 --></scene>",
-        "2: not XML: not well-formed (invalid token) at column 6; remove the control character",
-    ),
-    *(
-        (
-            content,
-            f"{line}: not XML: not well-formed (invalid token) at column {column};"
-            " save the file as UTF-8, and without a NUL",
-        )
-        for content, line, column in (
-            (b"<scene>\n\0</scene>", 2, 1),
-            ("<scene>\na</scene>".encode("utf-32"), 1, 2),
-            ("<scene>\na</scene>".encode("utf-32-be"), 1, 1),
-        )
-    ),
+    ('\n<?xml version="1.0">\n', 2, r"unclosed token at column 1; end it with \?>"),
+    (" \n ", 2, "no element found at column 2; a scene file holds <scene>"),
+    (b"<scene>\n\xff</scene>", 2, "column 1; save the file as UTF-8$"),
+    (b"<scene>\n<!-- \xff --></scene>", 2, "column 6; save the file as UTF-8$"),
+    ("<scene>\n<!-- \x01 --></scene>", 2, "column 6; remove the control character"),
+    (b"<scene>\n\0</scene>", 2, "column 1; save the file as UTF-8, and without a NUL"),
+    ("<scene>\na</scene>".encode("utf-32"), 1, "and without a NUL"),
+    ("<scene>\na</scene>".encode("utf-32-be"), 1, "and without a NUL"),
     (
         b"\xfe\xff" + "<scene>\n<!-- a -->&;</scene>".encode("utf-16-be"),
-        "2: not XML: not well-formed (invalid token) at column 12;"
-        " in text, < is written &lt; and & is written &amp;",
+        2,
+        "column 12; in text, < is written &lt; and & is written &amp;",
     ),
-    (
-        '\n<?xml version="1.0"?><scene/>',
-        "2: not XML: XML or text declaration not at start of entity at column 1;"
-        " nothing may stand before <?xml ... ?>",
-    ),
-    (
-        f'\n<!DOCTYPE scene SYSTEM "scene.dtd">\n<scene>{EMPTY}&lol;</scene>',
-        "2: DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE",
-    ),
+    ('\n<?xml version="1.0"?><scene/>', 2, "nothing may stand before <[?]xml"),
+    (f'\n<!DOCTYPE scene SYSTEM "a.dtd">\n<scene>{EMPTY}&lol;</scene>', 2, "remove the DOCTYPE"),
     # How a PNG begins, a JPEG, and a file that gzip made.
     *(
-        (
-            begins,
-            "1: not XML: not well-formed (invalid token) at column 1;"
-            " a scene file holds <scene> ... </scene>",
-        )
+        (begins, 1, "column 1; a scene file holds <scene>")
         for begins in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"\x1f\x8b\x08\x08")
     ),
-]
-
-
-@pytest.mark.parametrize(("content", "fault"), NOT_TEXT)
-def test_what_faults_txt_cannot_hold(faults, content, fault):
-    assert faults(content) == [fault]
-
-
-COPIED = [
-    # Digits of another script, and a space that XML does not know.
-    ("\u0663 0 0", f"'\u0663' {DECIMAL}"),
-    ("1\u20032 3 4", f"'1\\u20032' {DECIMAL}"),
-    # As copied from a page or a program.
-    ("1\u00a02 3", "has '\\xa0' (U+00A0); write it as '1 2 3'"),
-    (
-        "\ufeff1\u30002 \uff0d\uff13",
-        "has '\\ufeff' (U+FEFF) and '\\u3000' (U+3000) and '\uff0d' (U+FF0D)"
-        " and '\uff13' (U+FF13); write it as '1 2 -3'",
+    # Digits of another script, spaces that XML does not know, numbers copied from a page.
+    *(
+        (f"<scene>\n<light><position>{text}</position></light></scene>", 2, f"position: {fault}")
+        for text, fault in (
+            ("\u0663 0 0", "'\u0663' is no decimal number"),
+            ("1\u20032 3 4", r"'1\\u20032' is no decimal number"),
+            ("1\u00a02 3", r"has '\\xa0' \(U\+00A0\); write it as '1 2 3'"),
+            ("\ufeff1\u30002 \uff0d\uff13", r"has '\\ufeff' .* \(U\+FF13\); write it as '1 2 -3'"),
+        )
+    ),
+    # Pictures and cameras.
+    *(
+        (f"<scene><camera/>\n<image>{text}</image></scene>", 2, f"image: {fault}")
+        for text, fault in (
+            ("4", "needs two whole numbers, width and height, as in 640 480; has '4'"),
+            ("", "needs two whole numbers.*; has ''"),
+            ("4.0 3", "needs two whole numbers.*; has '4.0 3'"),
+            ("1e2 3", "needs two whole numbers.*; has '1e2 3'"),
+            ("4 3 2", "needs two whole numbers.*; has '4 3 2'"),
+            ("0 3", "width: must be a whole number of at least 1, is 0"),
+            ("4 -3", "height: must be a whole number of at least 1, is -3"),
+            ("16384 16385", "width, height: 16384 x 16385 pixels .* would take 6 GiB of memory"),
+            ("1000000 1000000", "width, height: .* 2.24e[+]04 GiB.*; at most 268435456 pixels"),
+            (f"1{'0' * 5000} 1", "width: must be at most 268435456"),
+        )
+    ),
+    *(
+        (f"<scene><image>4 3</image>\n<camera>{content}</camera></scene>", 2, fault)
+        for content, fault in (
+            ("<viewDir>0 0 0</viewDir>", "viewDir: must not be the zero vector"),
+            ("<viewUp>0 -0 0</viewUp>", "viewUp: must not be the zero vector"),
+            ("<projNormal>0 0 0</projNormal>", "projNormal: must not be the zero vector"),
+            ("<viewPoint>0 0 1e999</viewPoint>", "viewPoint: must be finite"),
+            ("<viewPoint>1e+80 0 0</viewPoint>", "viewPoint: 1e[+]80 is too large; lengths"),
+            ("<viewWidth>1e-80</viewWidth>", "viewWidth: 1e-80 is too small; lengths"),
+            ("<projDistance>0</projDistance>", "projDistance: must be positive and finite, is 0"),
+            ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive and finite, is -1"),
+            ("<viewHeight>0</viewHeight>", "viewHeight: must be positive and finite, is 0"),
+            ("<viewUp>0 0 3</viewUp>", "viewUp: .* parallel to viewDir; choose another viewUp"),
+            ("<viewUp>0 1e-15 1</viewUp>", "viewUp: must not be parallel to viewDir"),
+            # The default viewUp is not in the file: the camera is to blame.
+            ("<viewDir>0 -2 0</viewDir>", "viewUp: must not be parallel to viewDir"),
+            (
+                "<viewUp>1 0 1</viewUp><projNormal>-2 0 -2</projNormal>",
+                "viewUp: must not be parallel to projNormal",
+            ),
+            ("<projNormal>1 0 0</projNormal>", "projNormal: must not be perpendicular to viewDir"),
+        )
     ),
 ]
 
 
-@pytest.mark.parametrize(("text", "fault"), COPIED)
-def test_numbers_of_odd_characters(faults, text, fault):
-    content = SPHERE.format(f"<center>{text}</center>")
-    assert faults(f"<scene>\n{EMPTY}\n{content}</scene>") == [f"3: center: {fault}"]
-
-
-IMAGES = [
-    ("4", "needs two whole numbers, width and height, as in 640 480; has '4'"),
-    ("", "needs two whole numbers, width and height, as in 640 480; has ''"),
-    ("4.0 3", "needs two whole numbers, width and height, as in 640 480; has '4.0 3'"),
-    ("1e2 3", "needs two whole numbers, width and height, as in 640 480; has '1e2 3'"),
-    ("4 3 2", "needs two whole numbers, width and height, as in 640 480; has '4 3 2'"),
-    ("0 3", "width: must be a whole number of at least 1, is 0"),
-    ("4 -3", "height: must be a whole number of at least 1, is -3"),
-    (
-        "16384 16385",
-        "width, height: 16384 x 16385 pixels are too many: the picture would take 6 GiB of memory;"
-        " at most 268435456 pixels are allowed",
-    ),
-    (
-        "1000000 1000000",
-        "width, height: 1000000 x 1000000 pixels are too many: the picture would take 2.24e+04 GiB"
-        " of memory; at most 268435456 pixels are allowed",
-    ),
-    (
-        f"1{'0' * 5000} 1",
-        f"'1{'0' * 36}...' is out of range; from 1 to 268435456 pixels are allowed",
-    ),
-]
-
-
-@pytest.mark.parametrize(("text", "fault"), IMAGES)
-def test_image(faults, text, fault):
-    assert faults(f"<scene><camera/>\n<image>{text}</image></scene>") == [f"2: image: {fault}"]
-
-
-CAMERAS = [
-    ("<viewDir>0 0 0</viewDir>", "viewDir: must not be the zero vector"),
-    ("<viewUp>0 -0 0</viewUp>", "viewUp: must not be the zero vector"),
-    ("<projNormal>0 0 0</projNormal>", "projNormal: must not be the zero vector"),
-    ("<viewPoint>0 0 1e999</viewPoint>", "viewPoint: must be finite"),
-    ("<viewPoint>1e+80 0 0</viewPoint>", f"viewPoint: 1e+80 is too large; {LENGTHS}"),
-    ("<viewWidth>1e-80</viewWidth>", f"viewWidth: 1e-80 is too small; {LENGTHS}"),
-    ("<projDistance>0</projDistance>", "projDistance: must be positive and finite, is 0"),
-    ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive and finite, is -1"),
-    ("<viewHeight>0</viewHeight>", "viewHeight: must be positive and finite, is 0"),
-    ("<viewUp>0 0 3</viewUp>", "viewUp: must not be parallel to viewDir; choose another viewUp"),
-    (
-        "<viewUp>0 1e-15 1</viewUp>",
-        "viewUp: must not be parallel to viewDir; choose another viewUp",
-    ),
-    # The default viewUp is not in the file: the camera is to blame.
-    ("<viewDir>0 -2 0</viewDir>", "viewUp: must not be parallel to viewDir; choose another viewUp"),
-    (
-        "<viewUp>1 0 1</viewUp><projNormal>-2 0 -2</projNormal>",
-        "viewUp: must not be parallel to projNormal; choose another viewUp",
-    ),
-    (
-        "<projNormal>1 0 0</projNormal>",
-        "projNormal: must not be perpendicular to viewDir: no ray would meet it",
-    ),
-]
-
-
-@pytest.mark.parametrize(("content", "fault"), CAMERAS)
-def test_camera(faults, content, fault):
-    content = f"<scene><image>4 3</image>\n<camera>{content}</camera></scene>"
-    assert faults(content) == [f"2: {fault}"]
+@pytest.mark.parametrize(("content", "line", "key"), OTHERS)
+def test_line_and_key(faults, content, line, key):
+    told = [fault for fault in faults(content) if re.match(f"{line}: ", fault)]
+    assert [fault for fault in told if re.search(key, fault)] == told[:1]
 
 
 def test_a_long_stray_text_is_one_fault(faults):
@@ -222,18 +167,6 @@ def test_a_long_stray_text_is_one_fault(faults):
         "2: scene: stray text 'stray text of many words stray text o...'; remove it",
         "2: light: has no position; add <position>x y z</position>",
         "3: light: stray text 'stray text of many words stray text o...'; remove it",
-    ]
-
-
-@pytest.mark.parametrize("start", [100, *range(16377, 16386)])
-def test_a_namespace_wherever_the_file_is_cut(faults, start):
-    """Into pieces of 16 KiB."""
-    content = f"<scene>{EMPTY}"
-    surface = '<surface type="Sphere" '
-    content += " " * (start - len(content) - len(surface)) + surface
-    assert len(content) == start
-    assert faults(f'{content}xmlns:a="b"/>{" " * 20_000}</scene>') == [
-        "1: surface: unknown attribute 'xmlns:a'; known: type"
     ]
 
 
@@ -255,7 +188,9 @@ def test_no_surface_takes_numbers_of_the_next(faults, texts):
     content = "".join(SPHERE.format(f"<center>{text}</center>") + "\n" for text in texts)
     expected = []
     for line, words in enumerate(map(str.split, texts), 1):
-        expected += [f"{line}: center: ';' {DECIMAL}"] * words.count(";")
+        expected += [
+            f"{line}: center: ';' is no decimal number; write it as 2, -.5 or 1e-3"
+        ] * words.count(";")
         if len(words) != 3 and ";" not in words:
             expected.append(f"{line}: center: needs 3 numbers, has {len(words)}")
     assert faults(f"<scene>{content}{EMPTY}</scene>") == expected
@@ -266,8 +201,8 @@ def test_no_surface_takes_numbers_of_the_next(faults, texts):
 
 def test_the_number_of_faults_told_is_bounded(faults):
     told = faults(f"<scene>{EMPTY}{'<a/>' * 100_000}</scene>")
-    assert len(told) == contents.MAX_FAULTS + 1
-    assert told[-1] == f"1: {contents.MAX_FAULTS} faults so far; mend these first"
+    assert len(told) == 1000 + 1
+    assert told[-1] == f"1: {1000} faults so far; mend these first"
 
 
 @pytest.mark.parametrize(
@@ -336,24 +271,20 @@ def test_bombs(faults, declarations):
     ]
 
 
-def test_few_shaders_get_a_suggestion(faults, monkeypatch):
+def test_few_shaders_get_a_suggestion(faults):
     """It takes long to find, among many."""
-    calls = []
-    nearest = contents._nearest
-    monkeypatch.setattr(contents, "_nearest", lambda *a: calls.append(a) or nearest(*a))
     defined = "".join(f'<shader name="a{i}" type="Phong"/>' for i in range(9))
     used = "".join(SPHERE.format(f'<shader ref="a{i}b"/>') for i in range(99))
     told = faults(f"<scene>{EMPTY}{defined}{used}</scene>")
     assert told[0] == "1: shader: no shader is named 'a0b'; did you mean 'a0'?"
     assert told[98] == "1: shader: no shader is named 'a98b'; define it"
     assert len(told) == 99
-    assert len(calls) < 40
 
 
 def test_largest_file(tmp_path):
     path = tmp_path / "large.xml"
     with path.open("wb") as file:
-        file.truncate(reader.MAX_BYTES + 1)  # sparse: takes no room
+        file.truncate(2**28 + 1)  # sparse: takes no room
     assert faults_of(path) == ["has 268435457 bytes; at most 268435456 are allowed"]
 
 
@@ -451,3 +382,85 @@ def test_a_name_with_a_new_line_still_makes_one_line(tmp_path):
         load_scene(tmp_path / "a\nb\x1b[31m.xml")
     assert str(caught.value).count("\n") == 0
     assert str(caught.value).startswith(f"{tmp_path}/a\\nb\\x1b[31m.xml: cannot be read")
+
+
+# Files that are open already
+
+
+class Pipe(io.BytesIO):
+    """What can only be read on, and gives few bytes at a time."""
+
+    name = 3
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return super().read(min(size or 0, 1000))
+
+    def seek(self, *_: object) -> int:
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "<stream>: is empty; a scene file holds <scene> ... </scene>"),
+        (b"<scene><image>0 1</image><camera/></scene>", "<stream>:1: image: width: must be"),
+        (
+            b"<scene>\n<camera/>" + b"<!-- many -->\n" * 9000 + b"<image\n>4 3</image\n</scene>",
+            "<stream>:9004: not XML: not well-formed (invalid token) at column 1;"
+            " end the tag of line 9003 with >",
+        ),
+    ],
+)
+def test_a_stream(content, told):
+    with pytest.raises(SceneFileError) as caught:
+        load_scene(Pipe(content))
+    assert str(caught.value).startswith(told)
+
+
+def test_a_stream_has_a_name_and_a_limit(tmp_path, monkeypatch):
+    path = tmp_path / "scene.xml"
+    path.write_text("<scene>")
+    with path.open("rb") as file, pytest.raises(SceneFileError) as caught:
+        load_scene(file)
+    assert str(caught.value).startswith(f"{file.name}:1: not XML")
+    monkeypatch.setattr("tracer.scene.elements.MAX_BYTES", 100)
+    with pytest.raises(SceneFileError, match=r"^<stream>: has more than 100 bytes"):
+        load_scene(io.BytesIO(b"<scene>" + b" " * 100))
+
+
+def test_text_is_no_binary_file():
+    with pytest.raises(TypeError, match="binary file"):
+        load_scene(io.StringIO("<scene/>"))
+
+
+def test_too_little_memory_is_an_error_of_its_own(monkeypatch):
+    def no_memory(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("tracer.scene.reader._numbers", no_memory)
+    with pytest.raises(MemoryError):
+        load_scene(
+            io.BytesIO(f"<scene>{EMPTY}{SPHERE.format('<radius>1</radius>')}</scene>".encode())
+        )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "<light><position>1 2 3</position></light>",
+        '<shader name="{}" type="Phong"/>',
+        '<surface type="Sphere"><shader ref="{}"/></surface>',
+    ],
+    ids=["lights", "shaders", "undefined"],
+)
+def test_many_are_read_in_little_time(line):
+    """A fraction of the time that checking one by one would take: 20 to 40 us each."""
+    body = "".join(map(line.format, range(50_000)))
+    start = time.process_time()
+    with suppress(SceneFileError):
+        load_scene(io.BytesIO(f"<scene>{EMPTY}{body}</scene>".encode()))
+    assert time.process_time() - start < 1
+
+
+if __name__ == "__main__":
+    rewrite()

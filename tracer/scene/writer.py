@@ -1,0 +1,91 @@
+"""From a scene to a scene file."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any, Protocol
+
+import numpy as np
+
+from tracer.commands import atomic_file
+from tracer.messages import number
+from tracer.scene.model import Scene
+from tracer.scene.schema import Numbers
+
+__all__ = ["save_scene"]
+
+# How scene files begin; Mitsuba's have a version.
+_SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
+
+
+class _BinaryFile(Protocol):
+    def write(self, data: bytes, /) -> object: ...
+
+
+def save_scene(
+    scene: Scene,
+    target: str | bytes | os.PathLike[str] | os.PathLike[bytes] | _BinaryFile,
+) -> None:
+    """Write a scene to a file, from which `load_scene` makes an equal one.
+
+    Parameters
+    ----------
+    scene : Scene
+    target : str, bytes, path-like or binary file object
+        A scene file that is there already is replaced, once the new one is whole.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written, or a file that is there is not a scene.
+    """
+    given: Any = target
+    if hasattr(given, "write"):
+        for line in _lines(scene):
+            given.write(line.encode())
+        return
+    path = os.fsdecode(given)
+    if os.path.isfile(path):
+        with open(path, "rb") as there:
+            if not re.match(_SCENE, there.read(1 << 16)):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
+    with atomic_file(path, b"") as file:
+        for line in _lines(scene):
+            file.write(line.encode())
+
+
+def _lines(scene: Scene) -> Iterator[str]:
+    surfaces = scene.surfaces
+    yield f"<scene>\n  <camera>{_elements(scene.camera)} </camera>\n"
+    yield f"  <image>{scene.width} {scene.height}</image>\n"
+    for light in scene.lights:
+        yield f"  <light>{_elements(light)} </light>\n"
+    # Shaders that several surfaces share have names.
+    uses = np.bincount(surfaces.shader_index, minlength=len(surfaces.shaders)).tolist()
+    shaders = []
+    for place, shader in enumerate(surfaces.shaders):
+        named = f' name="shader{place}"' if uses[place] > 1 else ""
+        text = f'<shader{named} type="{type(shader).__name__}">{_elements(shader)} </shader>'
+        if named:
+            yield f"  {text}\n"
+        shaders.append(f'<shader ref="shader{place}"/>' if named else text)
+    places = surfaces.shader_index[np.argsort(surfaces.file_index)].tolist()
+    for place, surface in zip(places, surfaces, strict=True):
+        yield f'  <surface type="{type(surface).__name__}">\n    {shaders[place]}\n'
+        yield f"   {_elements(surface)}\n  </surface>\n"
+    yield "</scene>\n"
+
+
+def _elements(made: Any) -> str:
+    """The elements that hold the numbers of a dataclass."""
+    numbers = {
+        field.metadata["tags"][0]: np.ravel(value).tolist()
+        for field in fields(made)
+        if isinstance(field.metadata.get("kind"), Numbers)
+        and (value := getattr(made, field.name)) is not None
+    }
+    return "".join(f" <{tag}>{' '.join(map(number, n))}</{tag}>" for tag, n in numbers.items())
