@@ -10,14 +10,15 @@ set later; in an RGB variant ``mitsuba.load_file`` then reads such a scene:
 
 Where no variant is set yet, importing sets the fastest one that works here.
 
-window (sensor)
-    Pixels that are not square; rays that start near the scene, computed in float64.
-unattenuated_point (emitter)
-    A point light that does not fall off with distance.
-blinn_phong (bsdf)
-    kd n.l + ks (n.h)^p, seen from both sides.
-every_light (integrator)
-    Each light once a sample, in place of one at random.
+========================  ========  ====================================================
+plugin                    kind      what the stock plugins lack
+========================  ========  ====================================================
+``window``                sensor    pixels that are not square; rays that start near the
+                                    scene, computed in float64
+``unattenuated_point``    emitter   a point light that does not fall off with distance
+``blinn_phong``           bsdf      kd n.l + ks (n.h)^p, seen from both sides
+``every_light``           integrator  each light once a sample, in place of one at random
+========================  ========  ====================================================
 
 Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2, has the shading.
 """
@@ -43,11 +44,6 @@ _CENTER_SLACK = 1e-3
 
 def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
     return mi.Vector3d(value[0], value[1], value[2])
-
-
-def _name(self: object) -> str:
-    """What Mitsuba prints of a plugin."""
-    return f"{type(self).__name__}[]"
 
 
 class Window(mi.Sensor):
@@ -86,7 +82,9 @@ class Window(mi.Sensor):
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
-    to_string = _name
+    def to_string(self) -> str:
+        """Name and parameters, as Mitsuba prints them."""
+        return f"Window[eye={self.eye}]"
 
     @staticmethod
     def _centered(x: mi.Float, size: int) -> mi.Float64:
@@ -127,7 +125,9 @@ class UnattenuatedPoint(mi.Emitter):
         """No ray meets a point."""
         return mi.Spectrum(0)
 
-    to_string = _name
+    def to_string(self) -> str:
+        """Name and parameters, as Mitsuba prints them."""
+        return f"UnattenuatedPoint[position={self.position}, intensity={self.intensity}]"
 
 
 class BlinnPhong(mi.BSDF):
@@ -151,7 +151,21 @@ class BlinnPhong(mi.BSDF):
         value = self.diffuse * dr.abs(wo.z) + self.specular * power
         return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
 
-    to_string = _name
+    def pdf(self, ctx, si, wo, active=True):
+        """Directions are never sampled: every light is a point."""
+        return mi.Float(0)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        """Both of the above."""
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        """Nothing: every light is a point."""
+        return mi.BSDFSample3f(), mi.Spectrum(0)
+
+    def to_string(self) -> str:
+        """Name and parameters, as Mitsuba prints them."""
+        return f"BlinnPhong[{self.diffuse}, {self.specular}, {self.exponent}]"
 
 
 def _log1p(x: mi.Float) -> mi.Float:
@@ -205,7 +219,9 @@ class EveryLight(mi.SamplingIntegrator):
             total += dr.select(lit, value * intensity, 0)
         return total, valid, []
 
-    to_string = _name
+    def to_string(self) -> str:
+        """Name and parameters, as Mitsuba prints them."""
+        return f"EveryLight[tolerance={self.tolerance}]"
 
 
 mi.register_sensor("window", Window)

@@ -46,7 +46,15 @@ class Choice:
 
 
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
-    """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
+    """The fastest variant that works here.
+
+    Parameters
+    ----------
+    kernel : str
+        Python code that the child process runs; it must end with status 0 where LLVM works.
+    timeout : float
+        Seconds after which the child is ended.
+    """
     # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
     with tempfile.TemporaryDirectory() as home:
         try:
@@ -64,8 +72,12 @@ def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     if child.returncode < 0:
         name = signal.Signals(-child.returncode).name
         return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
-    said = child.stderr.strip().splitlines() or ["it said nothing"]
-    return Choice(SCALAR, f"no usable libLLVM: {said[-1].strip()}")
+    return Choice(SCALAR, f"no usable libLLVM: {_last_line(child.stderr)}")
+
+
+def _last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1].strip() if lines else "it said nothing"
 
 
 _chosen = cache(choose)

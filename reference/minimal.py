@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.camera import window_of
+from converters.visible import window_point
 from reference.command import built
 from tracer.arrays import Floats
 from tracer.scene.model import Scene
@@ -76,7 +76,7 @@ class Minimal:
         }
         self._scene = _Scene(
             eye=tuple(raster.eye),
-            corner=tuple(window_of(scene.camera).points(0, 0)),
+            corner=tuple(window_point(raster, 0, 0)),
             right=tuple(raster.step_u * u),
             down=tuple(raster.step_v * v),
             width=scene.width,

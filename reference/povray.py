@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from converters.camera import window_of
+from converters.visible import window_point
 from tracer.arrays import Floats
 from tracer.scene.model import Phong, Scene, Shader
+from tracer.view.camera import raster_of
 
 __all__ = ["to_pov"]
 
@@ -31,16 +32,16 @@ def _texture(shader: Shader) -> str:
 
 def to_pov(scene: Scene, exposure: float = 1.0) -> str:
     """The scene description that POV-Ray 3.7 reads, its lights times `exposure`."""
-    window = window_of(scene.camera)
-    u, v, _ = window.axes
-    ahead = window.points(0.5, 0.5)
+    raster = raster_of(scene.camera, scene.width, scene.height)
+    u, v, _ = raster.axes
+    ahead = window_point(raster, scene.width / 2, scene.height / 2)
     lines = [
         "#version 3.7;",
         "global_settings { assumed_gamma 1 }",
         "background { rgb 0 }",
-        f"camera {{ location {_xyz(window.eye)} direction {_xyz(ahead)}"
-        f" right {_xyz(window.width * u)}"
-        f" up {_xyz(-window.height * v)} }}",
+        f"camera {{ location {_xyz(raster.eye)} direction {_xyz(ahead)}"
+        f" right {_xyz(raster.step_u * raster.width * u)}"
+        f" up {_xyz(-raster.step_v * raster.height * v)} }}",
         *(
             f"light_source {{ {_xyz(light.position)} rgb {exposure!r} * {_xyz(light.intensity)} }}"
             for light in scene.lights
