@@ -22,33 +22,6 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Bools",
-    "Floats",
-    "Index",
-    "Ints",
-    "Triple",
-    "Vector",
-    "batches",
-    "changes",
-    "columns",
-    "cross",
-    "dot",
-    "each",
-    "entries",
-    "equal_runs",
-    "expand",
-    "index_where",
-    "indices",
-    "pick",
-    "put",
-    "ranges",
-    "rows",
-    "scaled",
-    "select",
-    "spread",
-]
-
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]

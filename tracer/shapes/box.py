@@ -39,8 +39,6 @@ from tracer.shapes.silhouette import silhouette_planes
 from tracer.shapes.sphere import LEAST_SLOPE
 from tracer.view.camera import Raster
 
-__all__ = ["Boxes"]
-
 # Slopes (`Spheres.slope`) count as at most so steep.
 _MOST_SLOPE = 8192.0
 

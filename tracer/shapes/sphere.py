@@ -44,8 +44,6 @@ from tracer.shapes.rounding import (
 )
 from tracer.view.camera import Raster
 
-__all__ = ["LEAST_SLOPE", "NO_FACE", "Spheres"]
-
 NO_FACE = 3
 """In place of the axis of a box's face."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from tracer.arrays import Floats, Index, Ints, Triple, dot, rows, spread
 from tracer.view.view import Shape, View
 
-__all__ = ["Group", "Hits"]
-
 
 class Group(NamedTuple):
     """Some of the hits: on one large object, or on many small ones, all of one shape.

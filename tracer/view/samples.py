@@ -12,8 +12,6 @@ from tracer.arrays import Floats, Ints, changes, expand, ranges
 from tracer.shapes.frames import Spans
 from tracer.view.camera import Raster
 
-__all__ = ["Covered", "Rows", "Samples", "Scattered"]
-
 
 class Covered(NamedTuple):
     """Where objects may be seen.

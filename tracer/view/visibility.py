@@ -15,8 +15,6 @@ from tracer.view.hits import Group, Hits
 from tracer.view.samples import Covered, Samples, Scattered
 from tracer.view.view import Shape, View
 
-__all__ = ["visible", "visible_and_behind"]
-
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
