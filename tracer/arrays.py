@@ -8,8 +8,7 @@ Vectors are triples of such values (structure of arrays): each operation then
 runs over contiguous memory.  Docstrings say "three (n,)".  To take some elements of
 
     a value, or (n,)             select
-    a triple of such values      pick
-    points (3, n), as a triple   rows
+    a triple of such values      pick, or points (3, n)
     points (n, 3), as a triple   columns
     a table (m, n), one by one   entries, put
 """
@@ -66,8 +65,8 @@ def select(value: T, index: Index | slice) -> T:
     return value
 
 
-def pick(vector: Triple, index: Index | slice) -> Triple:
-    """`select`, for each component."""
+def pick(vector: Triple | Floats, index: Index | slice) -> Triple:
+    """`select`, for each component; of points (3, n) as of a triple."""
     return select(vector[0], index), select(vector[1], index), select(vector[2], index)
 
 
@@ -156,8 +155,3 @@ def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:
 def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
     """Set some entries of a contiguous table (m, n), one for each pair of row and column."""
     table.reshape(-1)[row * table.shape[1] + column] = value
-
-
-def rows(points: Floats, index: Ints | slice) -> Triple:
-    """Some of the points (3, n), as a triple."""
-    return pick((points[0], points[1], points[2]), index)

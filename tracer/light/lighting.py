@@ -17,7 +17,6 @@ from tracer.arrays import (
     index_where,
     indices,
     pick,
-    rows,
     scaled,
     select,
 )
@@ -122,7 +121,7 @@ class Highlights(NamedTuple):
 
     def of_light(self, number: int, incoming: Incoming, at: Ints | slice) -> Floats:
         """(n.h)^exponent of a light at some points; `incoming`: at all of the group."""
-        p, light = rows(self.p, at), self.lighting.local[number].tolist()
+        p, light = pick(self.p, at), self.lighting.local[number].tolist()
         to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
         length, distance = np.sqrt(incoming.length2[number][at]), self.distance[at]
 
