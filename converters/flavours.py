@@ -1,24 +1,31 @@
-"""A scene as Mitsuba 3 XML, in two flavours: by stock plugins, or exactly by this project's own."""
+"""A scene as Mitsuba 3 XML: similar, by stock plugins, or exactly, by this project's own."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import atan, degrees
-from xml.sax.saxutils import quoteattr
+from math import atan, degrees, isqrt
 
 import numpy as np
 
-from converters.visible import bounds, visible_points, window_point
-from tracer.arrays import Floats
-from tracer.scene.model import Phong, PointLight, Scene, Shader, Surfaces
-from tracer.scene.schema import MAX_PIXELS
-from tracer.view.camera import raster_of
+from converters.camera import Floats, Window, bounds, visible_points, window_of
+from converters.mitsuba_xml import document, element, matrix, plugin, rgb, xyz
+from converters.projectors import Cell, Face, faces, gather, pfm
+from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
-__all__ = ["WRITTEN", "Normalisation", "exact", "normalisation", "square_height", "stock"]
+__all__ = [
+    "SAMPLES",
+    "Normalisation",
+    "convert",
+    "exact",
+    "gain",
+    "normalisation",
+    "squared",
+    "stock",
+]
 
-WRITTEN = "<!--\nWritten by converters.to_mitsuba"
-"""How every converted scene begins."""
+SAMPLES = {"stock": 64, "stock-lights": 256, "exact": 1}
+"""The flavours, from what any Mitsuba draws to the same picture: samples a pixel, if not given."""
 
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
@@ -35,14 +42,45 @@ _OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
 # all is small.
 _LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
 
-# The largest float32.
-_LARGEST = float(np.finfo(np.float32).max)
-
 # Half thickness of flat boxes, relative to the largest coordinate.
 _THINNEST = 1e-6
 
 # Where the stock camera begins to see, relative to the farthest point of all surfaces.
 _NEAREST = 1e-6
+
+# The format's largest picture, in pixels.
+_MOST_PIXELS = 1 << 28
+
+
+def convert(
+    scene: Scene, flavour: str, samples: int | None = None, picture: str = ""
+) -> tuple[str, bytes | None]:
+    """Convert a scene to Mitsuba XML.
+
+    Parameters
+    ----------
+    scene : Scene
+    flavour : {"stock", "stock-lights", "exact"}
+    samples : int, optional
+        Samples a pixel; those of the flavour if absent.
+    picture : str
+        Name of a file beside the XML, for what the lights of "stock-lights" show.
+
+    Returns
+    -------
+    text : str
+    shown : bytes or None
+        The contents of `picture`, in the PFM format; None if the flavour has none.
+
+    Raises
+    ------
+    ValueError
+        If a number is beyond those of float32, or the picture is too large.
+    """
+    count = SAMPLES[flavour] if samples is None else samples
+    if flavour == "stock-lights":
+        return _stock_lights(scene, picture, count)
+    return (exact if flavour == "exact" else stock)(scene, count), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +93,13 @@ class Normalisation:
     def __call__(self, points: Floats) -> Floats:
         """Normalised points (..., 3)."""
         return (points - self.center) * self.scale
+
+    def __str__(self) -> str:
+        center = ", ".join(f"{x:.6g}" for x in self.center)
+        return (
+            "The scene is moved and scaled so that float32 hurts least, which changes no picture:\n"
+            f"where the scene file has p, this one has {self.scale:.6g} (p - c), c = ({center}).\n"
+        )
 
 
 def normalisation(scene: Scene) -> Normalisation:
@@ -78,112 +123,38 @@ def _stock_place(scene: Scene) -> Normalisation:
     return place
 
 
-def _element(head: str, *children: str) -> str:
-    """An element that begins with a kind and attributes, its children indented."""
-    if not children:
-        return f"<{head}/>"
-    body = "\n".join(children).replace("\n", "\n    ")
-    return f"<{head}>\n    {body}\n</{head.split()[0]}>"
-
-
-def _plugin(kind: str, plugin: str, *children: str, name: str | None = None) -> str:
-    """A plugin with its parameters; `name` is the id for references to it."""
-    label = "" if name is None else f" id={quoteattr(name)}"
-    return _element(f"{kind} type={quoteattr(plugin)}{label}", *children)
-
-
-def _to_world(*steps: str) -> str:
-    """A transform, its steps in the order of application."""
-    return _element('transform name="to_world"', *steps)
-
-
-def _number(name: str, value: float) -> str:
-    """The text of a number; raises ValueError if it is beyond float32."""
-    if not abs(value) <= _LARGEST:
-        raise ValueError(
-            f"cannot be converted: {name} would be {value:g}, and Mitsuba's numbers end at"
-            f" {_LARGEST:.2g}; keep the numbers of the scene closer to 1"
-        )
-    return repr(float(value))
-
-
-def _value(kind: str, name: str, value: bool | int | float | str) -> str:
-    """A parameter of one value."""
-    if isinstance(value, bool):
-        value = str(value).lower()
-    elif isinstance(value, float):
-        value = _number(name, value)
-    return f'<{kind} name="{name}" value="{value}"/>'
-
-
-def _xyz(kind: str, name: str | None, value: Iterable[float]) -> str:
-    """A point, a vector or, without a name, a part of a transform."""
-    label = "" if name is None else f' name="{name}"'
-    x, y, z = (_number(name or kind, number) for number in value)
-    return f'<{kind}{label} x="{x}" y="{y}" z="{z}"/>'
-
-
-def _numbers(name: str, values: Iterable[float]) -> str:
-    return " ".join(_number(name, value) for value in values)
-
-
-def _rgb(name: str, value: Iterable[float]) -> str:
-    return _value("rgb", name, _numbers(name, value))
-
-
-def _film(width: int, height: int) -> str:
+def _film(scene: Scene) -> str:
     """A linear picture, each sample counted in its own pixel only."""
-    return _plugin(
+    return plugin(
         "film",
         "hdrfilm",
-        _value("integer", "width", width),
-        _value("integer", "height", height),
-        _value("string", "pixel_format", "rgb"),
-        _value("string", "component_format", "float32"),
-        _plugin("rfilter", "box"),
+        plugin("rfilter", "box"),
+        width=scene.width,
+        height=scene.height,
+        pixel_format="rgb",
+        component_format="float32",
     )
 
 
 def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[str]:
     """All surfaces in file order; `names` are those of the shaders' BSDFs."""
-    refs = [_element(f"ref id={quoteattr(name)}") for name in names]
-    shapes = [*_spheres(scene, place, refs), *_cubes(scene, place, refs)]
-    order = np.argsort(scene.surfaces.file_index)
-    return [shapes[index] for index in order.tolist()]
-
-
-def _spheres(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[str]:
-    surfaces = scene.surfaces
-    for center, radius, shader in zip(
-        place(surfaces.center).tolist(),
-        (surfaces.radius * place.scale).tolist(),
-        surfaces.sphere_shader.tolist(),
-        strict=True,
-    ):
-        yield _plugin(
-            "shape",
-            "sphere",
-            _xyz("point", "center", center),
-            _value("float", "radius", radius),
-            refs[shader],
-        )
-
-
-def _cubes(scene: Scene, place: Normalisation, refs: Sequence[str]) -> Iterator[str]:
-    """Boxes: Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved."""
-    surfaces = scene.surfaces
-    middles = (place(surfaces.min_pt) + place(surfaces.max_pt)) / 2
-    halves = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
+    surfaces, refs = scene.surfaces, [element(f'ref id="{name}"') for name in names]
+    low, high = place(surfaces.min_pt), place(surfaces.max_pt)
+    half = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
     # A cube of no thickness has no inverse transform.
-    thinnest = _THINNEST * np.abs(place(bounds(surfaces))).max()
-    for middle, half, shader in zip(
-        middles.tolist(),
-        np.where(halves > 0, halves, thinnest).tolist(),
-        surfaces.box_shader.tolist(),
-        strict=True,
-    ):
-        to_world = _to_world(_xyz("scale", None, half), _xyz("translate", None, middle))
-        yield _plugin("shape", "cube", to_world, refs[shader])
+    half[half == 0] = _THINNEST * np.abs(place(bounds(surfaces))).max()
+    balls = place(surfaces.center).tolist(), (surfaces.radius * place.scale).tolist()
+    # Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved.
+    cubes = half.tolist(), ((low + high) / 2).tolist()
+    shapes = [
+        plugin("shape", "sphere", xyz("point", "center", center), refs[shader], radius=radius)
+        for center, radius, shader in zip(*balls, surfaces.sphere_shader.tolist(), strict=True)
+    ]
+    for scale, middle, shader in zip(*cubes, surfaces.box_shader.tolist(), strict=True):
+        steps = xyz("scale", None, scale), xyz("translate", None, middle)
+        to_world = element('transform name="to_world"', *steps)
+        shapes.append(plugin("shape", "cube", to_world, refs[shader]))
+    return [shapes[index] for index in np.argsort(surfaces.file_index).tolist()]
 
 
 def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
@@ -192,11 +163,6 @@ def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
     used = {names[shader] for shader in np.unique(surfaces.shader_index).tolist()}
     return names, {name: shader for shader, name in named.items() if name in used}
-
-
-def _document(comment: str, parts: Sequence[str]) -> str:
-    body = "\n".join(parts)
-    return f'{WRITTEN}, {comment.strip()}\n-->\n<scene version="3.0.0">\n{body}\n</scene>\n'
 
 
 _EXACT = """
@@ -210,100 +176,69 @@ plugins. The mitsuba command does not know them; load it in Python, where the pr
     scene = mitsuba.load_file("NAME.mitsuba.xml")
 {moved}"""
 
-_MOVED = """\
-The scene is moved and scaled so that float32 hurts least, which changes no picture: where the
-scene file has p, this one has {scale:.6g} (p - c), c = ({center}).
-"""
 
-
-def _moved(place: Normalisation) -> str:
-    center = ", ".join(f"{x:.6g}" for x in place.center)
-    return _MOVED.format(center=center, scale=place.scale)
-
-
-# `_number` raises for what overflows.
+# What overflows is an error when it is written.
 @np.errstate(all="ignore")
 def exact(scene: Scene, samples: int = 1) -> str:
-    """A scene as Mitsuba XML, exact, by this project's plugins.
-
-    Parameters
-    ----------
-    scene : Scene
-    samples : int
-        Samples a pixel: 1 takes the pixel's centre, more are stratified.
-
-    Raises
-    ------
-    ValueError
-        If a number is beyond those of float32.
-    """
+    """By this project's plugins, the same picture: one sample takes the pixel's centre."""
     place = normalisation(scene)
     names, bsdfs = _bsdf_names(scene.surfaces)
+    largest = max([_EXTENT, *(scene.surfaces.radius * place.scale)])
+    tolerance = float(_TOLERANCE_ROUNDINGS * largest * 2.0**-24)
     parts = [
-        _exact_integrator(scene, place),
+        plugin("integrator", "every_light", tolerance=tolerance),
         _exact_sensor(scene, place, samples),
         *(_exact_emitter(light, place) for light in scene.lights),
         *(_exact_bsdf(shader, name) for name, shader in bsdfs.items()),
         *_shapes(scene, place, names),
     ]
-    return _document(_EXACT.format(moved=_moved(place)), parts)
-
-
-def _exact_integrator(scene: Scene, place: Normalisation) -> str:
-    largest = max([_EXTENT, *(scene.surfaces.radius * place.scale)])
-    tolerance = _TOLERANCE_ROUNDINGS * largest * 2.0**-24
-    return _plugin("integrator", "every_light", _value("float", "tolerance", tolerance))
+    return document(_EXACT.format(moved=place), parts)
 
 
 def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
     """The camera by its eye and its window; its rays start on a box around the scene."""
-    raster = raster_of(scene.camera, scene.width, scene.height)
-    right, down, _ = raster.axes
+    window = window_of(scene.camera)
+    right, down, _ = window.axes
     # A little wider than the scene, so that no ray starts on a surface.
     low, high = place(bounds(scene.surfaces))
     margin = 1e-3 * _EXTENT
-    return _plugin(
+    return plugin(
         "sensor",
         "window",
-        _xyz("point", "eye", place(raster.eye)),
-        _xyz("vector", "corner", window_point(raster, 0, 0) * place.scale),
-        _xyz("vector", "right", right * (raster.step_u * raster.width * place.scale)),
-        _xyz("vector", "down", down * (raster.step_v * raster.height * place.scale)),
-        _xyz("point", "low", low - margin),
-        _xyz("point", "high", high + margin),
-        _film(scene.width, scene.height),
-        _plugin(
-            "sampler",
-            "stratified",
-            _value("integer", "sample_count", samples),
-            _value("boolean", "jitter", samples > 1),
-        ),
+        xyz("point", "eye", place(window.eye)),
+        xyz("vector", "corner", window.points(0, 0) * place.scale),
+        xyz("vector", "right", right * (window.width * place.scale)),
+        xyz("vector", "down", down * (window.height * place.scale)),
+        xyz("point", "low", low - margin),
+        xyz("point", "high", high + margin),
+        _film(scene),
+        plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )
 
 
 def _exact_emitter(light: PointLight, place: Normalisation) -> str:
-    return _plugin(
+    return plugin(
         "emitter",
         "unattenuated_point",
-        _xyz("point", "position", place(np.array(light.position))),
-        _xyz("vector", "intensity", light.intensity),
+        xyz("point", "position", place(np.array(light.position))),
+        xyz("vector", "intensity", light.intensity),
     )
 
 
 def _exact_bsdf(shader: Shader, name: str) -> str:
     phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-    return _plugin(
+    return plugin(
         "bsdf",
         "blinn_phong",
-        _xyz("vector", "diffuse", phong.diffuse),
-        _xyz("vector", "specular", phong.specular),
-        _value("float", "exponent", phong.exponent),
+        xyz("vector", "diffuse", phong.diffuse),
+        xyz("vector", "specular", phong.specular),
         name=name,
+        exponent=phong.exponent,
     )
 
 
-def square_height(scene: Scene) -> int:
-    """How many rows show a scene's window if its columns stay and its pixels are square.
+def squared(scene: Scene) -> Scene:
+    """A scene with as many columns, in square pixels, and a window of as many rows as fit best.
 
     Raises
     ------
@@ -312,122 +247,141 @@ def square_height(scene: Scene) -> int:
     """
     camera = scene.camera
     rows = scene.width * camera.view_height / camera.view_width
-    if not scene.width * rows <= MAX_PIXELS:
+    if not scene.width * rows <= _MOST_PIXELS:
         raise ValueError(
             f"cannot be converted: Mitsuba's pixels are square, and {rows:.3g} rows of"
             f" {scene.width} are too many; make viewWidth larger or viewHeight smaller"
         )
-    return max(1, round(rows))
+    height = max(1, round(rows))
+    if height == rows == scene.height:
+        return scene
+    window = replace(camera, view_height=height * camera.view_width / scene.width)
+    return replace(scene, height=height, camera=window)
 
 
 _STOCK = """
 with stock plugins only: it opens in the plain mitsuba command.
 
 The geometry and the camera are exact. Approximate are
-- the lights: Mitsuba's fall off with the square of the distance, those of the scene format do
-  not fall off at all. The strength of each is right at one distance, which is told beside it;
+- the lights: {lights};
 - highlights: Blinn-Phong's (n.h)^p is stood in for by a Beckmann lobe of the same height and
-  width, which brightens towards the silhouettes;
-- several lights: of each sample Mitsuba picks one at random, which leaves some noise.
+  width, which brightens towards the silhouettes.
 {film}Mitsuba allows no reflectance above 1: all are divided by {gain:g}, lights multiplied.
 {moved}"""
 
-_SQUARE = """- the film: pixels must be square, so {width} x {height} of them show the window, to
-  within half a pixel, not {width} x {given}.
+_POINTS = """Mitsuba's fall off with the square of the distance, those of the scene format do
+  not fall off at all. The strength of each is right at one distance, which is told beside it"""
+
+_PROJECTORS = """each is up to six projectors, with a picture that undoes Mitsuba's fall-off where
+  the light falls first; edges of shadows are as fine as its pixels"""
+
+_SQUARE = """Its pixels are square: {width} x {height} of them show the window, to within half
+a pixel, not {width} x {given}.
 """
 
 
-# `_number` raises for what overflows.
+# What overflows is an error when it is written.
 @np.errstate(all="ignore")
 def stock(scene: Scene, samples: int = 64) -> str:
-    """A scene as Mitsuba XML, approximate, by stock plugins.
-
-    Parameters
-    ----------
-    scene : Scene
-    samples : int
-        Samples a pixel.
-
-    Raises
-    ------
-    ValueError
-        If a number is beyond those of float32, or the picture is too large.
-    """
-    names, bsdfs = _bsdf_names(scene.surfaces)
-    height = square_height(scene)
-    gain = _gain(bsdfs.values())
+    """By stock plugins, a similar picture: point lights that fall off."""
+    place, strength = _stock_place(scene), gain(scene.surfaces)
     seen = visible_points(scene)
     if not len(seen):
         seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
-    place = _stock_place(scene)
+    lights = [_point(light, place, strength, place(seen)) for light in scene.lights]
+    return _stock_document(scene, samples, place, _POINTS, lights)
+
+
+# What overflows is an error when it is written.
+@np.errstate(all="ignore")
+def _stock_lights(scene: Scene, picture: str, samples: int) -> tuple[str, bytes]:
+    """By stock plugins, with projectors that do not fall off, and the contents of `picture`."""
+    place, strength = _stock_place(scene), gain(scene.surfaces)
+    found = list(faces(scene))
+    image, cells = gather(scene, found)
+    lights = [
+        _projector(face, cell, place, strength, picture)
+        for face, cell in zip(found, cells, strict=True)
+    ]
+    return _stock_document(scene, samples, place, _PROJECTORS, lights), pfm(image)
+
+
+def _stock_document(
+    scene: Scene, samples: int, place: Normalisation, note: str, lights: list[str]
+) -> str:
+    names, bsdfs = _bsdf_names(scene.surfaces)
+    square, strength = squared(scene), gain(scene.surfaces)
     parts = [
-        _stock_integrator(),
-        _stock_sensor(scene, place, height, samples),
-        *(_stock_emitter(light, place, gain, place(seen)) for light in scene.lights),
-        *(_stock_bsdf(shader, name, gain) for name, shader in bsdfs.items()),
+        # Light straight from the lights, of which one is picked at random for each sample.
+        plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
+        _stock_sensor(square, place, _evenly(samples, len(lights))),
+        *lights,
+        *(_stock_bsdf(shader, name, strength) for name, shader in bsdfs.items()),
         *_shapes(scene, place, names),
     ]
-    film = _SQUARE.format(width=scene.width, height=height, given=scene.height)
+    film = _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
     comment = _STOCK.format(
-        film=film if height != scene.height else "",
-        gain=gain,
-        moved="" if place.scale == 1 and not place.center.any() else _moved(place),
+        lights=note,
+        film=film if square.height != scene.height else "",
+        gain=strength,
+        moved="" if place.scale == 1 and not place.center.any() else place,
     )
-    return _document(comment, parts)
+    return document(comment, parts)
 
 
-def _stock_integrator() -> str:
-    """Light straight from the lights, of which one is picked at random for each sample."""
-    return _plugin(
-        "integrator",
-        "direct",
-        _value("integer", "emitter_samples", 1),
-        _value("integer", "bsdf_samples", 0),
-    )
+def _evenly(samples: int, lights: int) -> int:
+    """At least so many samples, of which Mitsuba's `multijitter` gives each light as many."""
+    count = samples
+    while lights and samples >= lights and (count % lights or count % isqrt(count)):
+        count += 1
+    return count
 
 
-def _stock_sensor(scene: Scene, place: Normalisation, height: int, samples: int) -> str:
-    """The camera by its field of view and principal point; the film has `height` rows."""
-    camera = scene.camera
-    raster = raster_of(camera, scene.width, scene.height)
-    right, down, ahead = raster.axes
-    # Mitsuba's camera looks along +z with +x to the left.
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([-right, -down, ahead, place(raster.eye)])
+def _to_world(window: Window, place: Normalisation) -> str:
+    """Mitsuba's cameras and projectors look along +z with +x to the left and +y up."""
+    right, down, ahead = window.axes
+    rows = np.column_stack([-right, -down, ahead, place(window.eye)])
+    return matrix("to_world", [*rows, (0, 0, 0, 1)])
+
+
+def _stock_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
+    """The camera by its field of view and principal point."""
+    window = window_of(scene.camera)
+    across, below, depth = window.center
     corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
-    far = place.scale * float(np.linalg.norm(corners - raster.eye, axis=1).max()) or 1.0
-    return _plugin(
+    far = place.scale * float(np.linalg.norm(corners - window.eye, axis=1).max()) or 1.0
+    return plugin(
         "sensor",
         "perspective",
-        _to_world(f'<matrix value="{_numbers("to_world", matrix.ravel())}"/>'),
-        _value("string", "fov_axis", "x"),
-        _value("float", "fov", degrees(2 * atan(camera.view_width / 2 / raster.depth))),
-        _value("float", "principal_point_offset_x", _offset(raster.shift_u / camera.view_width)),
-        _value("float", "principal_point_offset_y", _offset(raster.shift_v / camera.view_height)),
+        _to_world(window, place),
+        _film(scene),
+        plugin("sampler", "multijitter", sample_count=samples),
+        fov_axis="x",
+        fov=degrees(2 * atan(window.width / 2 / depth)),
+        principal_point_offset_x=_offset(across / window.width),
+        principal_point_offset_y=_offset(below / window.height),
         # The window may be anywhere: it only says what is in the picture.
-        _value("float", "near_clip", _NEAREST * far),
-        _value("float", "far_clip", 2 * far),
-        _film(scene.width, height),
-        _plugin("sampler", "multijitter", _value("integer", "sample_count", samples)),
+        near_clip=_NEAREST * far,
+        far_clip=2 * far,
     )
 
 
 def _offset(share: float) -> float:
     """Where the window's centre lies: what is left of zero after rounding is zero."""
-    return share if abs(share) > 1e-12 else 0.0
+    return float(share) if abs(share) > 1e-12 else 0.0
 
 
-def _stock_emitter(light: PointLight, place: Normalisation, gain: float, seen: Floats) -> str:
+def _point(light: PointLight, place: Normalisation, strength: float, seen: Floats) -> str:
     position = place(np.array(light.position))
     distance2 = _distance2(position, seen)
     # A diffuse surface reflects 1 / pi of its reflectance.
-    intensity = np.array(light.intensity) * (np.pi * gain * distance2)
-    return _plugin(
+    intensity = np.array(light.intensity) * (np.pi * strength * distance2)
+    return plugin(
         "emitter",
         "point",
         f"<!-- right at a distance of {distance2**0.5:.4g} -->",
-        _xyz("point", "position", position),
-        _rgb("intensity", intensity),
+        xyz("point", "position", position),
+        rgb("intensity", intensity),
     )
 
 
@@ -440,9 +394,29 @@ def _distance2(position: Floats, seen: Floats) -> float:
     return largest * float(inverse.sum() / (inverse * inverse).sum())
 
 
-def _gain(shaders: Iterable[Shader]) -> float:
+def _projector(face: Face, cell: Cell, place: Normalisation, strength: float, picture: str) -> str:
+    """A projector that shows a part of a picture."""
+    # From shares of the face, of which one is 2 in tangents, to shares of the picture.
+    (size, left, top), (side, x, y) = face.part, cell.square
+    zoom = 2 * side / size
+    moved = xyz("translate", None, (x - (left + 1) / 2 * zoom, y - (top + 1) / 2 * zoom, 0))
+    texture = plugin(
+        "texture",
+        "bitmap",
+        element('transform name="to_uv"', xyz("scale", None, (zoom, zoom, 1)), moved),
+        filename=picture,
+        raw=True,
+        filter_type="nearest",
+    ).replace("<texture ", '<texture name="irradiance" ', 1)
+    to_world = _to_world(window_of(face.camera), place)
+    scale = strength * cell.brightest * place.scale**2
+    return plugin("emitter", "projector", to_world, texture, fov=90.0, scale=scale)
+
+
+def gain(surfaces: Surfaces) -> float:
     """What reflectances are divided by: 1, or twice the largest, as blends need them doubled."""
-    return float(np.max([2 * np.array(_lobes(shader)) for shader in shaders], initial=1))
+    used = (surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist())
+    return float(np.max([2 * np.array(_lobes(shader)) for shader in used], initial=1))
 
 
 def _lobes(shader: Shader) -> tuple[Floats, Floats]:
@@ -454,34 +428,23 @@ def _lobes(shader: Shader) -> tuple[Floats, Floats]:
     return diffuse, np.array(shader.specular) * 8 / (shader.exponent + 2)
 
 
-def _stock_bsdf(shader: Shader, name: str, gain: float) -> str:
+def _stock_bsdf(shader: Shader, name: str, strength: float) -> str:
     diffuse, specular = _lobes(shader)
     if isinstance(shader, Phong) and specular.any():
-        alpha = (2 / (shader.exponent + 2)) ** 0.5
-        # A blend of weight 0.5 halves both.
-        bsdf = _plugin(
+        # A Beckmann lobe as wide as the highlight; a blend of weight 0.5 halves both.
+        lobe = plugin(
             "bsdf",
-            "blendbsdf",
-            _value("float", "weight", 0.5),
-            _diffuse(2 * diffuse / gain),
-            _highlight(2 * specular / gain, alpha),
+            "roughconductor",
+            rgb("specular_reflectance", 2 * specular / strength),
+            material="none",
+            distribution="beckmann",
+            alpha=(2 / (shader.exponent + 2)) ** 0.5,
         )
+        bsdf = plugin("bsdf", "blendbsdf", _diffuse(2 * diffuse / strength), lobe, weight=0.5)
     else:
-        bsdf = _diffuse(diffuse / gain)
-    return _plugin("bsdf", "twosided", bsdf, name=name)
+        bsdf = _diffuse(diffuse / strength)
+    return plugin("bsdf", "twosided", bsdf, name=name)
 
 
 def _diffuse(reflectance: Floats) -> str:
-    return _plugin("bsdf", "diffuse", _rgb("reflectance", reflectance))
-
-
-def _highlight(reflectance: Floats, alpha: float) -> str:
-    """A Beckmann lobe of roughness `alpha`."""
-    return _plugin(
-        "bsdf",
-        "roughconductor",
-        _value("string", "material", "none"),
-        _value("string", "distribution", "beckmann"),
-        _value("float", "alpha", alpha),
-        _rgb("specular_reflectance", reflectance),
-    )
+    return plugin("bsdf", "diffuse", rgb("reflectance", reflectance))

@@ -10,15 +10,14 @@ set later; in an RGB variant ``mitsuba.load_file`` then reads such a scene:
 
 Where no variant is set yet, importing sets the fastest one that works here.
 
-========================  ========  ====================================================
-plugin                    kind      what the stock plugins lack
-========================  ========  ====================================================
-``window``                sensor    pixels that are not square; rays that start near the
-                                    scene, computed in float64
-``unattenuated_point``    emitter   a point light that does not fall off with distance
-``blinn_phong``           bsdf      kd n.l + ks (n.h)^p, seen from both sides
-``every_light``           integrator  each light once a sample, in place of one at random
-========================  ========  ====================================================
+window (sensor)
+    Pixels that are not square; rays that start near the scene, computed in float64.
+unattenuated_point (emitter)
+    A point light that does not fall off with distance.
+blinn_phong (bsdf)
+    kd n.l + ks (n.h)^p, seen from both sides.
+every_light (integrator)
+    Each light once a sample, in place of one at random.
 
 Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2, has the shading.
 """
@@ -44,6 +43,11 @@ _CENTER_SLACK = 1e-3
 
 def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
     return mi.Vector3d(value[0], value[1], value[2])
+
+
+def _name(self: object) -> str:
+    """What Mitsuba prints of a plugin."""
+    return f"{type(self).__name__}[]"
 
 
 class Window(mi.Sensor):
@@ -82,9 +86,7 @@ class Window(mi.Sensor):
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
-    def to_string(self) -> str:
-        """Name and parameters, as Mitsuba prints them."""
-        return f"Window[eye={self.eye}]"
+    to_string = _name
 
     @staticmethod
     def _centered(x: mi.Float, size: int) -> mi.Float64:
@@ -125,9 +127,7 @@ class UnattenuatedPoint(mi.Emitter):
         """No ray meets a point."""
         return mi.Spectrum(0)
 
-    def to_string(self) -> str:
-        """Name and parameters, as Mitsuba prints them."""
-        return f"UnattenuatedPoint[position={self.position}, intensity={self.intensity}]"
+    to_string = _name
 
 
 class BlinnPhong(mi.BSDF):
@@ -151,21 +151,7 @@ class BlinnPhong(mi.BSDF):
         value = self.diffuse * dr.abs(wo.z) + self.specular * power
         return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
 
-    def pdf(self, ctx, si, wo, active=True):
-        """Directions are never sampled: every light is a point."""
-        return mi.Float(0)
-
-    def eval_pdf(self, ctx, si, wo, active=True):
-        """Both of the above."""
-        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
-
-    def sample(self, ctx, si, sample1, sample2, active=True):
-        """Nothing: every light is a point."""
-        return mi.BSDFSample3f(), mi.Spectrum(0)
-
-    def to_string(self) -> str:
-        """Name and parameters, as Mitsuba prints them."""
-        return f"BlinnPhong[{self.diffuse}, {self.specular}, {self.exponent}]"
+    to_string = _name
 
 
 def _log1p(x: mi.Float) -> mi.Float:
@@ -219,9 +205,7 @@ class EveryLight(mi.SamplingIntegrator):
             total += dr.select(lit, value * intensity, 0)
         return total, valid, []
 
-    def to_string(self) -> str:
-        """Name and parameters, as Mitsuba prints them."""
-        return f"EveryLight[tolerance={self.tolerance}]"
+    to_string = _name
 
 
 mi.register_sensor("window", Window)

@@ -6,15 +6,17 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isqrt
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
 
-from converters.flavours import exact
+from converters.camera import Floats
+from converters.flavours import SAMPLES, convert
 from converters.variant import ensure, mi, use
-from tracer.arrays import Floats
+from tracer import Scene
 from tracer.commands import atomic_file
-from tracer.scene.model import Scene
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 
@@ -33,21 +35,24 @@ class Rendering:
     seconds: float
 
 
-def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -> Floats:
-    """Render a scene with Mitsuba, in the exact flavour.
+def render_mitsuba(
+    scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
+) -> Floats:
+    """Render a scene with Mitsuba.
 
     Parameters
     ----------
     scene : Scene
-    samples : int
-        Samples a pixel: 1 takes the centre, more are stratified.
+    samples : int, optional
+        Samples a pixel; those of the flavour if absent.
     variant : str, optional
         Mitsuba's variant; the fastest that works here if absent.
+    flavour : {"exact", "stock-lights", "stock"}
 
     Returns
     -------
     image : (h, w, 3) float64
-        Linear RGB.
+        Linear RGB; stock flavours are in square pixels (`converters.flavours.squared`).
 
     Raises
     ------
@@ -56,23 +61,36 @@ def render_mitsuba(scene: Scene, samples: int = 1, variant: str | None = None) -
     ValueError
         If the samples are more than Mitsuba can count, or a number is beyond those of float32.
     """
-    every = scene.width * scene.height * (isqrt(samples - 1) + 1) ** 2
+    side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
+    every = scene.width * scene.height * side**2
     if every > _MOST_SAMPLES:
         raise ValueError(
             f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
             " use fewer a pixel"
         )
-    return load(exact(scene, samples), variant)().image
+    text, picture = convert(scene, flavour, samples, "picture.pfm")
+    with TemporaryDirectory() as folder:
+        if picture is not None:
+            Path(folder, "picture.pfm").write_bytes(picture)
+        return load(text, variant, folder)().image
 
 
-def load(text: str, variant: str | None) -> Callable[[], Rendering]:
-    """Load a converted scene into Mitsuba; each call of what is returned renders it."""
+def load(text: str, variant: str | None, folder: str | None = None) -> Callable[[], Rendering]:
+    """Load a converted scene into Mitsuba; each call of what is returned renders it.
+
+    `folder` holds the picture that the scene names, if it names one.
+    """
     chosen = use(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 
     # Otherwise every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
-    scene = mi.load_string(text)
+    if folder is None:
+        scene = mi.load_string(text)
+    else:
+        path = Path(folder, "scene.xml")
+        path.write_text(text, encoding="utf-8")
+        scene = mi.load_file(str(path))
 
     def rendered() -> Rendering:
         start = perf_counter()

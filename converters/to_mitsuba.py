@@ -1,14 +1,17 @@
-"""Turn scene files into Mitsuba 3 scenes, and compare the two renderers.
+"""Turn scene files into Mitsuba 3 scenes, render these, and compare the two renderers.
 
-python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml, stock plugins
-python -m converters.to_mitsuba --exact SCENE.xml ...    writes NAME.exact.mitsuba.xml, own plugins
+python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml
 python -m converters.to_mitsuba --render SCENE.xml ...   writes NAME.mitsuba.png and .exr
 python -m converters.to_mitsuba --check SCENE.xml ...    compares, and writes NAME.check.png
 
-There are two flavours. The default uses stock plugins only and opens in the plain mitsuba
-command; its lights fall off with distance, and its highlights are similar, not the same. The
-exact flavour (--exact, and always what --render and --check use) names four small plugins of
-this project and loads with mitsuba.load_file after "import converters.plugins".
+Each takes --flavour:
+  stock         for the plain mitsuba command, in one file (default when converting). Its lights
+                fall off with distance, and its highlights are similar, not the same
+  stock-lights  the same with lights that do not fall off; a second file holds what they show
+  exact         the same picture (default of --render and --check), by small plugins of this
+                project: loads with mitsuba.load_file after "import converters.plugins"
+With --check, exact judges all light, and stock diffuse light by Mitsuba's own parts alone;
+stock-lights only tells how similar it is.
 
 Converting needs no Mitsuba. --render and --check need it ("pip install .[reference]").
 """
@@ -21,10 +24,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
+from converters.mitsuba_xml import WRITTEN
 from tracer.commands import (
     allow_interrupts,
     atomic_file,
@@ -39,6 +44,8 @@ from tracer.commands import (
 )
 
 __all__ = ["main", "run"]
+
+_FLAVOURS = "stock", "stock-lights", "exact"
 
 _Work = Callable[[Path, Path, argparse.Namespace], bool]
 
@@ -59,12 +66,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = _parser()
     options = parser.parse_args(arguments)
-    work, suffix = _work(options)
-    scenes = [Path(scene) for scene in options.scenes]
+    work, usual, ending, files = (
+        (_render, "exact", ".mitsuba.png", _png_and_exr)
+        if options.render
+        else (_check, "exact", ".check.png", _alone)
+        if options.check
+        else (_convert, "stock", ".mitsuba.xml", _xml_and_pfm)
+    )
+    options.flavour = options.flavour or usual
+    suffix = ending if options.flavour == usual else f".{options.flavour}{ending}"
+    scenes = [Path(scene) for scene in options.scenes if not _converted(scene)]
     # A path such as / has no name to replace; reading it will fail later, with a clear message.
     beside = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    files = _png_and_exr if options.render else lambda target: (target,)
-    found = output_paths(parser, options.scenes, options.output, beside, files)
+    found = output_paths(parser, [*map(str, scenes)], options.output, beside, files)
     if options.check and options.samples is not None:
         parser.error("--check compares at the centres of the pixels; it takes no --samples")
     if options.variant is not None and not (options.render or options.check):
@@ -100,14 +114,39 @@ def _ready(options: argparse.Namespace) -> bool:
     return True
 
 
+def _converted(scene: str) -> bool:
+    """Whether a file is this command's own output, as in *.xml: it is named, and left out."""
+    written = b""
+    with suppress(OSError, ValueError):
+        if Path(scene).is_file():
+            with Path(scene).open("rb") as file:
+                written = file.read(len(WRITTEN))
+    if written != WRITTEN.encode():
+        return False
+    print_line(sys.stdout, printable(f"{scene}: left out, for it is a converted scene"))
+    return True
+
+
+def _alone(target: str) -> tuple[Path]:
+    return (Path(target),)
+
+
+def _xml_and_pfm(target: str) -> tuple[Path, Path]:
+    """A converted scene, and what the lights of a `stock-lights` one show."""
+    return Path(target), _beside(target, ".xml", ".pfm")
+
+
 def _png_and_exr(target: str) -> tuple[Path, Path]:
     """The two files of a rendering, either of which -o may name."""
+    if target.lower().endswith(".exr"):
+        return Path(target).with_suffix(".png"), Path(target)
+    return Path(target), _beside(target, ".png", ".exr")
+
+
+def _beside(target: str, old: str, new: str) -> Path:
+    """Only what names the format is replaced: room.v1 and room.v2 have their own."""
     path = Path(target)
-    suffix = path.suffix.lower()
-    if suffix == ".exr":
-        return path.with_suffix(".png"), path
-    # Only what names the format is replaced: room.v1 and room.v2 have their own.
-    return path, path.with_suffix(".exr") if suffix == ".png" else Path(f"{path}.exr")
+    return path.with_suffix(new) if path.suffix.lower() == old else Path(target + new)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -125,38 +164,21 @@ def _parser() -> argparse.ArgumentParser:
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
-    parser.add_argument(
-        "--exact", action="store_true", help="use this project's plugins, for the same picture"
-    )
+    parser.add_argument("--flavour", choices=_FLAVOURS, help="see above")
     parser.add_argument(
         "--samples",
         type=whole_number(1),
         metavar="N",
-        help="samples a pixel, which Mitsuba may round up (default: 64 in the stock flavour, the"
-        " pixel's centre in the exact)",
+        help="samples a pixel, which may be rounded up (default: 64 in the stock flavour, 256 in"
+        " stock-lights, the pixel's centre in the exact)",
     )
     parser.add_argument(
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--render",
-        action="store_true",
-        help="render with Mitsuba, exact flavour: always a PNG and an EXR",
-    )
-    what.add_argument(
-        "--check", action="store_true", help="compare the tracer with Mitsuba, exact flavour"
-    )
+    what.add_argument("--render", action="store_true", help="render with Mitsuba: a PNG and an EXR")
+    what.add_argument("--check", action="store_true", help="compare the tracer with Mitsuba")
     return parser
-
-
-def _work(options: argparse.Namespace) -> tuple[_Work, str]:
-    """What to do with each scene, and how the names of its results end."""
-    if options.render:
-        return _render, ".mitsuba.png"
-    if options.check:
-        return _check, ".check.png"
-    return _convert, ".exact.mitsuba.xml" if options.exact else ".mitsuba.xml"
 
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
@@ -170,43 +192,45 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     except TROUBLE as error:
         print_line(sys.stderr, told(scene, error))
     except OSError as error:
-        _say_unwritten(target, error)
+        _print_unwritten(target, error)
     return False
 
 
-def _say_unwritten(path: Path, error: OSError) -> None:
+def _print_unwritten(path: Path, error: OSError) -> None:
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
-    from converters.flavours import WRITTEN, exact, stock
-    from tracer.scene.reader import load_scene
+    from converters.flavours import convert
+    from tracer import load_scene
 
     allow_interrupts()
-    name, flavour = ("exact", exact) if options.exact else ("stock", stock)
-    scene = load_scene(path)
-    text = flavour(scene) if options.samples is None else flavour(scene, options.samples)
+    beside = _xml_and_pfm(str(target))[1]
+    text, shown = convert(load_scene(path), options.flavour, options.samples, beside.name)
+    if shown is not None:
+        with atomic_file(beside, b"P") as file:
+            file.write(shown)
     with atomic_file(target, WRITTEN.encode()) as file:
         file.write(text.encode())
-    print_line(sys.stdout, printable(f"{target}: {name} flavour"))
+    also = "" if shown is None else f" and {beside.name}"
+    print_line(sys.stdout, printable(f"{target}{also}: {options.flavour} flavour"))
     return True
 
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.rendering import render_mitsuba, write_exr
-    from tracer.picture.png import write_png
-    from tracer.scene.reader import load_scene
+    from tracer import load_scene, write_png
 
-    scene = load_scene(path)
-    image = render_mitsuba(scene, options.samples or 1, options.variant)
+    image = render_mitsuba(load_scene(path), options.samples, options.variant, options.flavour)
     png, exr = _png_and_exr(str(target))
     for written, write in ((png, write_png), (exr, write_exr)):
         try:
             write(written, image)
         except OSError as error:
-            _say_unwritten(written, error)
+            _print_unwritten(written, error)
             return False
-    print_line(sys.stdout, printable(f"{png} and {exr.name}: {scene.width} x {scene.height}"))
+    height, width, _ = image.shape
+    print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))
     return True
 
 
@@ -214,7 +238,7 @@ def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from reference.check import check
     from reference.compare import write_comparison
 
-    result = check(path, options.variant)
+    result = check(path, options.variant, options.flavour)
     write_comparison(
         target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")
     )

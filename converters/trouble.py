@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
+from tracer import SceneFileError
 from tracer.commands import printable
-from tracer.scene.reader import SceneFileError
 
 __all__ = ["TROUBLE", "told"]
 

@@ -46,15 +46,7 @@ class Choice:
 
 
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
-    """The fastest variant that works here.
-
-    Parameters
-    ----------
-    kernel : str
-        Python code that the child process runs; it must end with status 0 where LLVM works.
-    timeout : float
-        Seconds after which the child is ended.
-    """
+    """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
     # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
     with tempfile.TemporaryDirectory() as home:
         try:
@@ -72,12 +64,8 @@ def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     if child.returncode < 0:
         name = signal.Signals(-child.returncode).name
         return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
-    return Choice(SCALAR, f"no usable libLLVM: {_last_line(child.stderr)}")
-
-
-def _last_line(text: str) -> str:
-    lines = text.strip().splitlines()
-    return lines[-1].strip() if lines else "it said nothing"
+    said = child.stderr.strip().splitlines() or ["it said nothing"]
+    return Choice(SCALAR, f"no usable libLLVM: {said[-1].strip()}")
 
 
 _chosen = cache(choose)

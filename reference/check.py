@@ -1,16 +1,24 @@
-"""Hold the tracer's picture of a scene against Mitsuba's, pixel by pixel, in linear light.
+"""Hold the tracer's pictures against Mitsuba's, pixel by pixel, in linear light.
 
-Both sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs through
-a pixel's centre the two may fall on different sides of it: pixels whose value changes by more
-than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted, if
-they differ.  Every other pixel has to agree.  Limits are of linear radiance, in units of the
-brightest pixel's where that is more than 1.
+There are two ways.  With this project's plugins (the exact flavour) all light is compared; with
+Mitsuba's own parts alone diffuse light, so that no plugin has a say in what is seen by the camera
+and by which light.  ``python -m reference.check`` prints how similar, besides, the pictures of the
+stock flavours are, which do not judge.
+
+Both renderers sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs
+through a pixel's centre the two may fall on different sides of it: pixels whose value changes by
+more than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and
+counted, if they differ.  Every other pixel has to agree; where one does not, exact arithmetic says
+which of the two errs.  Limits are of linear radiance, in units of the brightest pixel's where that
+is more than 1.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -18,17 +26,16 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.flavours import exact, normalisation
-from converters.rendering import Rendering, load
-from converters.variant import LLVM
-from converters.visible import bounds
+from converters.camera import Floats
+from converters.flavours import exact, gain, squared, stock
+from converters.rendering import Rendering, load, render_mitsuba
+from converters.variant import LLVM, use
+from reference import plain
+from reference.command import need_scenes, own_scenes, parser, run
 from reference.compare import Figures, figures
-from reference.oracle import Oracle
-from tracer import render
-from tracer.arrays import Bools, Floats
+from reference.regenerate import load_small
+from tracer import Lambertian, Scene, Surfaces, load_scene, render
 from tracer.commands import printable
-from tracer.scene.model import Scene
-from tracer.scene.reader import load_scene
 
 __all__ = [
     "EDGE_CHANGE",
@@ -39,11 +46,13 @@ __all__ = [
     "MIN_SSIM",
     "CheckResult",
     "check",
+    "check_diffuse",
     "check_scene",
     "compare",
-    "doubts",
     "edge_mask",
     "faults",
+    "main",
+    "resemblance",
 ]
 
 EDGE_SHIFT = 0.003
@@ -59,12 +68,10 @@ MAX_DIFFERENCE = 1e-4
 MAX_MEDIAN = 1e-6
 """Largest median of these differences."""
 
-# Largest coordinate, with what is seen scaled to 10 units, at which float32 is accurate enough.
-_LARGEST = 1e4
+# The oracle is slow: of more pixels that differ it is asked about some, evenly chosen.
+_MOST_ASKED = 500
 
-# The oracle, being slow, judges at most this many pixels.  If more differ, or if nothing is known
-# to be hard for Mitsuba, that stays the judge, and the oracle is asked about some of them.
-_MOST_JUDGED, _MOST_ASKED = 20_000, 200
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +84,7 @@ class CheckResult:
     tracer, mitsuba : (h, w, 3) float64
         The two pictures, linear.
     reference : (h, w, 3) float64
-        What the tracer is held against: Mitsuba's picture, but for the
-        pixels that the oracle has judged.
+        Mitsuba's picture, but the tracer's where the oracle says that Mitsuba errs.
     mask : (h, w) bool
         Edge pixels that differ, which do not count.
     figures : Figures
@@ -87,66 +93,57 @@ class CheckResult:
         picture.
     variant : str
         Mitsuba's.
-    reasons : tuple of str
-        What the scene has that is hard for Mitsuba; empty if no pixel differs.
-    differing : int
-        How many pixels differ from Mitsuba's, masked ones included if there are reasons.
-    judged : int
-        How many of these are held against the oracle in place of Mitsuba.
-    asked, agreed : int
-        Where Mitsuba stays the judge: about how many the oracle was asked, and
-        on how many it agrees with the tracer.
     tracer_seconds, mitsuba_seconds : float
         Rendering times, warm where that makes a difference.
+    differing, asked, agreed : int
+        How many pixels differ outside the mask; about how many of them the
+        oracle was asked; on how many of these it agrees with the tracer.
+    judged : bool
+        Whether the pictures should be the same, and not only similar.
     """
 
     name: str
     tracer: Floats
     mitsuba: Floats
     reference: Floats
-    mask: Bools
+    mask: Mask
     figures: Figures
     variant: str
-    reasons: tuple[str, ...]
-    judged: int
     tracer_seconds: float
     mitsuba_seconds: float
     differing: int = 0
     asked: int = 0
     agreed: int = 0
+    judged: bool = True
 
     @property
     def remark(self) -> str:
-        """What the oracle says of pixels that differ; empty if it was not asked."""
-        hard = ", ".join(self.reasons)
-        if self.judged:
-            pixels = f"{self.judged} pixel{'s' * (self.judged != 1)}"
-            return f"Mitsuba errs on {pixels} ({hard}): there the oracle is the judge"
+        """What the oracle says of pixels that differ; empty if none does."""
         if not self.asked:
             return ""
+        pixels = f"{self.differing} pixel{'s' * (self.differing != 1)}"
+        if self.agreed == self.asked:
+            return f"Mitsuba errs on {pixels}, says exact arithmetic (asked about {self.asked})"
         return (
-            f"the oracle, asked about {self.asked} of the {self.differing} pixels that differ,"
+            f"exact arithmetic, asked about {self.asked} of the {pixels} that differ,"
             f" agrees with the tracer on {self.agreed}"
-            + (f"; hard for Mitsuba are {hard}" if hard else "")
         )
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What is out of tolerance; nothing if the pictures agree."""
-        return faults(self.figures, self.mask)
+        return faults(self.figures, self.mask) if self.judged else ()
 
     def report(self) -> str:
         """The result in a few lines of text."""
         f = self.figures
-        verdict = "DIFFERS" if self.faults else "agrees"
-        if self.faults and self.asked and self.agreed == self.asked:
-            verdict += ", where Mitsuba errs"
+        same = "agrees" + " with exact arithmetic" * (self.differing > 0)
+        verdict = "DIFFERS" if self.faults else same if self.judged else "is similar"
         lines = [
             f"{self.name}: {verdict}",
             f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
             f" RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
-            f"  differing edge pixels, masked: {f.masked} ({self.mask.mean():.3%}); they change by"
-            f" more than {EDGE_CHANGE:g} when the sample moves by {EDGE_SHIFT:g} pixels",
+            f"  edge pixels that differ, masked: {f.masked} ({self.mask.mean():.3%})",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
@@ -155,7 +152,7 @@ class CheckResult:
         return "\n".join([*lines, *(f"  out of tolerance: {fault}" for fault in self.faults)])
 
 
-def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
+def faults(measured: Figures, mask: Mask) -> tuple[str, ...]:
     """Which figures of a comparison are out of tolerance, in words."""
     share = float(mask.mean())
     limits = (
@@ -173,15 +170,8 @@ def faults(measured: Figures, mask: Bools) -> tuple[str, ...]:
     return tuple(fault for within, fault in limits if not within)
 
 
-def edge_mask(scene: Scene, image: Floats) -> Bools:
-    """Pixels (h, w) near an edge: moving the sample a little changes them.
-
-    Parameters
-    ----------
-    scene : Scene
-    image : (h, w, 3) float64
-        The tracer's picture of it.
-    """
+def edge_mask(scene: Scene, image: Floats) -> Mask:
+    """Pixels (h, w) near an edge: they change when the sample of the tracer's `image` moves."""
     mask, change = np.zeros(image.shape[:2], dtype=np.bool_), EDGE_CHANGE * _unit(image)
     for dx, dy in product((-EDGE_SHIFT, EDGE_SHIFT), repeat=2):
         mask |= np.abs(render(scene, offset=(dx, dy)) - image).max(axis=2) > change
@@ -193,41 +183,13 @@ def _unit(image: Floats) -> float:
     return max(1.0, float(image.max(initial=0)))
 
 
-def doubts(scene: Scene) -> tuple[str, ...]:
-    """Why Mitsuba's picture of a scene is not to be trusted everywhere; empty if it is."""
-    surfaces = scene.surfaces
-    low, high = surfaces.min_pt, surfaces.max_pt
-    found = []
-    if (low == high).any():
-        found.append("zero-thickness boxes")
-    balls = np.column_stack([surfaces.center, surfaces.radius])
-    if len(np.unique(balls, axis=0)) < len(balls):
-        found.append("coincident spheres")
-    if any(_shared_faces(low, high, axis) for axis in range(3)):
-        found.append("coincident faces of boxes")
-    if np.abs(normalisation(scene)(bounds(surfaces))).max() > _LARGEST:
-        found.append("surfaces a thousand times larger than what is seen")
-    return tuple(found)
-
-
-def _shared_faces(low: Floats, high: Floats, axis: int) -> bool:
-    """Whether two boxes have overlapping faces in one plane across an axis."""
-    boxes = np.tile(np.arange(len(low)), 2)
-    plane = np.concatenate([low[:, axis], high[:, axis]])
-    others = [k for k in range(3) if k != axis]
-    order = np.argsort(plane, kind="stable")
-    ends = np.flatnonzero(np.diff(plane[order])) + 1
-    for group in np.split(boxes[order], ends):
-        corner, opposite = low[group][:, others], high[group][:, others]
-        for i in range(1, len(group)):
-            overlap = (corner[:i] < opposite[i]) & (corner[i] < opposite[:i])
-            if (overlap.all(axis=1) & (group[:i] != group[i])).any():
-                return True
-    return False
-
-
-def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResult:
+def check(
+    path: str | os.PathLike[str], variant: str | None = None, flavour: str = "exact"
+) -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare.
+
+    The exact flavour judges all light, "stock" diffuse light, by stock parts alone; "stock-lights"
+    does not judge.
 
     Raises
     ------
@@ -236,17 +198,48 @@ def check(path: str | os.PathLike[str], variant: str | None = None) -> CheckResu
     ImportError
         If the given variant does not work here.
     """
-    return check_scene(load_scene(path), printable(Path(path).stem), variant)
+    scene, name = load_scene(path), printable(Path(path).stem)
+    ways = {"exact": check_scene, "stock": check_diffuse, "stock-lights": resemblance}
+    return ways[flavour](scene, name, variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Render a scene with the tracer and with Mitsuba, and compare."""
+    """Compare all light, by this project's plugins."""
     rendered = load(exact(scene), variant)
     rendering = rendered()
     if rendering.variant == LLVM:
         # The first time compiles the kernel.
         rendering = rendered()
     return compare(scene, name, rendering)
+
+
+def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
+    """Compare diffuse light, by Mitsuba's own parts, in square pixels."""
+    matte = _matte(scene)
+    return compare(matte, f"{name}, diffuse light by stock plugins", _diffuse(matte, variant))
+
+
+def resemblance(
+    scene: Scene, name: str, variant: str | None = None, flavour: str = "stock-lights"
+) -> CheckResult:
+    """Compare the smooth picture with that of a stock flavour, in square pixels."""
+    square, start = squared(scene), perf_counter()
+    image = render(square, samples=16)
+    middle = perf_counter()
+    similar = render_mitsuba(scene, variant=variant, flavour=flavour)
+    end = perf_counter()
+    return CheckResult(
+        name=f"{name}, {flavour} flavour",
+        tracer=image,
+        mitsuba=similar,
+        reference=similar,
+        mask=np.zeros(image.shape[:2], dtype=np.bool_),
+        figures=figures(image, similar),
+        variant=use(variant).variant,
+        tracer_seconds=middle - start,
+        mitsuba_seconds=end - middle,
+        judged=False,
+    )
 
 
 def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
@@ -265,39 +258,82 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
-    reference, unit = rendering.image.copy(), _unit(image)
-    differs = np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit
+    reference, limit = rendering.image.copy(), MAX_DIFFERENCE * _unit(image)
+    differs = np.abs(image - reference).max(axis=2) > limit
     mask = differs & edge_mask(scene, image) if differs.any() else differs
-    reasons = doubts(scene) if differs.any() else ()
-    if not reasons:
-        differs = differs & ~mask
-    differing = np.argwhere(differs)
-    trusted = not reasons or len(differing) > _MOST_JUDGED
-    pixels = differing[:: 1 + len(differing) // _MOST_ASKED] if trusted else differing
-    truth, (row, column) = _asked(scene, pixels), pixels.T
-    agrees = np.abs(image[row, column] - truth).max(axis=1) <= MAX_DIFFERENCE * unit
-    if not trusted:
-        reference[row, column] = truth
+    differs &= ~mask
+    pixels = np.argwhere(differs)
+    asked = pixels[:: 1 + len(pixels) // _MOST_ASKED]
+    row, column = asked.T
+    agrees = np.abs(image[row, column] - _exactly(scene, asked)).max(axis=1) <= limit
+    if agrees.all():
+        reference[differs] = image[differs]
     return CheckResult(
         name=name,
         tracer=image,
         mitsuba=rendering.image,
         reference=reference,
         mask=mask,
-        figures=figures(image / unit, reference / unit, mask),
+        figures=figures(image / _unit(image), reference / _unit(image), mask),
         variant=rendering.variant,
-        reasons=reasons,
-        differing=len(differing),
-        judged=0 if trusted else len(pixels),
-        asked=len(pixels) if trusted else 0,
-        agreed=int(agrees.sum()) if trusted else 0,
+        differing=len(pixels),
+        asked=len(asked),
+        agreed=int(agrees.sum()),
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
     )
 
 
-def _asked(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
+def _exactly(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
     """Radiance (n, 3) of pixels (n, 2), rows and columns, by the oracle."""
-    oracle = Oracle(scene)
-    found = [oracle.judge(column + 0.5, row + 0.5).radiance for row, column in pixels.tolist()]
-    return np.array(found).reshape(-1, 3)
+    row, column = pixels.T + 0.5
+    return plain.trace(scene, column, row, arithmetic="decimal").radiance
+
+
+def _matte(scene: Scene) -> Scene:
+    """A scene with the diffuse part of every shader alone, in square pixels."""
+    surfaces = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
+    return replace(squared(scene), surfaces=Surfaces.of(surfaces))
+
+
+def _diffuse(scene: Scene, variant: str | None) -> Rendering:
+    """Render a matte scene by Mitsuba's own parts alone.
+
+    Each light is rendered by itself, for Mitsuba would pick one of them at random, and its fall-off
+    undone by the distance of the points that Mitsuba sees.
+    """
+    image, start = np.zeros((scene.height, scene.width, 3)), perf_counter()
+    for light in scene.lights:
+        white = replace(light, intensity=(1.0, 1.0, 1.0))
+        root = ET.fromstring(stock(replace(scene, lights=(white,)), 1))
+        parts = {part.get("type"): part for part in root.iter() if part.get("type")}
+        root.remove(parts["direct"])
+        aov = ET.SubElement(root, "integrator", type="aov")
+        ET.SubElement(aov, "string", name="aovs", value="p:position")
+        aov.append(parts["direct"])
+        parts["multijitter"].set("type", "stratified")
+        ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
+        seen = load(ET.tostring(root, encoding="unicode"), variant)().image
+        place, strength = parts["point"].findall("*")
+        away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
+        unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(scene.surfaces))
+        falloff = (away * away).sum(axis=2, keepdims=True) / unit
+        image += seen[..., :3] * falloff * light.intensity
+    return Rendering(image, use(variant).variant, perf_counter() - start)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a table of how similar the stock flavours are, in Markdown; returns 0."""
+    used = parser("reference.check", __doc__)
+    used.parse_args(arguments)
+    need_scenes(used)
+    print("| scene | stock | stock-lights |\n|---|---|---|")
+    for path in own_scenes():
+        scene = load_small(path)
+        found = (resemblance(scene, "", None, name) for name in ("stock", "stock-lights"))
+        print(f"| {path.stem} |", " | ".join(f"{f.figures.ssim:.3f}" for f in found), "|")
+    return 0
+
+
+if __name__ == "__main__":
+    run(main)

@@ -2,8 +2,7 @@
 
 Writes ``reference/mitsuba/NAME.exr``, linear RGB, and a manifest that tells how each was made.
 They are small (`WIDTH` pixels wide, of the window that the scene file asks for), at one sample a
-pixel, through its centre, in the exact flavour of the converter.  The manifest also has the SSIM
-of the stock flavour against the exact one.
+pixel, through its centre, in the exact flavour of the converter.
 """
 
 from __future__ import annotations
@@ -19,14 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from converters.flavours import square_height, stock
-from converters.rendering import load, render_mitsuba, write_exr
+from converters.camera import Floats
+from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure, mi, use
 from reference.command import HERE, need_scenes, own_scenes, parser, run
-from reference.compare import figures
-from tracer.arrays import Floats
-from tracer.scene.model import Scene
-from tracer.scene.reader import load_scene
+from tracer import Scene, load_scene
 
 __all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 
@@ -35,9 +31,6 @@ WIDTH = 160
 
 # Stored radiance is rounded to steps of 1e-6: below every tolerance, and the files compress better.
 _STEP = 2.0**-20
-
-# Samples a pixel when the two flavours are compared: enough against the noise of picking lights.
-_STOCK_SAMPLES = 36
 
 
 def load_small(path: Path) -> Scene:
@@ -78,14 +71,6 @@ def stored(name: str, folder: Path = FOLDER) -> Floats:
     return np.array(mi.Bitmap(str(path)), dtype=np.float64)
 
 
-def _stock_ssim(scene: Scene, variant: str) -> float:
-    """SSIM of the stock flavour's picture against the exact one's, in square pixels."""
-    square = replace(scene, height=square_height(scene))
-    approximate = load(stock(square, _STOCK_SAMPLES), variant)().image
-    # The exact flavour has no noise from lights picked at random: few samples are enough.
-    return figures(approximate, render_mitsuba(square, 4, variant)).ssim
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render every scene again; returns 0."""
     used = parser("reference.regenerate", __doc__)
@@ -100,10 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scene = load_small(path)
         image = render_mitsuba(scene, variant=choice.variant)
         write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
-        scenes[path.stem] = {
-            "sha256": scene_hash(path),
-            "stock_ssim": round(_stock_ssim(scene, choice.variant), 3),
-        }
+        scenes[path.stem] = {"sha256": scene_hash(path)}
         print(f"{path.stem}.exr")
     made = {
         "command": "python -m reference.regenerate",
@@ -114,7 +96,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "variant": choice.variant,
         "samples": 1,
         "width": WIDTH,
-        "stock_samples": _STOCK_SAMPLES,
         "scenes": scenes,
     }
     (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 from pathlib import Path
 
@@ -81,16 +80,6 @@ def test_commands_exist() -> None:
     assert len(modules) >= 5
     files = [ROOT / module.replace(".", "/") for module in modules]
     assert [file for file in files if not (file.with_suffix(".py").exists() or file.is_dir())] == []
-
-
-def test_likeness_of_the_stock_flavour() -> None:
-    """The README's table is that of the manifest of Mitsuba's stored pictures."""
-    scenes = json.loads((ROOT / "reference/mitsuba/manifest.json").read_text(encoding="utf-8"))[
-        "scenes"
-    ]
-    table = README.partition("<!-- flavours:begin -->")[2].partition("<!-- flavours:end -->")[0]
-    rows = re.findall(r"^\| ([-\w]+) \| (\d\.\d{3}) \|$", table, re.M)
-    assert rows == [(name, f"{scenes[name]['stock_ssim']:.3f}") for name in sorted(scenes)]
 
 
 def test_layout_names_every_module_after_those_it_imports() -> None:

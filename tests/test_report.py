@@ -58,8 +58,6 @@ def result(name: str = "pair") -> CheckResult:
         mask=mask,
         figures=figures(a, b, mask),
         variant="scalar_rgb",
-        reasons=(),
-        judged=0,
         tracer_seconds=0.0123,
         mitsuba_seconds=4.5,
     )
@@ -221,9 +219,11 @@ def test_names_are_escaped_once() -> None:
 
 def test_says_what_the_oracle_says() -> None:
     asked = replace(result(), asked=20, differing=30, agreed=19)
-    assert '<p class="soft">The oracle, asked about 20 of the 30 pixels that' in page([asked], {})
-    judged = replace(result(), judged=30, reasons=("zero-thickness boxes",))
-    assert "Mitsuba errs on 30 pixels (zero-thickness boxes): there" in page([judged], {})
+    assert '<p class="soft">Exact arithmetic, asked about 20 of the 30 pixels that' in page(
+        [asked], {}
+    )
+    judged = replace(result(), differing=30, asked=30, agreed=30)
+    assert "Mitsuba errs on 30 pixels, says exact arithmetic" in page([judged], {})
 
 
 def test_ids_are_unique_and_have_no_spaces() -> None:

@@ -16,13 +16,12 @@ from messages import told
 from PIL import Image
 from scene_files import ONE_SPHERE, codes, overflowing, small_one
 
-from converters.flavours import WRITTEN
+from converters.mitsuba_xml import WRITTEN
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
-from reference.command import own_scenes
+from reference.command import HERE, own_scenes
 from tracer.picture.png import PNG
 
-ROOT = Path(__file__).resolve().parent.parent
 EXR = b"\x76\x2f\x31\x01"
 
 
@@ -34,7 +33,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
     """The converter as a process of its own."""
     return subprocess.run(
         command(*arguments),
-        cwd=ROOT,
+        cwd=HERE.parent,
         env=os.environ | environment,
         capture_output=True,
         text=True,
@@ -49,15 +48,26 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("flavour", "name"), [([], "ball.mitsuba.xml"), (["--exact"], "ball.exact.mitsuba.xml")]
+    ("flavour", "names"),
+    [
+        ([], {"small.mitsuba.xml"}),
+        (["--flavour", "exact"], {"small.exact.mitsuba.xml"}),
+        (
+            ["--flavour", "stock-lights"],
+            {"small.stock-lights.mitsuba.xml", "small.stock-lights.mitsuba.pfm"},
+        ),
+    ],
 )
-def test_writes_beside_the_scene(tmp_path: Path, flavour: list[str], name: str) -> None:
-    scene = tmp_path / "ball.xml"
-    scene.write_bytes(ONE_SPHERE.read_bytes())
-    assert main([*flavour, str(scene)]) == 0
-    written = tmp_path / name
+def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(
+    small: Path, capsys: pytest.CaptureFixture[str], flavour: list[str], names: set[str]
+) -> None:
+    for _ in range(2):
+        scenes = [str(path) for path in sorted(small.parent.glob("*.xml"))]
+        assert main([*flavour, *scenes]) == 0
+        assert {path.name for path in small.parent.iterdir()} == names | {"small.xml"}
+    written = small.with_name(max(names))
     assert ET.parse(written).getroot().tag == "scene"
-    assert {path.name for path in tmp_path.iterdir()} == {name, "ball.xml"}
+    assert f"{written}: left out, for it is a converted scene\n" in capsys.readouterr().out
 
 
 def test_writes_several_to_a_folder_that_is_made(tmp_path: Path) -> None:
@@ -130,7 +140,7 @@ def test_no_one_reads_the_output(small: Path, unread: int, what: list[str]) -> N
     target = small.with_name("written")
     done = subprocess.run(
         command(*what, str(small), "-o", str(target)),
-        cwd=ROOT,
+        cwd=HERE.parent,
         stdout=unread,
         stderr=subprocess.PIPE,
         text=True,
@@ -146,7 +156,7 @@ def test_no_one_reads_the_output(small: Path, unread: int, what: list[str]) -> N
 def test_no_room_for_the_output(small: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            command(str(small)), cwd=ROOT, stdout=full, stderr=subprocess.PIPE, timeout=120
+            command(str(small)), cwd=HERE.parent, stdout=full, stderr=subprocess.PIPE, timeout=120
         )
     assert (done.returncode, done.stderr) == (0, b"")
     assert small.with_name("small.mitsuba.xml").exists()
@@ -163,7 +173,7 @@ def children(process: subprocess.Popen[str]) -> str:
 def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
     process = subprocess.Popen(
         command("--check", str(small)),
-        cwd=ROOT,
+        cwd=HERE.parent,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -273,7 +283,7 @@ def test_converting_needs_no_mitsuba(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "Mitsuba cannot run: not installed\n")
 
 
-@pytest.mark.parametrize("option", ["--exact", "--check"])
+@pytest.mark.parametrize("option", ["exact", "--check"])
 def test_without_numpy(tmp_path: Path, option: str) -> None:
     (tmp_path / "numpy.py").write_text("raise ModuleNotFoundError('No module named numpy')")
     done = run(option, str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
@@ -351,11 +361,11 @@ def test_check_reports_and_writes_the_comparison(tmp_path: Path) -> None:
 def test_check_ends_with_status_1_where_a_tolerance_is_broken(
     small: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("reference.check.MAX_DIFFERENCE", 1e-12)
+    monkeypatch.setattr("reference.check.MIN_SSIM", 2)
     assert main(["--check", str(small)]) == 1
     told = capsys.readouterr().out
     assert "small: DIFFERS" in told
-    assert "exceeds 1e-12" in told
+    assert "SSIM 1.00000 is below 2" in told
     assert small.with_name("small.check.png").exists()
 
 
@@ -409,7 +419,7 @@ def test_variants_without_rgb_are_refused(
     assert "spectral" not in error.partition("choose")[2]
 
 
-@pytest.mark.parametrize("flavour", [[], ["--exact"]])
+@pytest.mark.parametrize("flavour", ["stock", "exact"])
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -420,12 +430,12 @@ def test_variants_without_rgb_are_refused(
     ],
 )
 def test_huge_numbers_are_told(
-    small: Path, capsys: pytest.CaptureFixture[str], flavour: list[str], old: str, new: str
+    small: Path, capsys: pytest.CaptureFixture[str], flavour: str, old: str, new: str
 ) -> None:
     text = small.read_text(encoding="utf-8")
     assert old in text
     small.write_text(text.replace(old, new), encoding="utf-8")
-    assert main([*flavour, str(small)]) == 1
+    assert main(["--flavour", flavour, str(small)]) == 1
     assert re.fullmatch(
         rf"{small}: cannot be converted: \w+ would be (inf|[\d.]+e\+\d+), and Mitsuba's numbers"
         r" end at 3\.4e\+38; keep the numbers of the scene closer to 1\n",

@@ -5,6 +5,7 @@ What differs leaves its comparison behind, in ``build/comparisons``.
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from functools import cache
@@ -21,21 +22,25 @@ from reference.check import (
     EDGE_SHIFT,
     MAX_MASKED,
     CheckResult,
+    check_diffuse,
     check_scene,
     compare,
     edge_mask,
     faults,
+    resemblance,
 )
-from reference.command import SCENES, own_scenes
+from reference.command import HERE, SCENES, own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
 from tracer import Scene, load_scene, render
 
 pytestmark = pytest.mark.cross_validation
 
-PATHS = own_scenes()
-NAMES = [path.stem for path in PATHS]
-BUILD = Path(__file__).resolve().parent.parent / "build" / "comparisons"
+NAMES = [path.stem for path in own_scenes()]
+BUILD = HERE.parent / "build" / "comparisons"
+
+# Faces of boxes that touch are ties, which float32 decides otherwise in so many pixels.
+TIES = {"touching": 0.03}
 
 
 @cache
@@ -51,13 +56,16 @@ def kept(name: str) -> CheckResult:
     return compare(load_small(SCENES / f"{name}.xml"), name, rendering)
 
 
-def hold(result: CheckResult) -> None:
-    """Fail where a comparison is out of tolerance, leaving its picture behind."""
-    if result.faults:
+def hold(result: CheckResult, overruled: float = 0) -> None:
+    """Fail where a comparison is out of tolerance, leaving its picture behind.
+
+    `overruled`: of which share of the pixels exact arithmetic may say that Mitsuba errs.
+    """
+    if result.faults or result.differing > overruled * result.mask.size:
         BUILD.mkdir(parents=True, exist_ok=True)
         picture = BUILD / f"{result.name}-{result.variant}.check.png"
         labels = ("tracer", f"Mitsuba {result.variant}")
-        write_comparison(picture, result.tracer, result.reference, labels)
+        write_comparison(picture, result.tracer, result.mitsuba, labels)
         pytest.fail(f"{result.report()}\n  see {picture}")
 
 
@@ -77,23 +85,24 @@ def test_mitsuba_agrees_with_itself_in_another_variant() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_tracer_agrees_with_live_mitsuba(name: str) -> None:
-    hold(live(name))
+    hold(live(name), TIES.get(name, 0))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tracer_agrees_with_stored_mitsuba(name: str) -> None:
-    hold(kept(name))
+def test_diffuse_light_agrees_with_that_by_stock_plugins_alone(name: str) -> None:
+    result = check_diffuse(load_small(SCENES / f"{name}.xml"), name)
+    # The stock camera is float32, and shadow rays start above the surface: 1 % for those far away.
+    hold(result, TIES.get(name, 0.01))
+    assert result.mask.mean() <= 0.001
+    assert result.tracer.max() > 0.1
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_live_mitsuba_agrees_with_stored_mitsuba(name: str) -> None:
-    now, then = live(name), kept(name)
-    edges = edge_mask(load_small(SCENES / f"{name}.xml"), now.tracer)
+def test_live_tracer_and_mitsuba_agree_with_the_stored_picture(name: str) -> None:
+    scene, now, then = load_small(SCENES / f"{name}.xml"), live(name), kept(name)
+    hold(then, TIES.get(name, 0))
+    edges = edge_mask(scene, now.tracer)
     assert faults(figures(now.reference, then.reference, edges), edges) == ()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_stored_picture_is_of_the_scene_as_it_is_now(name: str) -> None:
     told = manifest()
     assert told["scenes"][name]["sha256"] == scene_hash(SCENES / f"{name}.xml"), (
         "the scene has changed; python -m reference.regenerate renders it again"
@@ -126,18 +135,60 @@ def test_regenerate_makes_what_is_stored(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "of-another.exr").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["four-spheres", "sticks-axonometric", "touching"])
 def test_scenes_agree_at_their_own_size(name: str) -> None:
     result = check_scene(load_scene(SCENES / f"{name}.xml"), name)
-    hold(result)
+    hold(result, TIES.get(name, 0))
     assert result.mask.mean() <= 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scattered", "rooms", "far", "walled", "crowd"])
 @pytest.mark.parametrize("seed", range(3))
 def test_random_scenes_agree(kind: str, seed: int) -> None:
     scene = random_scene(kind, seed, 64, 48)
-    hold(check_scene(scene, f"{kind}-{seed}"))
+    # In rooms, faces of boxes may touch.
+    hold(check_scene(scene, f"{kind}-{seed}"), 0.2 if kind == "rooms" else 0)
+
+
+# SSIM that the stock flavours reach at `load_small`'s size, less .005 or more: of the lights that
+# fall off by far the less.  Mirrored pictures come to .1 to .8.
+STOCK = {
+    "four-spheres": 0.935,
+    "highlights": 0.955,
+    "many-objects": 0.96,
+    "non-square-pixels": 0.985,
+    "one-box": 0.985,
+    "one-sphere": 0.985,
+    "room": 0.86,
+    "sticks-axonometric": 0.965,
+    "sticks-orthographic": 0.975,
+    "sticks-perspective": 0.895,
+    "sticks-shifted": 0.81,
+    "sunflower": 0.91,
+    "touching": 0.96,
+    "two-boxes": 0.985,
+}
+STOCK_LIGHTS = dict.fromkeys(NAMES, 0.98) | {"highlights": 0.96, "sticks-shifted": 0.975}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("flavour", "least"), [("stock", STOCK), ("stock-lights", STOCK_LIGHTS)])
+def test_stock_pictures_are_as_similar_as_the_table_says(
+    name: str, flavour: str, least: dict[str, float]
+) -> None:
+    found = resemblance(load_small(SCENES / f"{name}.xml"), name, None, flavour).figures.ssim
+    assert found >= least[name]
+    pages = [HERE.parent / "README.md", *HERE.glob("*.md")]
+    rows = [
+        row
+        for page in pages
+        for row in re.findall(rf"^\| {name} \| ([\d.]+) \| ([\d.]+) \|$", page.read_text(), re.M)
+    ]
+    assert len(rows) == 1, "python -m reference.check prints the table"
+    assert float(rows[0][flavour == "stock-lights"]) == pytest.approx(found, abs=0.003)
 
 
 def test_a_failed_comparison_leaves_its_picture_behind(
@@ -146,7 +197,7 @@ def test_a_failed_comparison_leaves_its_picture_behind(
     monkeypatch.setattr(sys.modules[__name__], "BUILD", tmp_path / "build")
     scene = small(load_scene(SCENES / "one-sphere.xml"))
     wrong = Rendering(render(scene) * 1.02, "stored", 0.0)
-    with pytest.raises(pytest.fail.Exception, match=r"DIFFERS[\s\S]*wrong-stored\.check\.png"):
+    with pytest.raises(pytest.fail.Exception, match=r"Mitsuba errs[\s\S]*-stored\.check\.png"):
         hold(compare(scene, "wrong", wrong))
     assert (tmp_path / "build" / "wrong-stored.check.png").exists()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from messages import told
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.mark.parametrize(
