@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tracer.picture.png import to_codes, write_png
     from tracer.picture.rendering import render
-    from tracer.scene.model import (
-        Box,
-        Camera,
-        Lambertian,
-        Phong,
-        PointLight,
-        Scene,
-        Shader,
-        Sphere,
-        Surfaces,
-    )
+    from tracer.scene.model import Scene, Surfaces
+    from tracer.scene.objects import Box, Camera, Lambertian, Phong, PointLight, Shader, Sphere
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.scene.writer import save_scene
@@ -54,8 +45,10 @@ if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
         "Hits": "tracer.view.first_hits",
+        "Scene": "tracer.scene.model",
         "SceneError": "tracer.scene.schema",
         "SceneFileError": "tracer.scene.reader",
+        "Surfaces": "tracer.scene.model",
         "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.rendering",
@@ -67,7 +60,7 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> object:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module = import_module(_MODULES.get(name, "tracer.scene.model"))
+        module = import_module(_MODULES.get(name, "tracer.scene.objects"))
         value = globals()[name] = getattr(module, name)
         return value
 

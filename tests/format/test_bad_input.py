@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -58,6 +59,7 @@ def cases() -> Iterator[tuple[str, str, list[str]]]:
 def rewrite() -> None:
     """Write what is reported of each case to `faults.txt`."""
     text = FAULTS.read_text(encoding="utf-8")
+    warnings.simplefilter("error")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "scene.xml")
         for case, content, told in cases():
@@ -72,9 +74,11 @@ def rewrite() -> None:
 @pytest.mark.parametrize(("content", "told"), [case[1:] for case in cases()])
 def test_wording(faults, content, told):
     assert faults(content) == told
-    # In the first line the mark of UTF-16 counts as a column.
+    # In the first line the mark of UTF-16 counts as a column, and remedies are for UTF-8.
     if not told[-1].startswith("1: not XML"):
-        assert faults(content.encode("utf-16")) == told
+        same = [re.sub("(not XML.*?);.*", r"\1", line) for line in told]
+        told = faults(content.encode("utf-16"))
+        assert [re.sub("(not XML.*?);.*", r"\1", line) for line in told] == same
 
 
 # What faults.txt cannot hold: a file, the line, a key part of what is reported.
@@ -91,11 +95,6 @@ OTHERS = [
     (b"<scene>\n\0</scene>", 2, "column 1; save the file as UTF-8, and without a NUL"),
     ("<scene>\na</scene>".encode("utf-32"), 1, "and without a NUL"),
     ("<scene>\na</scene>".encode("utf-32-be"), 1, "and without a NUL"),
-    (
-        b"\xfe\xff" + "<scene>\n<!-- a -->&;</scene>".encode("utf-16-be"),
-        2,
-        "column 12; in text, < is written &lt; and & is written &amp;",
-    ),
     ('\n<?xml version="1.0"?><scene/>', 2, "nothing may stand before <[?]xml"),
     (f'\n<!DOCTYPE scene SYSTEM "a.dtd">\n<scene>{EMPTY}&lol;</scene>', 2, "remove the DOCTYPE"),
     # How a PNG begins, a JPEG, and a file that gzip made.
@@ -109,8 +108,7 @@ OTHERS = [
         for text, fault in (
             ("\u0663 0 0", "'\u0663' is no decimal number"),
             ("1\u20032 3 4", r"'1\\u20032' is no decimal number"),
-            ("1\u00a02 3", r"has '\\xa0' \(U\+00A0\); write it as '1 2 3'"),
-            ("\ufeff1\u30002 \uff0d\uff13", r"has '\\ufeff' .* \(U\+FF13\); write it as '1 2 -3'"),
+            ("1\u00a02 3", r"'1\\xa02' is no decimal number"),
         )
     ),
     # Pictures and cameras.
@@ -437,7 +435,7 @@ def test_too_little_memory_is_an_error_of_its_own(monkeypatch):
     def no_memory(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tracer.scene.reader._numbers", no_memory)
+    monkeypatch.setattr("tracer.scene.reader.numbers", no_memory)
     with pytest.raises(MemoryError):
         load_scene(
             io.BytesIO(f"<scene>{EMPTY}{SPHERE.format('<radius>1</radius>')}</scene>".encode())

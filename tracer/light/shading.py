@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, scaled, select
-from tracer.scene.model import Phong, Shader
+from tracer.scene.objects import Phong, Shader
 
 __all__ = ["Materials", "highlight"]
 

@@ -7,8 +7,8 @@ exhaust memory or time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NoReturn, Protocol
+from collections.abc import Callable, Iterator
+from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, short
@@ -18,10 +18,9 @@ __all__ = [
     "MAX_BYTES",
     "MAX_NESTING",
     "MAX_TOKEN",
-    "BinaryFile",
     "Element",
     "GiveUp",
-    "Parser",
+    "elements",
 ]
 
 MAX_BYTES = 1 << 28
@@ -38,12 +37,6 @@ _CHUNK, _TAIL = 1 << 14, 1 << 12
 _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
-class BinaryFile(Protocol):
-    """A file object to read bytes from."""
-
-    def read(self, size: int, /) -> bytes: ...
-
-
 class GiveUp(Exception):  # noqa: N818 - it tells a fault, and that no other will be found
     """A fault after which the rest of the file is not worth reading: the line or 0, and words."""
 
@@ -58,114 +51,51 @@ class Element(list["Element"]):
     text: str
 
 
-class Parser:
-    """Makes elements of a file, and hands them to its three first methods, which are for others."""
+def elements(file: IO[bytes], note: Callable[[int, str, str], None]) -> Iterator[list[Element]]:
+    """Parse a scene file.
 
-    def __init__(self) -> None:
-        self.root = Element()
-        self.open: list[Element] = []
-        # Where stray text since the last tag is noted already: a long one comes in pieces.
-        self.strayed: Element | None = None
+    Parameters
+    ----------
+    file : binary file
+    note : callable
+        Called for stray text, with its line, the tag of what holds it, and what is wrong.
 
-    def begin(self, root: Element) -> None:
-        """Take the root, which has no children yet."""
-        raise NotImplementedError
+    Yields
+    ------
+    list of Element
+        First the root, which has no children yet; then its children, as far as they have ended.
 
-    def take(self, elements: Sequence[Element]) -> None:
-        """Take children of the root."""
-        raise NotImplementedError
+    Raises
+    ------
+    GiveUp
+        Where the file is no longer XML, or passes a limit; what ended before has been yielded.
+    """
+    opened: list[Element] = []
+    children: list[Element] = []
+    # Where stray text since the last tag is noted already: a long one comes in pieces.
+    strayed: Element | None = None
 
-    def note(self, line: int, tag: str, message: str) -> None:
-        """Note a fault."""
-        raise NotImplementedError
-
-    def parse(self, file: BinaryFile) -> None:
-        """Read a file to its end; raise `GiveUp` where it is no longer XML, or passes a limit."""
-        self.parser = parser = expat.ParserCreate()
-        parser.buffer_text = True
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._text
-        parser.StartDoctypeDeclHandler = self._doctype
-        start = latest = b""
-        given = 0
-        try:
-            while chunk := file.read(_CHUNK):
-                if not isinstance(chunk, bytes):
-                    raise TypeError("a scene is read from a binary file, not from text")
-                start, latest = start or chunk[:2], latest[-_TAIL:] + chunk
-                given += len(chunk)
-                parser.Parse(chunk)
-                # Versions of expat before 2.6 take quadratic time over one token.
-                if given - parser.CurrentByteIndex > MAX_TOKEN:
-                    self._refuse(
-                        f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
-                    )
-                if given > MAX_BYTES:
-                    raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
-            if not given:
-                raise GiveUp(0, f"is empty; {SCENE}")
-            parser.Parse(b"", True)
-        except expat.ExpatError as error:
-            message = expat.ErrorString(error.code)
-            if message == expat.errors.XML_ERROR_NO_MEMORY:
-                raise MemoryError from None
-            at = max(0, parser.ErrorByteIndex - given + len(latest))
-            around = latest[:at][-_TAIL:], (latest + file.read(_CHUNK))[at : at + 256]
-            opened = [(element.tag, element.line) for element in self.open]
-            right = malformed(message, error.lineno, around, start, opened)
-            wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
-            raise GiveUp(error.lineno, wrong) from None
-        except (LookupError, ValueError, Warning):  # of the codec that the file asks for
-            raise GiveUp(1, "not XML: unknown encoding; save the file as UTF-8") from None
-        finally:
-            del self.parser  # it holds this object by its handlers: a cycle
-
-    def ended(self) -> list[Element]:
-        """Children of the root that have ended, and were not taken."""
-        return self.root[:-1] if len(self.open) > 1 else self.root
-
-    def _refuse(self, message: str) -> NoReturn:
-        raise GiveUp(self.parser.CurrentLineNumber, message)
-
-    def _doctype(self, _name: str, system: str | None, _public: str | None, declares: bool) -> None:
-        # Nested entities grow exponentially, and declared attributes take quadratic time.
-        if declares:
-            self._refuse("DOCTYPE: declarations are not allowed; write out what entities stand for")
-        # That file would not be read, and entities it defines be skipped, some in silence.
-        if system is not None:
-            self._refuse(
-                "DOCTYPE: declarations in another file are not allowed; remove the DOCTYPE"
-            )
-
-    def _start(self, tag: str, attrib: dict[str, str]) -> None:
+    def start(tag: str, attrib: dict[str, str]) -> None:
+        nonlocal strayed
         element = Element()
         element.tag = tag
         element.attrib = attrib
-        element.line = self.parser.CurrentLineNumber
+        element.line = parser.CurrentLineNumber
         element.text = ""
-        self.strayed = None
-        opened = self.open
-        if opened:
+        strayed = None
+        if len(opened) > 1:
             parent = opened[-1]
             parent.append(element)
             if len(opened) == MAX_NESTING or len(parent) > MAX_NESTING:
                 wrong = f"{short(parent.tag)}: more than {MAX_NESTING} elements in another"
                 raise GiveUp(element.line, wrong)
         else:
-            self.begin(element)
-            self.root = element
+            children.append(element)
         opened.append(element)
 
-    def _end(self, _tag: str) -> None:
-        self.open.pop()
-        # So few at a time that they stay in cache.
-        if len(self.root) == MAX_NESTING and len(self.open) == 1:
-            self.take(self.root)
-            self.root.clear()
-
-    def _text(self, text: str) -> None:
-        element = self.open[-1]
+    def text(text: str) -> None:
+        nonlocal strayed
+        element = opened[-1]
         if text.isspace() and not element.text:
             return
         if element.tag not in _CONTAINERS:
@@ -173,9 +103,68 @@ class Parser:
             if len(element.text) > MAX_TOKEN:
                 wrong = f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter"
                 raise GiveUp(element.line, wrong)
-        elif self.strayed is not element:
+        elif strayed is not element:
             # The event comes where the text ends; the fault is where it begins.
             text = text.lstrip()
-            line = self.parser.CurrentLineNumber - text.count("\n")
-            self.note(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
-            self.strayed = element
+            line = parser.CurrentLineNumber - text.count("\n")
+            note(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+            strayed = element
+
+    def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
+        # Nested entities grow exponentially, and declared attributes take quadratic time.
+        if declares:
+            wrong = "declarations are not allowed; write out what entities stand for"
+            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: {wrong}")
+        # That file would not be read, and entities it defines be skipped, some in silence.
+        if system is not None:
+            wrong = "declarations in another file are not allowed; remove the DOCTYPE"
+            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: {wrong}")
+
+    parser: Any = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: opened.pop()
+    parser.CharacterDataHandler = text
+    parser.StartDoctypeDeclHandler = doctype
+    given, latest, fault = 0, b"", None
+    chunk = file.read(_CHUNK)
+    try:
+        if not isinstance(chunk, bytes):
+            raise TypeError("a scene is read from a binary file, not from text")
+        if not chunk:
+            raise GiveUp(0, f"is empty; {SCENE}")
+        while fault is None:
+            latest = latest[-_TAIL:] + chunk
+            given += len(chunk)
+            try:
+                parser.Parse(chunk, not chunk)
+                # Versions of expat before 2.6 take quadratic time over one token.
+                if given - parser.CurrentByteIndex > MAX_TOKEN:
+                    wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
+                    raise GiveUp(parser.CurrentLineNumber, wrong)
+                if given > MAX_BYTES:
+                    raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+            except GiveUp as error:
+                fault = error.args
+            except expat.ExpatError as error:
+                message = expat.ErrorString(error.code)
+                if message == expat.errors.XML_ERROR_NO_MEMORY:
+                    raise MemoryError from None
+                at = max(0, parser.ErrorByteIndex - given + len(latest))
+                after = (latest + file.read(_CHUNK))[at : at + 256]
+                tags = [(element.tag, element.line) for element in opened]
+                right = malformed(message, error.lineno, latest[:at][-_TAIL:], after, tags)
+                where = f"at column {error.offset + 1}"
+                fault = (error.lineno, f"not XML: {message} {where}; {right}")
+            except (LookupError, ValueError, Warning):  # of the codec that the file asks for
+                fault = (1, "not XML: unknown encoding; save the file as UTF-8")
+            ended = children[:-1] if len(opened) > 1 else children[:]
+            del children[: len(ended)]
+            yield ended
+            if not chunk:
+                break
+            chunk = file.read(_CHUNK)
+    finally:
+        parser = None  # it holds itself by its handlers: a cycle
+    if fault is not None:
+        raise GiveUp(*fault)

@@ -14,19 +14,19 @@ import re
 import stat
 from array import array
 from bisect import bisect_left
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from itertools import repeat
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 
-from tracer.arrays import Floats
 from tracer.messages import printable, quoted, short
-from tracer.scene import model
-from tracer.scene.elements import MAX_BYTES, BinaryFile, Element, GiveUp, Parser
-from tracer.scene.remedies import decimals, mended, nearest, words
-from tracer.scene.schema import Numbers, SceneError, order_faults, unchecked
+from tracer.scene import objects
+from tracer.scene.elements import MAX_BYTES, Element, GiveUp, elements
+from tracer.scene.model import Scene, Surfaces
+from tracer.scene.remedies import nearest
+from tracer.scene.schema import SceneError, order_faults
+from tracer.scene.table import PLACE, Table, decimals, numbers, words
 
 __all__ = ["MAX_FAULTS", "SceneFileError", "load_scene"]
 
@@ -39,13 +39,10 @@ _SUGGESTIONS = 30
 # The tag of each parameter that messages name.
 _TAGS = {
     each.name: each.metadata["tags"][0]
-    for made in (model.Camera, model.Box)
+    for made in (objects.Camera, objects.Box)
     for each in fields(made)
     if each.metadata
 }
-
-# The kind of a shader in a surface: its place among all shaders.
-_PLACE = Numbers(1, ())
 
 
 class SceneFileError(ValueError):
@@ -67,8 +64,8 @@ class SceneFileError(ValueError):
 
 
 def load_scene(
-    source: str | bytes | os.PathLike[str] | os.PathLike[bytes] | BinaryFile,
-) -> model.Scene:
+    source: str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes],
+) -> Scene:
     """Read a scene file.
 
     Parameters
@@ -85,8 +82,7 @@ def load_scene(
     SceneFileError
         If the file cannot be read, or has any fault; the message has a line for each.
     """
-    given: Any = source
-    reader = _Reader()
+    reader, given = _Reader(), cast(Any, source)
     try:
         if hasattr(given, "read"):
             name = given.name if isinstance(getattr(given, "name", None), str) else "<stream>"
@@ -126,76 +122,17 @@ def _opened(path: str) -> IO[bytes]:
     return open(path, "rb")
 
 
-class _Column:
-    """One element of all that a table's rows hold: their numbers, as far as these are given."""
-
-    __slots__ = ("default", "kind", "lines", "name", "numbers", "rows", "tag", "unread")
-
-    def __init__(self, name: str, tag: str, kind: Numbers, default: Any) -> None:
-        self.name, self.tag, self.kind, self.default = name, tag, kind, default
-        # Of each element: the row, the line, and its numbers, NaN for those with a fault.
-        self.rows, self.lines, self.numbers = array("i"), array("i"), array("d")
-        # The elements that come next.
-        self.unread: list[Element] = []
-
-    def given(self) -> Floats:
-        """The numbers that are given (n, count)."""
-        return np.asarray(self.numbers).reshape(-1, self.kind.count)
-
-
-class _Table:
-    """All elements that make a dataclass, in rows, as its fields' metadata describe them."""
-
-    def __init__(self, made: type) -> None:
-        self.made = made
-        self.columns: dict[str, _Column] = {}
-        # Of each row, the line, and the place among all shaders or surfaces.
-        self.lines, self.index = array("i"), array("i")
-        for each in fields(made):
-            kind, default = each.metadata.get("kind"), each.default
-            if not isinstance(kind, Numbers):
-                kind, default = _PLACE, 0
-            for tag in each.metadata.get("tags", ()):
-                self.columns[tag] = _Column(each.name, tag, kind, default)
-
-    def values(self, name: str) -> Floats:
-        """The numbers of a field (n, count), its default or NaN where none are given."""
-        columns = [column for column in self.columns.values() if column.name == name]
-        kind, default = columns[0].kind, columns[0].default
-        if len(columns[0].rows) == len(self.lines):
-            return columns[0].given()
-        values = np.full((len(self.lines), kind.count), np.nan if default is MISSING else default)
-        for column in columns:
-            values[np.asarray(column.rows)] = column.given()
-        return values
-
-    def objects(self) -> Iterator[Any]:
-        """Make the dataclass of each row, whose numbers are known to be right."""
-        columns: dict[str, Iterable[Any]] = {"line": self.lines}
-        for column in self.columns.values():
-            if column.rows:
-                each = self.values(column.name).T.tolist()
-                columns[column.name] = zip(*each, strict=True) if len(each) > 1 else each[0]
-            else:
-                columns.setdefault(column.name, repeat(column.default))  # one tuple for all
-        names = [each.name for each in fields(self.made)]
-        used = [columns[name] for name in names]
-        for _, *row in zip(self.lines, *used, strict=False):
-            yield unchecked(self.made, **dict(zip(names, row, strict=True)))
-
-
-class _Reader(Parser):
+class _Reader:
     """Takes elements in, as rows of tables; makes these into a scene."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.faults: list[tuple[int, str]] = []
         self.seen: dict[str, Element] = {}
-        self.camera = model.Camera()
+        self.camera = objects.Camera()
         self.size = (1, 1)
-        self.lights = _Table(model.PointLight)
-        self.shaders = {made.__name__: _Table(made) for made in (model.Lambertian, model.Phong)}
-        self.surfaces = {made.__name__: _Table(made) for made in (model.Sphere, model.Box)}
+        self.lights = Table(objects.PointLight)
+        self.shaders = {made.__name__: Table(made) for made in (objects.Lambertian, objects.Phong)}
+        self.surfaces = {made.__name__: Table(made) for made in (objects.Sphere, objects.Box)}
         self.surface_count = 0
         # Shaders come last: those in surfaces are found when these are converted.
         self.tables = [self.lights, *self.surfaces.values(), *self.shaders.values()]
@@ -215,34 +152,37 @@ class _Reader(Parser):
         """Note a fault of an element."""
         self.note(element.line, element.tag, message)
 
-    def read(self, file: BinaryFile) -> None:
+    def read(self, file: IO[bytes]) -> None:
         """Take in a file; note all faults, as far as it can be read."""
         whole = False
         try:
-            self.parse(file)
+            for batch in elements(file, self.note):
+                self.take(batch)
             whole = True
         except GiveUp as fault:
             self.faults.append(fault.args)
         if len(self.faults) <= MAX_FAULTS:
-            self.take(self.ended())
             self.check_values()
             if whole:
                 self.check_whole()
 
-    def begin(self, root: Element) -> None:
-        """Check the root, whose children are still to come."""
-        if root.tag != "scene":
-            raise GiveUp(root.line, f"{short(root.tag)}: the root must be <scene>")
-        if "version" in root.attrib:
+    def root(self, element: Element) -> None:
+        """Check the root."""
+        if element.tag != "scene":
+            raise GiveUp(element.line, f"{short(element.tag)}: the root must be <scene>")
+        if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
-            raise GiveUp(root.line, message)
-        self.no_attributes(root)
+            raise GiveUp(element.line, message)
+        self.no_attributes(element)
+        self.seen["scene"] = element
 
-    def take(self, elements: Sequence[Element]) -> None:
-        """Take in children of the root."""
-        for element in elements:
+    def take(self, batch: Sequence[Element]) -> None:
+        """Take in the root, which comes first, or children of it."""
+        for element in batch:
             tag = element.tag
-            if tag == "surface":
+            if not self.seen:
+                self.root(element)
+            elif tag == "surface":
                 self.surface(element)
             elif tag == "shader":
                 self.shader(element)
@@ -261,14 +201,14 @@ class _Reader(Parser):
             self.convert(table)
 
     def take_camera(self, element: Element) -> None:
-        table = _Table(model.Camera)
+        table = Table(objects.Camera)
         self.no_attributes(element, parts=table.columns)
         self.row(table, element)
         parts = {column.name: column.unread[0] for column in table.columns.values() if column.rows}
         self.convert(table)
         given = {column.name: column.given()[0] for column in table.columns.values() if column.rows}
         try:
-            self.camera = model.Camera(**given)
+            self.camera = objects.Camera(**given)
         except SceneError as error:
             for name, message, _ in error.faults:
                 # NaN stands for what is noted already.
@@ -276,10 +216,6 @@ class _Reader(Parser):
                     self.note(parts.get(name, element).line, _TAGS[name], _in_tags(message))
 
     def take_image(self, element: Element) -> None:
-        if {"width", "height"} <= element.attrib.keys():
-            size = f"{element.attrib['width']} {element.attrib['height']}"
-            self.fault(element, f"unknown attribute 'width'; write <image>{short(size)}</image>")
-            return
         self.no_attributes(element)
         self.no_children(element)
         found = words(element.text)
@@ -291,7 +227,7 @@ class _Reader(Parser):
         width, height = (int(min(max(float(word), -1e18), 1e18)) for word in found)
         self.size = (width, height)
         try:
-            model.Scene(width=width, height=height)
+            Scene(width=width, height=height)
         except SceneError as error:
             for fault in error.faults:
                 self.fault(element, str(fault))
@@ -344,7 +280,7 @@ class _Reader(Parser):
                 self.places[name] = place
         return place
 
-    def row(self, table: _Table, element: Element) -> None:
+    def row(self, table: Table, element: Element) -> None:
         """Take in an element; what its children hold is converted later."""
         row = len(table.lines)
         table.lines.append(element.line)
@@ -363,42 +299,38 @@ class _Reader(Parser):
             if column.default is MISSING and column.name not in parts and tag not in element.attrib:
                 self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
 
-    def convert(self, table: _Table) -> None:
+    def convert(self, table: Table) -> None:
         """Read the numbers of the elements that were taken in since the last call."""
         for column in table.columns.values():
             if unread := column.unread:
                 count = column.kind.count
-                if column.kind is _PLACE:
-                    numbers = [float(self.shader_or_reference(each)) for each in unread]
+                if column.kind is PLACE:
+                    found = [float(self.shader_or_reference(each)) for each in unread]
                 else:
-                    numbers = _numbers(unread, count) or [
-                        x for each in unread for x in self.numbers(each, count)
+                    found = numbers(unread, count) or [
+                        x for each in unread for x in self.numbers_of(each, count)
                     ]
-                column.numbers.fromlist(numbers)
+                column.numbers.fromlist(found)
                 column.lines.extend([each.line for each in unread])
                 unread.clear()
 
-    def numbers(self, element: Element, count: int) -> list[float]:
+    def numbers_of(self, element: Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
-        if numbers := _numbers([element], count):
-            return numbers
+        if right := numbers([element], count):
+            return right
         self.no_attributes(element)
         self.no_children(element)
         found = words(element.text)
         wrong = [word for word in found if not decimals([word])]
-        if wrong and (right := mended(element.text, count)):
-            self.fault(element, right)
-        elif wrong:
-            for word in wrong:
-                right = "is no decimal number; write it as 2, -.5 or 1e-3"
-                self.fault(element, f"{quoted(word)} {right}")
-        elif len(found) != count and not element:
+        for word in wrong:
+            self.fault(element, f"{quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3")
+        if len(found) != count and not wrong and not element:
             self.fault(element, f"needs {count} number{'s' * (count > 1)}, has {len(found)}")
         return [np.nan] * count
 
     def type_of(
-        self, element: Element, tables: Mapping[str, _Table], allowed: tuple[str, ...] = ()
-    ) -> _Table | None:
+        self, element: Element, tables: Mapping[str, Table], allowed: tuple[str, ...] = ()
+    ) -> Table | None:
         """The table that the `type` of a shader or surface names, if any."""
         kind = element.attrib.get("type")
         table = tables.get(kind or "")
@@ -458,7 +390,7 @@ class _Reader(Parser):
         """Note what is missing in a whole file: camera, image, and shaders that are referred to."""
         for tag in ("camera", "image"):
             if tag not in self.seen:
-                self.fault(self.root, f"has no {tag}; add <{tag}> ... </{tag}>")
+                self.fault(self.seen["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
         defined = np.asarray(self.defined) > 0
         if defined.all():
             return
@@ -476,19 +408,19 @@ class _Reader(Parser):
                 wrong = f"no shader is named {quoted(names[place])}; {remedies[place]}"
                 self.note(column.lines[i], column.tag, wrong)
 
-    def scene(self) -> model.Scene:
+    def scene(self) -> Scene:
         """Make the scene of a file without faults."""
-        shaders: list[model.Shader] = [model.Lambertian()] * len(self.defined)
+        shaders: list[objects.Shader] = [objects.Lambertian()] * len(self.defined)
         for table in self.shaders.values():
             for place, shader in zip(table.index, table.objects(), strict=True):
                 shaders[place] = shader
         spheres, boxes = self.surfaces["Sphere"], self.surfaces["Box"]
-        return model.Scene(
+        return Scene(
             width=self.size[0],
             height=self.size[1],
             camera=self.camera,
             lights=self.lights.objects(),
-            surfaces=model.Surfaces(
+            surfaces=Surfaces(
                 center=spheres.values("center"),
                 radius=spheres.values("radius"),
                 sphere_shader=spheres.values("shader"),
@@ -501,19 +433,6 @@ class _Reader(Parser):
                 line=np.concatenate([spheres.lines, boxes.lines]),
             ),
         )
-
-
-def _numbers(elements: Sequence[Element], count: int) -> list[float] | None:
-    """The numbers in all `elements`; None unless each surely holds `count`, and nothing else."""
-    if any(map(len, elements)) or any(element.attrib for element in elements):
-        return None
-    # One text for all: to read each by itself takes longer than to make a number of it.
-    text = " ; ".join([element.text for element in elements])
-    found = text.split()
-    between = found[count :: count + 1]
-    del found[count :: count + 1]
-    whole = len(found) == count * len(elements) and between == [";"] * (len(elements) - 1)
-    return decimals(found) if whole and text.isascii() else None
 
 
 def _in_tags(message: str) -> str:

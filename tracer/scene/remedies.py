@@ -1,4 +1,4 @@
-"""Remedies: what would make a malformed file XML, the name that was meant, the number to write."""
+"""Remedies: what would make a malformed file XML, and the name that was meant."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from xml.parsers.expat import errors
 
 from tracer.messages import character, quoted, short
 
-__all__ = ["SCENE", "decimals", "malformed", "mended", "nearest", "words"]
+__all__ = ["SCENE", "malformed", "nearest"]
 
 SCENE = "a scene file holds <scene> ... </scene>"
 
 _INVALID, _UNCLOSED = errors.XML_ERROR_INVALID_TOKEN, errors.XML_ERROR_UNCLOSED_TOKEN
 _QUOTED = 'put the value of an attribute in quotes, as in type="Sphere"'
+_ODD = "write a plain character in place of {odd}"
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
 # What the text before a fault ends with, and how it goes on; expat's message, or "" for any.
 # The first that fits tells the remedy.
 _TEXTS = (
-    ("", rb"", rb"\0", "save the file as UTF-8, and without a NUL"),
+    ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_UNCLOSED, rb"", rb"<!--", "end it with -->"),
     (_UNCLOSED, rb"", rb"<\?", "end it with ?>"),
     (_UNCLOSED, rb"", rb"<", "end it with >"),
@@ -28,8 +29,7 @@ _TEXTS = (
     ("", rb"=\s*", rb"\w", _QUOTED),
     ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
     ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", "\ufffd".encode(), "save the file as UTF-8"),
-    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {odd}"),
+    ("", rb"", rb"[\x80-\xff]", _ODD),
     ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag of line {line} with >"),
     ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes of line {line}"),
     ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes of line {line}"),
@@ -52,21 +52,9 @@ _ERRORS = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
-# What numbers copied from a page or a program come with, and what to write in its place.
-_COPIED = str.maketrans(
-    dict.fromkeys("\u2010\u2011\u2013\u2212", "-")
-    | dict.fromkeys("\u00a0\u2009\u202f\u3000()[]{}", " ")
-    | dict.fromkeys("\u200b\u2060\ufeff", "")
-    | {chr(0xFEE0 + ord(c)): c for c in "0123456789+-.,eE"}  # full width
-)
-
 
 def malformed(
-    message: str,
-    line: int,
-    around: tuple[bytes, bytes],
-    start: bytes,
-    opened: Sequence[tuple[str, int]],
+    message: str, line: int, before: bytes, after: bytes, opened: Sequence[tuple[str, int]]
 ) -> str:
     """Say what would make a file XML.
 
@@ -76,26 +64,22 @@ def malformed(
         Expat's, of what is wrong.
     line : int
         Where.
-    around : (bytes, bytes)
+    before, after : bytes
         Text of the file right before that place and after it.
-    start : bytes
-        The first two bytes of the file, which tell UTF-16 from encodings that hold ASCII.
     opened : sequence of (str, int)
         Tags and lines of the elements that have not ended there, from the root on.
     """
-    encoding = "utf-8"
-    if start in (b"\xff\xfe", b"<\0", b"\xfe\xff", b"\0<"):  # its mark, or a tag
-        encoding = "utf-16-le" if start in (b"\xff\xfe", b"<\0") else "utf-16-be"
-    before, after = (part.decode(encoding, "replace").encode() for part in around)
     # Outside all elements and tags there is no text; such a file may be a picture.
     outside = not opened and before.rfind(b"<") <= before.rfind(b">")
-    if outside and message == _INVALID and after[:1] not in (b"<", b"\0"):
+    if outside and message == _INVALID and b"\0" not in after and not after.startswith(b"<"):
         return SCENE
     last = f"<{short(opened[-1][0])}> of line {opened[-1][1]}" if opened else None
     for error, ends, begins, remedy in _TEXTS:
         text = re.search(rb"(?s:%b)\Z" % ends, before) if error in ("", message) else None
         if text and re.match(begins, after):
-            odd = after.decode()[:1]
+            odd = after.decode(errors="replace")[:1]
+            if remedy == _ODD and odd == "\ufffd":
+                return "save the file as UTF-8"
             return remedy.format(line=line - text[0].count(b"\n"), odd=odd and character(odd))
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
@@ -115,30 +99,3 @@ def nearest(name: str, known: Iterable[str]) -> str:
     for match in get_close_matches(short(name).lower(), folded, n=1):
         return f"did you mean {quoted(folded[match])}?"
     return f"known: {', '.join(map(short, names[:9]))}{', ...' * (len(names) > 9)}"
-
-
-def mended(text: str, count: int) -> str | None:
-    """Say how to write `count` numbers with odd characters, if these are all that is wrong."""
-    odd = [c for c in dict.fromkeys(text) if c == "," or ord(c) in _COPIED]
-    named = "commas" if odd == [","] else " and ".join(map(character, odd))
-    for comma in " .":
-        found = words(text.translate(_COPIED).replace(",", comma))
-        if len(found) == count and decimals(found):
-            return f"has {named}; write it as {quoted(' '.join(found))}"
-    return None
-
-
-def words(text: str) -> list[str]:
-    """Split at XML's white space; str.split() knows more kinds."""
-    return re.findall("[^ \t\r\n]+", text)
-
-
-def decimals(words: list[str]) -> list[float] | None:
-    """Read decimal numbers; None if any is none.
-
-    Some words that float() accepts are none: 1_0, nan, infinity, and digits of other scripts.
-    """
-    try:
-        return [*map(float, words)] if not re.search("[^-+.eE0-9]", "".join(words)) else None
-    except ValueError:
-        return None

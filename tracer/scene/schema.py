@@ -97,8 +97,8 @@ def of(kind: Kind, *tags: str) -> dict[str, Any]:
     return {"kind": kind, "tags": tags}
 
 
-def check(made: object) -> None:
-    """Set all fields of a frozen dataclass to what their kinds make of them.
+def check(made: Any, **values: object) -> None:
+    """Set fields of a frozen dataclass to what their kinds make of `values`, or of theirs.
 
     Raises
     ------
@@ -106,26 +106,17 @@ def check(made: object) -> None:
         For all that is wrong with them.
     """
     faults: list[Fault] = []
-    for field in fields(made):  # type: ignore[arg-type]
-        kind, value = field.metadata.get("kind"), getattr(made, field.name)
+    for field in fields(made):
+        kind = field.metadata.get("kind")
+        value = values[field.name] if values else getattr(made, field.name)
         if kind is not None and not (value is None and field.default is None):
             object.__setattr__(made, field.name, kind(value, field.name, faults))
     raise_any(faults)
 
 
-class Rule(NamedTuple):
-    """A condition on numbers.
-
-    Attributes
-    ----------
-    broken : callable
-        From values (n, count) to a mask (n, count), or (n, 1) for whole rows.
-    message : callable
-        From the values of one row that break it to what is wrong with them.
-    """
-
-    broken: Callable[[Floats], Any]
-    message: Callable[[Floats], str]
+# A condition on numbers: from values (n, count) to a mask of those that break it, (n, count), or
+# (n, 1) for whole rows; from such values of one row to what is wrong with them.
+_Rule: TypeAlias = tuple[Callable[[Floats], Any], Callable[[Floats], str]]
 
 
 def _out_of_range(values: Floats) -> str:
@@ -134,17 +125,24 @@ def _out_of_range(values: Floats) -> str:
     return f"{number(values[0])} is too {too}; {limits}"
 
 
-_FINITE = Rule(lambda x: ~np.isfinite(x), lambda x: "must be finite")
-_NOT_ZERO = Rule(lambda x: ~x.any(axis=1, keepdims=True), lambda x: "must not be the zero vector")
-_IN_RANGE = Rule(
-    lambda x: np.not_equal(x, 0) & ((np.abs(x) > LARGEST) | (np.abs(x) < SMALLEST)), _out_of_range
+_FINITE: _Rule = (lambda x: ~np.isfinite(x), lambda x: "must be finite")
+_IN_RANGE: _Rule = (
+    lambda x: np.not_equal(x, 0) & ((np.abs(x) > LARGEST) | (np.abs(x) < SMALLEST)),
+    _out_of_range,
 )
-_NONE_NEGATIVE = Rule(lambda x: x < 0, lambda x: f"must not be negative, has {number(x.min())}")
-_POSITIVE = Rule(
+_NOT_ZERO: _Rule = (
+    lambda x: ~x.any(axis=1, keepdims=True),
+    lambda x: "must not be the zero vector",
+)
+_NONE_NEGATIVE: _Rule = (
+    lambda x: x < 0,
+    lambda x: f"must not be negative, has {number(x.min())}",
+)
+_POSITIVE: _Rule = (
     lambda x: ~((x > 0) & (x < np.inf)),
     lambda x: f"must be positive and finite, is {number(x[0])}",
 )
-_NOT_NEGATIVE = Rule(
+_NOT_NEGATIVE: _Rule = (
     lambda x: ~((x >= 0) & (x < np.inf)),
     lambda x: f"must be finite and not negative, is {number(x[0])}",
 )
@@ -155,7 +153,7 @@ class Numbers:
     """A kind: so many numbers, under these rules."""
 
     count: int
-    rules: tuple[Rule, ...]
+    rules: tuple[_Rule, ...]
 
     def __call__(
         self, value: ArrayLike, name: str, faults: list[Fault]
@@ -164,12 +162,10 @@ class Numbers:
         array = _floats(value, name, faults)
         if array is None:
             return None
-        if self.count > 1 and array.shape != (self.count,):
-            has = array.size if array.ndim < 2 else f"shape {array.shape}"
-            faults.append(Fault(name, f"needs {self.count} numbers, has {has}"))
-            return None
-        if array.size != self.count:
-            faults.append(Fault(name, f"must be a single number, has {array.size}"))
+        if array.shape != (self.count,) and (self.count > 1 or array.size != 1):
+            needs = f"needs {self.count} numbers" if self.count > 1 else "must be a single number"
+            has = f"shape {array.shape}" if self.count > 1 and array.ndim > 1 else array.size
+            faults.append(Fault(name, f"{needs}, has {has}"))
             return None
         row = array.reshape(1, self.count)
         faults += [Fault(name, message) for _, message in self.faults(row)]
@@ -190,12 +186,12 @@ class Numbers:
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
         """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
         reported = np.zeros(len(values), dtype=bool)
-        for rule in self.rules:
-            broken = np.broadcast_to(rule.broken(values), values.shape)
+        for is_broken, message in self.rules:
+            broken = np.broadcast_to(is_broken(values), values.shape)
             if broken.any():
                 for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
                     reported[i] = True
-                    yield i, rule.message(values[i, broken[i]])
+                    yield i, message(values[i, broken[i]])
 
 
 POINT = Numbers(3, (_FINITE, _IN_RANGE))
@@ -223,12 +219,10 @@ def size(value: int, name: str, faults: list[Fault]) -> int:
 
 def one_of(*types: type) -> Kind:
     """An object of one of these types."""
+    many = list_of(*types)
 
     def kind(value: object, name: str, faults: list[Fault]) -> object:
-        if not isinstance(value, types):
-            right = " or ".join(each.__name__ for each in types)
-            wrong = f"must be of type {right}, is of type {type(value).__name__}"
-            faults.append(Fault(name, wrong))
+        many([value], name, faults)
         return value
 
     return kind
@@ -236,7 +230,7 @@ def one_of(*types: type) -> Kind:
 
 def list_of(*types: type) -> Kind:
     """Any number of objects of these types, as a tuple."""
-    one = one_of(*types)
+    right = " or ".join(each.__name__ for each in types)
 
     def kind(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
         try:
@@ -244,8 +238,8 @@ def list_of(*types: type) -> Kind:
         except TypeError:
             faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
             return ()
-        for part in {type(part): part for part in parts}.values():
-            one(part, name, faults)
+        others = {type(part).__name__: 0 for part in parts if not isinstance(part, types)}
+        faults += [Fault(name, f"must be of type {right}, is of type {other}") for other in others]
         return parts
 
     return kind

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import fields
-from typing import Any, Protocol
+from typing import IO, Any
 
 import numpy as np
 
@@ -22,13 +22,9 @@ __all__ = ["save_scene"]
 _SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
 
 
-class _BinaryFile(Protocol):
-    def write(self, data: bytes, /) -> object: ...
-
-
 def save_scene(
     scene: Scene,
-    target: str | bytes | os.PathLike[str] | os.PathLike[bytes] | _BinaryFile,
+    target: str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes],
 ) -> None:
     """Write a scene to a file, from which `load_scene` makes an equal one.
 
@@ -43,19 +39,17 @@ def save_scene(
     OSError
         If the file cannot be written, or a file that is there is not a scene.
     """
-    given: Any = target
-    if hasattr(given, "write"):
-        for line in _lines(scene):
-            given.write(line.encode())
+    lines = (line.encode() for line in _lines(scene))
+    if not isinstance(target, (str, bytes, os.PathLike)):
+        target.writelines(lines)
         return
-    path = os.fsdecode(given)
+    path = os.fsdecode(target)
     if os.path.isfile(path):
         with open(path, "rb") as there:
             if not re.match(_SCENE, there.read(1 << 16)):
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
     with atomic_file(path, b"") as file:
-        for line in _lines(scene):
-            file.write(line.encode())
+        file.writelines(lines)
 
 
 def _lines(scene: Scene) -> Iterator[str]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Floats, Triple, cross
-from tracer.scene.model import Camera, unit
+from tracer.scene.objects import Camera, unit
 
 __all__ = ["Raster", "raster_of"]
 
