@@ -24,7 +24,7 @@ import numpy as np
 
 from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
-from reference import rivals
+from reference import povray, rivals
 from reference.command import SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Ratio, Table, measured_on, write_tables
 from reference.timing import Task, Timing, interleaved, process
@@ -85,8 +85,8 @@ def whole_process(rounds: int, quick: bool) -> Table:
                 "Mitsuba stock": rivals.mitsuba_command(paths["stock"], png),
                 "the same, scalar": rivals.mitsuba_command(paths["stock"], png, SCALAR),
             }
-            if rivals.povray_installed():
-                commands["POV-Ray"] = rivals.povray_command(scene, png)
+            if povray.installed():
+                commands["POV-Ray"] = povray.command(scene, png)
             tasks = {who: process(command) for who, command in commands.items()}
             found = interleaved(tasks, rounds, enough=2.0)
             ours, stocks = found["tracer"], (found["Mitsuba stock"], found["the same, scalar"])

@@ -30,9 +30,9 @@ from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
 from converters.rendering import Rendering, load, render_mitsuba
 from converters.variant import LLVM, use
+from reference import plain
 from reference.command import need_scenes, own_scenes, parser, run
 from reference.compare import Figures, figures
-from reference.oracle import Oracle
 from reference.regenerate import load_small
 from tracer import Lambertian, Scene, Surfaces, load_scene, render
 from tracer.commands import printable
@@ -286,9 +286,8 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
 
 def _exactly(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
     """Radiance (n, 3) of pixels (n, 2), rows and columns, by the oracle."""
-    oracle = Oracle(scene)
-    found = [oracle.judge(column + 0.5, row + 0.5).radiance for row, column in pixels.tolist()]
-    return np.array(found).reshape(-1, 3)
+    row, column = pixels.T + 0.5
+    return plain.trace(scene, column, row, arithmetic="decimal").radiance
 
 
 def _matte(scene: Scene) -> Scene:

@@ -1,62 +1,121 @@
-"""A scene for POV-Ray, to measure it beside the tracer.
+"""POV-Ray, as a judge and as a rival: a scene in its language, and the picture that it makes.
 
-The same geometry, camera and lights (POV-Ray's do not fall off either) and the
-same Blinn-Phong lobe; only a coloured highlight comes out in its mean grey.
+Its lights do not fall off either, and its `specular` is the same Blinn-Phong lobe, so the picture
+is to be the same.  Only highlights have no colours: a coloured one is drawn in its mean grey.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
-from converters.camera import window_of
-from tracer.arrays import Floats
-from tracer.scene.model import Scene
-from tracer.scene.objects import Phong, Shader
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["to_pov"]
+from tracer import Phong, Scene, Shader, Sphere
+
+__all__ = ["command", "installed", "linear", "picture", "to_pov", "trace"]
+
+WHITE = 4.0
+"""Brightest radiance in `linear` pictures."""
 
 
-def _xyz(values: Sequence[float] | Floats) -> str:
+def installed() -> bool:
+    """Whether there is a POV-Ray."""
+    return shutil.which("povray") is not None
+
+
+def _xyz(values: Iterable[float]) -> str:
     return "<" + ", ".join(repr(float(value)) for value in values) + ">"
 
 
 def _texture(shader: Shader) -> str:
     lobe = ""
     if isinstance(shader, Phong) and any(shader.specular):
-        lobe = f" specular {sum(shader.specular) / 3!r} roughness {1 / max(shader.exponent, 1)!r}"
+        # The exponent is 1 / roughness.
+        roughness = 1 / max(shader.exponent, 1e-9)
+        lobe = f" specular {sum(shader.specular) / 3!r} roughness {roughness!r}"
     return (
         f"texture {{ pigment {{ rgb {_xyz(shader.diffuse)} }}"
         f" finish {{ ambient 0 diffuse 1{lobe} }} }}"
     )
 
 
+def _camera(scene: Scene) -> str:
+    """The window, by the vectors to its centre and along its sides: it may be oblique."""
+    camera = scene.camera
+    ahead, w, up = (np.array(v) for v in (camera.view_dir, camera.normal, camera.view_up))
+    right = np.cross(up, -np.copysign(1, w @ ahead) * w)
+    up = np.cross(right, w) * -np.copysign(1, w @ ahead)
+    return (
+        f"camera {{ location {_xyz(camera.view_point)}"
+        f" direction {_xyz(camera.proj_distance * ahead / np.linalg.norm(ahead))}"
+        f" right {_xyz(camera.view_width * right / np.linalg.norm(right))}"
+        f" up {_xyz(camera.view_height * -up / np.linalg.norm(up))} }}"
+    )
+
+
 def to_pov(scene: Scene, exposure: float = 1.0) -> str:
-    """The scene description that POV-Ray 3.7 reads, its lights times `exposure`."""
-    window = window_of(scene.camera)
-    u, v, _ = window.axes
-    ahead = window.points(0.5, 0.5)
+    """Write the scene in POV-Ray 3.7's language, its lights times `exposure`."""
     lines = [
         "#version 3.7;",
         "global_settings { assumed_gamma 1 }",
         "background { rgb 0 }",
-        f"camera {{ location {_xyz(window.eye)} direction {_xyz(ahead)}"
-        f" right {_xyz(window.width * u)}"
-        f" up {_xyz(-window.height * v)} }}",
+        _camera(scene),
         *(
             f"light_source {{ {_xyz(light.position)} rgb {exposure!r} * {_xyz(light.intensity)} }}"
             for light in scene.lights
         ),
         *(f"#declare S{k} = {_texture(shader)}" for k, shader in enumerate(scene.surfaces.shaders)),
     ]
-    s = scene.surfaces
-    lines += [
-        f"sphere {{ {_xyz(center)}, {radius!r} texture {{ S{shader} }} }}"
-        for center, radius, shader in zip(
-            s.center, s.radius.tolist(), s.sphere_shader.tolist(), strict=True
-        )
-    ]
-    lines += [
-        f"box {{ {_xyz(low)}, {_xyz(high)} texture {{ S{shader} }} }}"
-        for low, high, shader in zip(s.min_pt, s.max_pt, s.box_shader.tolist(), strict=True)
-    ]
+    shaders = {shader: k for k, shader in enumerate(scene.surfaces.shaders)}
+    for s in scene.surfaces[:]:
+        if isinstance(s, Sphere):
+            shape = f"sphere {{ {_xyz(s.center)}, {s.radius!r}"
+        else:
+            shape = f"box {{ {_xyz(s.min_pt)}, {_xyz(s.max_pt)}"
+        lines.append(f"{shape} texture {{ S{shaders[s.shader]} }} }}")
     return "\n".join([*lines, ""])
+
+
+def command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
+    """Write a scene beside `target`, and return the command that draws it there as a PNG."""
+    source = target.with_suffix(".pov")
+    source.write_text(to_pov(scene, exposure), encoding="utf-8")
+    size = (f"+W{scene.width}", f"+H{scene.height}")
+    return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
+
+
+def linear(scene: Scene, target: Path, *options: str) -> list[str]:
+    """Return the `command` to a picture, linear and of 16 bits, that `picture` reads."""
+    return command(scene, target, "+FP16", "File_Gamma=1.0", *options, exposure=1 / WHITE)
+
+
+def picture(target: Path) -> NDArray[np.float64]:
+    """Linear radiance (height, width, 3) of such a picture, clipped at `WHITE`."""
+    data = target.read_bytes()
+    header = re.match(rb"P6\s(?:#.*\n)*(\d+)\s+(\d+)\s+65535\s", data)
+    if header is None:
+        raise ValueError(f"{target} is not a PPM of 16 bits")
+    codes = np.frombuffer(data, dtype=">u2", offset=header.end())
+    return codes.reshape(int(header[2]), int(header[1]), 3) * (WHITE / 65535)
+
+
+def trace(command: Sequence[str]) -> float:
+    """Run POV-Ray, and return the seconds that it says it traced, without its start.
+
+    It rounds them to milliseconds; 0 counts as half of one.
+
+    Raises
+    ------
+    RuntimeError
+        If POV-Ray fails.
+    """
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace")
+    found = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", done.stderr)
+    if done.returncode or not found:
+        raise RuntimeError(f"POV-Ray failed:\n{done.stderr}")
+    return max(float(found[1]), 0.0005)

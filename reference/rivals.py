@@ -1,21 +1,15 @@
-"""The renderers that the tracer is measured against: Mitsuba 3 and POV-Ray."""
+"""Mitsuba 3, as the tracer is measured against it, and both as commands."""
 
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from converters.flavours import exact, stock
 from converters.variant import ensure, mi
-from reference.povray import to_pov
-from tracer.arrays import Floats
 from tracer.scene.model import Scene
 
 __all__ = [
@@ -23,11 +17,6 @@ __all__ = [
     "mitsuba_exact",
     "mitsuba_stock",
     "mitsuba_text",
-    "povray_command",
-    "povray_installed",
-    "povray_linear",
-    "povray_picture",
-    "povray_trace",
     "tracer_command",
 ]
 
@@ -41,9 +30,6 @@ if "unattenuated_point" in open(source).read():
     import converters.plugins
 mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
-
-# Brightest radiance that survives in POV-Ray's 16-bit PNG.
-_POVRAY_WHITE = 4.0
 
 
 def tracer_command(source: Path, target: Path, samples: int = 1) -> list[str]:
@@ -98,45 +84,3 @@ def mitsuba_stock(scene: Scene, samples: int = 1) -> Any:
 
 def _plugins() -> None:
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-
-
-def povray_installed() -> bool:
-    """Whether there is a POV-Ray to measure."""
-    return shutil.which("povray") is not None
-
-
-def povray_command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
-    """POV-Ray, without a window, from a scene description, which this writes, to a PNG."""
-    source = target.with_suffix(".pov")
-    source.write_text(to_pov(scene, exposure))
-    size = (f"+W{scene.width}", f"+H{scene.height}")
-    return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
-
-
-def povray_linear(scene: Scene, target: Path, *options: str) -> list[str]:
-    """`povray_command` to a linear PNG of 16 bits, which `povray_picture` reads."""
-    linear = ("+FN16", "File_Gamma=1.0")
-    return povray_command(scene, target, *linear, *options, exposure=1 / _POVRAY_WHITE)
-
-
-def povray_picture(target: Path) -> Floats:
-    """The linear radiance (h, w, 3) of such a PNG, clipped at `_POVRAY_WHITE`."""
-    image = np.array(mi.Bitmap(str(target)), dtype=np.float64)[..., :3]
-    return image / 65535 * _POVRAY_WHITE
-
-
-def povray_trace(command: Sequence[str]) -> float:
-    """Run POV-Ray; the seconds that it says it spent on tracing alone.
-
-    It rounds them to milliseconds; 0 counts as half of one.
-
-    Raises
-    ------
-    RuntimeError
-        If POV-Ray fails.
-    """
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace")
-    found = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", done.stderr)
-    if done.returncode or not found:
-        raise RuntimeError(f"POV-Ray failed:\n{done.stderr}")
-    return max(float(found[1]), 0.0005)

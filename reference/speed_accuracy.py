@@ -23,7 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from converters.variant import LLVM, mi, use
-from reference import alternatives, rivals
+from reference import plain, povray, rivals
 from reference.charts import HALO, LOOKS, headline, plt, save
 from reference.command import SCENES, built, need_scenes, need_table, parser, result, run
 from reference.tables import measured_on, read_csv, write_csv
@@ -82,8 +82,7 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
     """The usual NumPy tracer in float32, `side` x `side` samples in every pixel."""
     shifts = ((np.arange(side) + 0.5) / side - 0.5).tolist()
     total = sum(
-        alternatives.render(scene, alternatives.float32, offset=offset)
-        for offset in product(shifts, shifts)
+        plain.render(scene, offset, arithmetic="float32") for offset in product(shifts, shifts)
     )
     return np.asarray(total) / side**2
 
@@ -120,7 +119,7 @@ def _expected(method: str, seconds: Sequence[float]) -> float:
 
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
     """Time all methods on one scene, and measure their errors."""
-    truth, png = Truth.of(scene, truth_side(quick)), built("povray.png")
+    truth, png = Truth.of(scene, truth_side(quick)), built("povray.ppm")
     spent: dict[str, list[float]] = defaultdict(list)
     for k in range(3 if quick else 6):
         pictures: dict[str, Floats] = {}
@@ -131,10 +130,10 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             return lambda: pictures.update({method: np.asarray(task())})
 
         tasks = {method: keep(method, task) for method, task in _tasks(scene, k).items()}
-        if rivals.povray_installed():
+        if povray.installed():
             threshold, depth = _ADAPTIVE[k]
             finer = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-            tasks[_POVRAY] = partial(_trace, rivals.povray_linear(scene, png, *finer), traced)
+            tasks[_POVRAY] = partial(_trace, povray.linear(scene, png, *finer), traced)
         # A curve ends where its next point would take too long.
         tasks = {
             method: task
@@ -145,7 +144,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
         for method, timing in timings.items():
             spent[method].append(timing.median)
         if traced:
-            pictures[_POVRAY] = rivals.povray_picture(png)
+            pictures[_POVRAY] = povray.picture(png)
             timings[_POVRAY] = Timing.of(traced)  # without its start, as the others' times are
         # Mitsuba's kernels choose among all scenes alive: this one goes before the next comes.
         tasks.clear()
@@ -155,7 +154,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
 
 
 def _trace(command: Sequence[str], traced: list[float]) -> None:
-    traced.append(rivals.povray_trace(command))
+    traced.append(povray.trace(command))
 
 
 # --- The chart ---------------------------------------------------------------------------

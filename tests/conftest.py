@@ -12,12 +12,19 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tracer.antialias import refine as antialias
 from tracer.shadow import occlusion as shadow
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")
+
+
+# `HYPOTHESIS_PROFILE=thorough python -m pytest` tries ten times as many examples, and new ones.
+settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
+settings.register_profile("thorough", max_examples=300, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -9,27 +9,17 @@ stay below 0.99 radii: nearer the limb the normal of *any* rounded ray errs by
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from judge import judge
 from probe import colored, moved, scene_of
 from random_objects import a_direction, vector
 from random_scenes import random_scene
 
-from reference.oracle import Oracle, Verdict
-from tracer import Camera, Scene, Sphere, render
-
-
-def errors(scene: Scene) -> list[tuple[float, Verdict]]:
-    """Per pixel the largest error, and the oracle's verdict."""
-    image = render(scene)
-    return [
-        (float(np.abs(image[i, j] - verdict.radiance).max()), verdict)
-        for i, row in enumerate(Oracle(scene).picture())
-        for j, verdict in enumerate(row)
-    ]
+from tracer import Camera, Scene, Sphere
 
 
 def balls(
@@ -38,14 +28,13 @@ def balls(
     """Balls that fill a picture of 5 x 5, seen from random directions."""
     for _ in range(count):
         direction, center = a_direction(rng), a_direction(rng) * offset
-        eye = center - direction * distance
         lights = [center + a_direction(rng) * 3 * radius - direction * 4 * radius for _ in range(3)]
         # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most.
         size = 1.4 * radius * 5 / 4
         yield scene_of(
             Sphere(center=vector(center), radius=radius),
             camera=Camera(
-                view_point=vector(eye),
+                view_point=vector(center - direction * distance),
                 view_dir=vector(direction),
                 view_up=vector(a_direction(rng)),
                 proj_distance=distance,
@@ -57,14 +46,11 @@ def balls(
         )
 
 
-def worst(scenes: Iterator[Scene]) -> float:
+def worst(scenes: Iterable[Scene]) -> float:
     """Largest error over scenes; every pixel must show the one object."""
-    largest = 0.0
-    for scene in scenes:
-        for error, verdict in errors(scene):
-            assert verdict.surface == 0
-            largest = max(largest, error)
-    return largest
+    judged = [judge(scene) for scene in scenes]
+    assert all((one.seen.surface == 0).all() for one in judged)
+    return max(float(one.error.max()) for one in judged)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +70,9 @@ def test_offset_over_radius(ratio: float, radius: float) -> None:
     assert worst(balls(rng, 6 * radius, radius, ratio * radius, 16)) <= 3e-14
 
 
-@pytest.mark.parametrize(("ratio", "promise"), [(1e4, 3e-9), (1e6, 3e-9), (1e8, 3e-9)])
+@pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8])
 @pytest.mark.parametrize("height", [1.0, 1e-3])
-def test_ground_radius_over_height(ratio: float, promise: float, height: float) -> None:
+def test_ground_radius_over_height(ratio: float, height: float) -> None:
     # The eye is at this height over the ground, and looks at it from 20 to 70 degrees above;
     # the lights are as far from what it sees as the radius is, so the normal alone counts.
     rng = np.random.default_rng(int(ratio) + 2)
@@ -101,7 +87,6 @@ def test_ground_radius_over_height(ratio: float, promise: float, height: float) 
                 camera=Camera(
                     view_point=(0, height, 0),
                     view_dir=(flat * math.cos(turn), -math.sin(slope), flat * math.sin(turn)),
-                    proj_distance=1,
                     view_width=0.3,
                     view_height=0.3,
                 ),
@@ -109,61 +94,56 @@ def test_ground_radius_over_height(ratio: float, promise: float, height: float) 
                 lights=colored(*(vector(a_direction(rng) * radius) for _ in range(3))),
             )
 
-    assert worst(scenes()) <= promise
+    assert worst(scenes()) <= 3e-9
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-4, 1e4, 1e8])
 def test_whole_scene_scaled(scale: float) -> None:
     # Decimal scales round the scene; the oracle judges the rounded one.
     rng = np.random.default_rng(4)
-    scenes = (moved(scene, scale) for scene in balls(rng, 6.0, 1.0, 0.0, 8))
-    assert worst(scenes) <= 2e-14
+    assert worst(moved(scene, scale) for scene in balls(rng, 6.0, 1.0, 0.0, 8)) <= 2e-14
 
 
-def assert_same_decisions(scenes: Iterator[Scene]) -> None:
-    """Outside of ties the tracer sees what the oracle sees, lit by the lights that it says.
+def scattered_or_touching() -> Iterator[Scene]:
+    """Three scenes of each kind."""
+    for seed in range(3):
+        yield random_scene("scattered", seed)
+        yield random_scene("touching", seed)
 
-    Each light has a channel, and each object its own share of it; a tie is a
-    margin of a few hundred roundings of the lengths involved.
+
+def assert_same_decisions(scenes: Iterable[Scene]) -> None:
+    """The tracer sees what the oracle sees, lit by the lights that it says, wherever that is sure.
+
+    Each light has a channel, and each object its own share of it.
     """
-    ties = decided = 0
+    sure = []
     for scene in scenes:
         lights = tuple(colored(*(light.position for light in scene.lights)))
-        for error, verdict in errors(replace(scene, lights=lights)):
-            if verdict.margin < 1e-12:
-                ties += 1
-            else:
-                decided += 1
-                assert error < 1e-4, verdict
-    assert decided > 0
-    assert ties < 0.02 * decided
+        judged = judge(replace(scene, lights=lights))
+        assert not judged.wrong(1e-4)
+        sure.append(judged.sure.mean())
+    assert np.mean(sure) > 0.98
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
 @pytest.mark.parametrize("offset", [0.0, 1e6, 1e8])
 def test_decisions_scaled_and_shifted(scale: float, offset: float) -> None:
-    assert_same_decisions(
-        moved(random_scene(kind, seed), scale, (offset * scale,) * 3)
-        for seed in range(3)
-        for kind in ("scattered", "touching")
-    )
+    shift = (offset * scale,) * 3
+    assert_same_decisions(moved(scene, scale, shift) for scene in scattered_or_touching())
 
 
 @pytest.mark.parametrize("distance", [1e4, 1e6, 1e8])
 def test_decisions_from_afar(distance: float) -> None:
-    def scenes() -> Iterator[Scene]:
-        for seed in range(3):
-            for kind in ("scattered", "touching"):
-                scene = random_scene(kind, seed)
-                direction = np.array(scene.camera.view_dir)
-                camera = Camera(
-                    view_point=vector(direction * -distance),
-                    view_dir=vector(direction),
-                    view_up=scene.camera.view_up,
-                    proj_distance=distance,
-                    view_width=4,
-                    view_height=3,
-                )
-                yield replace(scene, camera=camera)
+    def from_afar(scene: Scene) -> Scene:
+        direction = np.array(scene.camera.view_dir)
+        camera = Camera(
+            view_point=vector(direction * -distance),
+            view_dir=vector(direction),
+            view_up=scene.camera.view_up,
+            proj_distance=distance,
+            view_width=4,
+            view_height=3,
+        )
+        return replace(scene, camera=camera)
 
-    assert_same_decisions(scenes())
+    assert_same_decisions(map(from_afar, scattered_or_touching()))

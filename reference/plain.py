@@ -1,0 +1,344 @@
+"""A plain renderer of the scene format: every ray against every object.
+
+    python -m reference.plain SCENE.xml [-o PICTURE.png] [--arithmetic decimal] ...
+
+Read it first: it says in few lines what a picture of the format is, and takes its time for it.
+Of the tracer it knows nothing but the scene, so that it can judge it:
+
+* In decimals of 80 digits it is the oracle.  Lengths that agree to 50 digits are equal, since the
+  scene's own numbers have 16: contact and ties are decided exactly.
+* In float32, with the textbook's quadratic or with an epsilon for shadows, it is what the
+  stability chart (`reference.stability`) shows to fail.
+
+The nearest root t > 0 of a camera ray is seen; of equal ones the first in the file.  With the eye
+inside an object, or on it, that is the far root, and the normal points inwards.
+"""
+
+from __future__ import annotations
+
+import decimal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from reference.command import parser, run
+from tracer import Phong, Scene, SceneFileError, Shader, Sphere, load_scene, write_png
+
+__all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "Seen", "render", "trace"]
+
+Array: TypeAlias = NDArray[Any]
+"""Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
+
+_DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
+
+
+def _decimal(values: ArrayLike) -> Array:
+    return np.asarray(
+        np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64)), dtype=object
+    )
+
+
+ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Array], float]] = {
+    "float64": (partial(np.asarray, dtype=np.float64), 0),
+    "float32": (partial(np.asarray, dtype=np.float32), 0),
+    "decimal": (_decimal, 1e-50),
+}
+"""A cast to the numbers to compute in; and the length, relative to the scene's, that is none."""
+
+
+def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
+    """Haines, Günther and Akenine-Möller (Ray Tracing Gems, ch. 7): error grows as eps D.
+
+    The roots come in the stable form (Numerical Recipes, 5.6), which does not cancel on a sphere
+    much larger than the origin's distance from it.
+    """
+    m = c - o
+    a, b = _dot(d, d), _dot(m, d)
+    offset = m - b / a * d
+    root = np.sqrt(a * (r * r - _dot(offset, offset)))
+    q = np.where(b < 0, b - root, b + root)
+    first, second = q / a, (_dot(m, m) - r * r) / q
+    return np.minimum(first, second), np.maximum(first, second)
+
+
+def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
+    """The quadratic formula as most textbooks print it: error grows as eps D^2."""
+    m = o - c
+    return _quadratic(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
+
+
+def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
+    """The same with |o - c|^2 multiplied out: error grows as the square of an offset, too."""
+    b = 2 * (_dot(o, d) - _dot(c, d))
+    return _quadratic(_dot(d, d), b, _dot(o, o) - 2 * _dot(o, c) + _dot(c, c) - r * r)
+
+
+def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    root = np.sqrt(b * b - 4 * a * c)
+    return (-b - root) / (2 * a), (-b + root) / (2 * a)
+
+
+SPHERES = {
+    "closest": closest_approach,
+    "textbook": textbook,
+    "expanded": expanded,
+}
+"""From origin, direction, centre and radius to near and far t; NaN where the ray misses."""
+
+
+def _ulps(p: Array, n: Array) -> tuple[Array, float]:
+    """Wächter and Binder (Ray Tracing Gems, ch. 6), with their constants."""
+    return p + n * np.where(np.abs(p) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(p))), 0
+
+
+SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]] | None] = {
+    "exact": None,
+    "t>0": lambda p, n: (p, 0),
+    "t>1e-4": lambda p, n: (p, 1e-4),
+    "t>1e-6": lambda p, n: (p, 1e-6),
+    "normal": lambda p, n: (p + 1e-4 * n, 0),
+    "ulps": _ulps,
+}
+"""From point and normal to where the shadow ray starts, and the least length t that blocks.
+
+The first needs neither: it leaves out the own object, which is exact, since all are convex.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What n rays see: linear RGB, the surface's place in the file or -1, which lights reach it."""
+
+    radiance: NDArray[np.float64]
+    surface: NDArray[np.intp]
+    lit: NDArray[np.bool_]
+    """(lights, n)"""
+
+
+class _Plain:
+    """A scene in numbers of one arithmetic, with the methods to trace it by."""
+
+    def __init__(self, scene: Scene, arithmetic: str, spheres: str, shadows: str) -> None:
+        self.scene, self.surfaces = scene, scene.surfaces[:]
+        cast, contact = ARITHMETICS[arithmetic]
+        self.cast, self.roots, self.start = cast, SPHERES[spheres], SHADOWS[shadows]
+        self.eye = cast(scene.camera.view_point)[:, None]
+        self.lights = [cast(light.position)[:, None] for light in scene.lights]
+        self.is_sphere = [isinstance(s, Sphere) for s in self.surfaces]
+        self.shapes = [
+            (cast(s.center)[:, None], cast([s.radius]))
+            if isinstance(s, Sphere)
+            else (cast(s.min_pt)[:, None], cast(s.max_pt)[:, None])
+            for s in self.surfaces
+        ]
+        lengths = [self.eye, *self.lights, *(v for pair in self.shapes for v in pair)]
+        self.contact = cast(contact)
+        self.none = self.contact * max(np.abs(v).max() for v in lengths)
+        self.inside = [bool(self.side(i, self.eye)[0] <= 0) for i in range(len(self.shapes))]
+
+    def zeroed(self, v: Array, most: Array) -> Array:
+        """Numbers of which those no larger than `most` become 0."""
+        return np.where(np.abs(v) <= most, self.cast(0), v) if self.contact else v
+
+    def side(self, i: int, p: Array) -> Array:
+        """Signed distance of points from a surface: 0 on it, negative inside."""
+        a, b = self.shapes[i]
+        gap = _norm(p - a) - b if self.is_sphere[i] else np.maximum(a - p, p - b).max(axis=0)
+        return self.zeroed(gap, self.none)
+
+    def slabs(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
+        """Where rays enter and leave a box along each axis (3, n); its faces may be `closed`."""
+        low, high = (self.zeroed(v - o, self.none) for v in self.shapes[i])
+        between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
+        along = np.where(between, self.cast(np.inf), self.cast(-np.inf))
+        a, b = low / d, high / d
+        near = np.where(d == 0, -along, np.minimum(a, b))
+        return near, np.where(d == 0, along, np.maximum(a, b))
+
+    def intersect(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
+        """Near and far t (n,) of rays with a surface; near <= far unless they miss."""
+        if self.is_sphere[i]:
+            return self.roots(o, d, *self.shapes[i])
+        near, far = self.slabs(i, o, d, closed)
+        return near.max(axis=0), far.min(axis=0)
+
+    def rays(self, x: Array, y: Array) -> Array:
+        """Directions (3, n) from the eye to the window, for places in pixels."""
+        cast, camera = self.cast, self.scene.camera
+        width, height = self.scene.width, self.scene.height
+        ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
+        w = -w if _dot(w, ahead) > 0 else w
+        u = _unit(np.cross(cast(camera.view_up), w))
+        v = np.cross(w, u)
+        right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
+        up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
+        middle = ahead * cast(camera.proj_distance)
+        return self.settled(np.array([middle[k] + right * u[k] + up * v[k] for k in range(3)]))
+
+    def settled(self, d: Array) -> Array:
+        """Directions, of which those that nearly lie in a plane of two axes lie in it."""
+        return self.zeroed(d, self.contact * np.abs(d).max(axis=0))
+
+    def trace(self, x: Array, y: Array) -> Seen:
+        """Find what rays see, and shade it."""
+        d = self.rays(x, y)
+        nearest, owner = np.broadcast_to(self.cast(np.inf), x.size), np.full(x.size, -1)
+        for i, inside in enumerate(self.inside):
+            near, far = self.intersect(i, self.eye, d, closed=True)
+            t = far if inside else near
+            closer = (near <= far) & (t > self.none) & (t < nearest * (1 - self.contact))
+            nearest, owner = np.where(closer, t, nearest), np.where(closer, i, owner)
+
+        seen = np.flatnonzero(owner >= 0)
+        own, d = owner[seen], d.take(seen, 1)
+        p, n = self.points(own, d, nearest[seen])
+        radiance, lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
+        for light, position, reached in zip(self.scene.lights, self.lights, lit, strict=True):
+            reached[seen] = self.reached(own, p, n, position)
+            wi, wo = _unit(position - p), -_unit(d)
+            for i in np.unique(own).tolist():
+                mine = np.flatnonzero(reached[seen] & (own == i))
+                shader = self.surfaces[i].shader
+                shade = self.reflected(shader, n.take(mine, 1), wi.take(mine, 1), wo.take(mine, 1))
+                radiance[seen[mine]] += shade * light.intensity
+        return Seen(radiance, owner, lit)
+
+    def points(self, own: Array, d: Array, t: Array) -> tuple[Array, Array]:
+        """Points where rays meet their objects, put back on the surface, and normals."""
+        p = self.eye + t * d
+        n = np.zeros_like(p)
+        for i in np.unique(own).tolist():
+            mine, inside, (a, b) = np.flatnonzero(own == i), self.inside[i], self.shapes[i]
+            if self.is_sphere[i]:
+                outward = (p.take(mine, 1) - a) / b
+                p[:, mine] = a + b * outward
+                n[:, mine] = -outward if inside else outward
+                continue
+            near, far = self.slabs(i, self.eye, d.take(mine, 1), closed=True)
+            axis = far.argmin(axis=0) if inside else near.argmax(axis=0)
+            forward = d[axis, mine] > 0
+            p[axis, mine] = np.where(forward == inside, b[axis, 0], a[axis, 0])
+            n[axis, mine] = self.cast(np.where(forward, -1, 1))
+        return p, n
+
+    def reached(self, own: Array, p: Array, n: Array, light: Array) -> Array:
+        """Whether a light reaches points p with normals n on the objects `own`."""
+        lit = _dot(n, light - p) > self.none
+        for i, inside in enumerate(self.inside):
+            at = np.flatnonzero(lit)
+            if self.start is None:
+                # Seen from inside, the own object keeps out what is not inside, too.
+                hidden = inside and self.side(i, light)[0] >= 0
+                blocks = np.where(own[at] == i, hidden, self.blocks(i, p.take(at, 1), light, 0))
+            else:
+                start, least = self.start(p.take(at, 1), n.take(at, 1))
+                blocks = self.blocks(i, start, light, least)
+            lit[at] = ~blocks
+        return np.asarray(lit)
+
+    def blocks(self, i: int, p: Array, light: Array, least: float) -> Array:
+        """Whether a surface has a root strictly between points and a light.
+
+        A sphere that a point is on blocks what leaves the side that it is seen from.
+        """
+        reach = _norm(light - p)
+        d = self.settled((light - p) / reach)
+
+        def between(t: Array) -> Array:
+            return np.asarray((t > self.cast(least) + self.none) & (t < reach - self.none))
+
+        near, far = self.intersect(i, p, d, closed=False)
+        blocks = (near <= far) & (between(near) | between(far))
+        if self.contact and self.start is None and self.is_sphere[i]:
+            # With a root at one end, the other is as far beyond the middle of the chord.
+            toward = _dot(self.shapes[i][0] - p, d)
+            outwards = (toward < -self.none) | between(2 * toward)
+            leaves = outwards if self.inside[i] else toward > self.none
+            blocks = np.where(self.side(i, light) == 0, between(2 * toward - reach), blocks)
+            blocks = np.where(self.side(i, p) == 0, leaves, blocks)
+        return blocks
+
+    def reflected(self, shader: Shader, n: Array, wi: Array, wo: Array) -> NDArray[np.float64]:
+        """Lambert's and Blinn's terms (n, 3) for a light of intensity 1."""
+        value = np.outer(_dot(n, wi).astype(float), shader.diffuse)
+        if isinstance(shader, Phong) and any(shader.specular):
+            cosine = _dot(n, _unit(wi + wo))
+            base = np.where(cosine > 0, cosine, self.cast(0))
+            # 0 to the power 0 is no Decimal.
+            lobe = base ** self.cast(shader.exponent) if shader.exponent else np.ones(base.size)
+            value += np.outer(lobe.astype(float), shader.specular)
+        return value
+
+
+def _dot(a: Array, b: Array) -> Array:
+    product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
+
+
+def _norm(a: Array) -> Array:
+    length: Array = np.sqrt(_dot(a, a))
+    return length
+
+
+def _unit(a: Array) -> Array:
+    scaled: Array = a / _norm(a)
+    return scaled
+
+
+def trace(
+    scene: Scene,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    arithmetic: str = "float64",
+    spheres: str = "closest",
+    shadows: str = "exact",
+) -> Seen:
+    """Trace one ray through each place in the picture.
+
+    Parameters
+    ----------
+    scene : Scene
+    x, y : (n,)
+        Pixels to the right of and below the upper left corner; centres are at + 0.5.
+    arithmetic, spheres, shadows : str
+        The methods, of `ARITHMETICS`, `SPHERES` and `SHADOWS`.
+    """
+    with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
+        return _Plain(scene, arithmetic, spheres, shadows).trace(np.asarray(x), np.asarray(y))
+
+
+def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
+    """Render a scene at one sample a pixel: (height, width, 3) linear RGB, the top row first.
+
+    `offset` moves the samples, in pixels to the right and down; for `methods` see `trace`.
+    """
+    y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
+    seen = trace(scene, x + offset[0], y + offset[1], **methods)
+    return seen.radiance.reshape(scene.height, scene.width, 3)
+
+
+def main() -> None:
+    """Render a scene file by the methods that are asked for."""
+    used = parser("reference.plain", __doc__)
+    used.add_argument("scene", type=Path)
+    used.add_argument("-o", "--output", type=Path, default=Path("plain.png"), help="%(default)s")
+    for name, choices in (("arithmetic", ARITHMETICS), ("spheres", SPHERES), ("shadows", SHADOWS)):
+        used.add_argument(f"--{name}", choices=[*choices], default=next(iter(choices)))
+    options = vars(used.parse_args())
+    path, output = options.pop("scene"), options.pop("output")
+    try:
+        write_png(output, render(load_scene(path), **options))
+    except (OSError, SceneFileError) as error:
+        used.exit(1, f"{used.prog}: {error}\n")
+    print(output)
+
+
+if __name__ == "__main__":
+    run(main)

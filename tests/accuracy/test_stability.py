@@ -1,0 +1,131 @@
+"""The stability chart: usual methods err as theory says, and the tracer does not."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from converters.variant import LLVM, SCALAR, mi, use
+from reference import command, plain, stability
+from tracer import Scene, render
+
+
+@pytest.mark.parametrize(
+    ("spheres", "arithmetic", "distances", "power"),
+    [
+        ("textbook", "float64", 10.0 ** np.arange(2, 6.6, 0.5), 2),
+        ("closest", "float64", 10.0 ** np.arange(2, 6.6, 0.5), 1),
+        ("textbook", "float32", 10.0 ** np.arange(1, 3.1, 0.25), 2),
+        ("closest", "float32", 10.0 ** np.arange(1, 5.1, 0.5), 1),
+    ],
+)
+def test_error_grows_with_distance_as_eps_times_its_power(
+    spheres: str, arithmetic: str, distances: NDArray[np.float64], power: int
+) -> None:
+    errors = []
+    for distance in distances.tolist():
+        scene = stability.distant(distance)
+        image = plain.render(scene, arithmetic=arithmetic, spheres=spheres)
+        errors.append(np.abs(image - plain.render(scene, arithmetic="decimal")).max())
+    slope = np.polyfit(np.log(distances), np.log(errors), 1)[0]
+    # Rounding errors are as good as random: a fit over a few decades comes within a third.
+    assert abs(slope - power) < 1 / 3
+    # The constant in front is a small number.
+    eps = np.finfo(arithmetic).eps
+    assert 0.1 < np.median(errors / (eps * distances**power)) < 30
+
+
+@pytest.mark.parametrize(
+    ("shadows", "scale"),
+    [
+        ("t>0", 1.0),  # self-shadows, by rounding alone
+        ("t>1e-4", 2.0**-30),  # all of the scene is smaller than the epsilon
+        ("t>1e-6", 2.0**30),  # rounding is larger than the epsilon
+        ("normal", 2.0**-30),
+        ("ulps", 2.0**20),  # close to a plane of coordinates an ulp is nothing
+    ],
+)
+def test_shadow_epsilons_fail_where_the_chart_says(shadows: str, scale: float) -> None:
+    scene = stability.ball_on_ground(scale=scale)
+    exact = plain.render(scene, arithmetic="decimal")
+    assert stability.wrong_share(plain.render(scene, shadows=shadows), exact) > 1
+    assert stability.wrong_share(render(scene), exact) == 0
+
+
+def test_shadow_rays_start_where_their_names_say() -> None:
+    p, n = np.array([3.0, 0.0, -0.01]), np.array([0.6, 0.0, 0.8])
+    offsets = {
+        name: ((start(p, n)[0] - p).tolist(), start(p, n)[1])
+        for name, start in plain.SHADOWS.items()
+        if start is not None
+    }
+    ulp = 2.0**-51  # of 3
+    # Near a plane of coordinates, offsets of ulps have a fixed length.
+    by_ulps = pytest.approx([0.6 * 256 * ulp, 0, 0.8 / 65536], rel=0.01, abs=0)
+    assert offsets == {
+        "t>0": ([0, 0, 0], 0),
+        "t>1e-4": ([0, 0, 0], 1e-4),
+        "t>1e-6": ([0, 0, 0], 1e-6),
+        "normal": (pytest.approx([6e-5, 0, 8e-5]), 0),
+        "ulps": (by_ulps, 0),
+    }
+
+
+@pytest.mark.parametrize("panel", stability.PANELS, ids=lambda panel: panel.title)
+def test_the_tracer_holds_at_the_hard_end_of_every_axis(panel: stability.Panel) -> None:
+    found = stability.measure(panel, {"this tracer": render}, panel.at[-1:])["this tracer"]
+    # Shares are exact decisions; radiance keeps seven digits at 1e8, and six at 1e9.
+    assert found <= (2e-7 if panel.judge is stability.largest_error else 0.0)
+
+
+def test_what_the_chart_shows_by_hand() -> None:
+    exact = np.array([[[0.5] * 3, [0.0] * 3], [[0.25] * 3, [1.0] * 3]])
+    off = exact + np.array([[[0.0], [0.125]], [[-0.25], [0.0]]])
+    assert stability.largest_error(off, exact) == 0.25
+    assert stability.wrong_share(off, exact) == 50
+    lost = exact.copy()
+    lost[0, 0, 1] = np.nan
+    assert stability.largest_error(lost, exact) == 1
+    assert stability.wrong_share(lost, exact) == 25
+    # Of the scenes near a point the worst counts.
+    panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
+    dark = {"this tracer": lambda scene: render(scene) * (scene.camera.proj_distance < 25)}
+    assert stability.measure(panel, dark, [10.0])["this tracer"] > 0.5
+
+
+@pytest.mark.slow
+def test_chart_of_a_few_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["stability", "--quick"])
+    panels = [replace(panel, at=panel.at[[0, 1, 2, -1]]) for panel in stability.PANELS]
+    monkeypatch.setattr(stability, "PANELS", panels)
+    stability.main()
+    assert {path.suffix for path in tmp_path.iterdir()} == {".svg", ".csv"}
+    table = (tmp_path / "stability.csv").read_text()
+    names = ["this tracer", "Mitsuba scalar", *(["Mitsuba LLVM"] if use().variant == LLVM else [])]
+    assert all(table.count(f",{name},") >= 5 for name in names)
+    chart = tmp_path / "stability.svg"
+    drawn = chart.read_text()
+    assert table.partition(",")[2].partition(",")[0] in drawn  # the commit
+    # Names are texts: written as outlines, they would be most of a file of a megabyte.
+    assert drawn.count(">this tracer</text>") == len(panels)
+    # Drawn again from the table it is the same, and nothing is measured.
+    monkeypatch.setattr(sys, "argv", ["stability", "--quick", "--redraw"])
+    monkeypatch.delattr(stability, "measure")
+    chart.unlink()
+    stability.main()
+    assert chart.read_text() == drawn
+
+
+@pytest.mark.parametrize("scene", [stability.distant(10), stability.ball_on_ground()])
+def test_mitsuba_draws_the_same_picture(scene: Scene) -> None:
+    image = stability.mitsuba_render(scene, SCALAR)
+    # Float32; and where the ball touches the ground, offsets of shadow rays count.
+    assert np.mean(np.abs(image - render(scene)).max(axis=2) > 1e-4) < 2e-3
+    # And it stays usable for others in the variant that they use.
+    assert use().variant == mi.variant()

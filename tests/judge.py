@@ -1,0 +1,42 @@
+"""The oracle, `reference.plain` in decimals, asked about pictures of the tracer."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reference.plain import Seen, trace
+from tracer import Scene, render
+
+# Of a pixel: far more than the tracer's rounding, even from 10^8 times as far as things are large.
+_HAIR = 1e-3
+
+
+class Judged(NamedTuple):
+    """All pixels of a picture, row by row."""
+
+    seen: Seen
+    error: NDArray[np.float64]
+    """(n,): the tracer's largest, among the three channels."""
+    sure: NDArray[np.bool_]
+    """(n,): whether the same is seen, by the same lights, a hair to each side."""
+
+    def wrong(self, tolerance: float) -> str:
+        """Name the sure pixels in which the tracer errs by more; empty if there are none."""
+        pixels = np.flatnonzero(self.sure & ~(self.error <= tolerance))
+        return "\n".join(f"pixel {k}: {self.error[k]}, {self.seen.surface[k]}" for k in pixels)
+
+
+def judge(scene: Scene, image: NDArray[np.float64] | None = None) -> Judged:
+    """Judge the tracer's picture of a scene, or another."""
+    image = render(scene) if image is None else image
+    y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
+    seen = trace(scene, x, y, arithmetic="decimal")
+    sure = np.ones(x.size, dtype=bool)
+    for right, down in ((1, 0), (-0.5, 0.9), (-0.5, -0.9)):
+        near = trace(scene, x + right * _HAIR, y + down * _HAIR, arithmetic="decimal")
+        sure &= (near.surface == seen.surface) & (near.lit == seen.lit).all(axis=0)
+    error = np.abs(image.reshape(-1, 3) - seen.radiance).max(axis=1)
+    return Judged(seen, error, sure)
