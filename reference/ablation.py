@@ -31,7 +31,7 @@ from tracer.antialias.regions import Points
 from tracer.arrays import Floats, Ints
 from tracer.light import shading
 from tracer.light.lighting import Lighting
-from tracer.picture import rendering
+from tracer.picture import bands
 from tracer.shadow import grid as light_buffers
 from tracer.shadow import occlusion as shadow
 from tracer.shadow import packets as stretches
@@ -121,8 +121,8 @@ ONE_SAMPLE = [
     Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
     Part("no planes between cells and objects", [(light_buffers, "_FEW_CELLS", _ALWAYS)]),
     Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
-    Part("no bands: the picture in one", [(rendering, "_BAND_SAMPLES", _ALWAYS)]),
-    Part("bands of 16,384 pixels", [(rendering, "_BAND_SAMPLES", 1 << 14)]),
+    Part("no bands: the picture in one", [(bands, "_TILE_SAMPLES", _ALWAYS)]),
+    Part("bands of 16,384 pixels", [(bands, "_TILE_SAMPLES", 1 << 14)]),
     Part("no highlights from cosines: from vectors", [(shading, "_SHOWS", -1.0)]),
     Part("two processes", [], processes=2),
 ]

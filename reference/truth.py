@@ -5,21 +5,21 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from reference.command import built
 from reference.workloads import to_xml
-from tracer import Scene
+from tracer import Scene, render
 from tracer.arrays import Floats
-from tracer.picture.rendering import render_each
-from tracer.scene.schema import MAX_PIXELS
 
 __all__ = ["Truth", "supersampled", "truth_side"]
 
 # About how many pixels of a picture the error is measured over.
 _PIXELS = 1 << 15
+
+# Samples that are rendered at once.
+_STRIP = 1 << 22
 
 
 def truth_side(quick: bool) -> int:
@@ -36,32 +36,19 @@ def supersampled(
 ) -> Floats:
     """`side` x `side` samples spread evenly over every pixel, by brute force.
 
-    They are the pixels of a picture `side` times as large, rendered at one
-    sample a pixel and averaged; of several smaller ones, where that is too large.
-    `offset` and `processes`: see `tracer.render`.
+    They are the pixels of a picture `side` times as large, rendered at one sample a pixel and
+    averaged, strip by strip.  `offset` and `processes`: see `tracer.render`.
     """
-    width, height = scene.width, scene.height
-    apart = 1
-    while width * height * (side // apart) ** 2 > MAX_PIXELS:
-        apart *= 2
-    if side % apart:
-        raise ValueError(f"{side} x {side} samples cannot be split into parts of {apart}")
-    step = side // apart
-    large = replace(scene, width=width * step, height=height * step)
-    total = np.zeros((height, width, 3))
-
-    def sums_across(band: Floats) -> Floats:
-        sums: Floats = band.reshape(len(band), width, step, 3).sum(axis=2)
-        return sums
-
-    shifts = ((np.arange(apart) + 0.5) / apart - 0.5).tolist()
-    for dx, dy in product(shifts, shifts):
-        moved = (dx + step * offset[0], dy + step * offset[1])
-        top = 0
-        for sums in render_each(large, sums_across, processes=processes, offset=moved):
-            np.add.at(total, (top + np.arange(len(sums))) // step, sums)
-            top += len(sums)
-    return total / side**2
+    strips, camera = [], scene.camera
+    rows = max(1, _STRIP // (scene.width * side**2))
+    for top in range(0, scene.height, rows):
+        height = min(rows, scene.height - top)
+        window = replace(camera, view_height=camera.view_height * height / scene.height)
+        large = replace(scene, width=scene.width * side, height=height * side, camera=window)
+        below = offset[1] + top + height / 2 - scene.height / 2
+        image = render(large, processes=processes, offset=(offset[0] * side, below * side))
+        strips.append(image.reshape(height, side, scene.width, side, 3).mean(axis=(1, 3)))
+    return np.concatenate(strips)
 
 
 @dataclass(frozen=True, slots=True)

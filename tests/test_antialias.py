@@ -19,8 +19,7 @@ from reference.workloads import crowd
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
-from tracer.picture import rendering
-from tracer.picture.rendering import render_each
+from tracer.picture import bands
 
 SCENES = own_scenes()
 
@@ -124,13 +123,12 @@ def test_other_numbers_are_rounded_up_to_squares() -> None:
     assert np.array_equal(render(scene, samples=5), render(scene, samples=9))
 
 
-def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     # Many spheres and boxes that shade each other, a few rows at a time and all at once.
     scene = small(SCENES[0].parent / "many-objects.xml")
     whole = render(scene, samples=16)
-    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 3 * scene.width // 4)
-    bands = np.concatenate(list(render_each(scene, np.copy, 16)))
-    assert np.array_equal(bands, whole)
+    monkeypatch.setattr(bands, "_TILE_SAMPLES", 3 * scene.width // 4)
+    assert np.array_equal(render(scene, samples=16), whole)
 
 
 @pytest.mark.parametrize(("radius", "samples"), [(0.02, 1024), (0.05, 256), (0.1, 256)])

@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tracer.picture.bands import render
     from tracer.picture.png import to_codes, write_png
-    from tracer.picture.rendering import render
     from tracer.scene.model import Scene, Surfaces
     from tracer.scene.objects import Box, Camera, Lambertian, Phong, PointLight, Shader, Sphere
     from tracer.scene.reader import SceneFileError, load_scene
@@ -51,7 +51,7 @@ if not TYPE_CHECKING:
         "Surfaces": "tracer.scene.model",
         "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
-        "render": "tracer.picture.rendering",
+        "render": "tracer.picture.bands",
         "save_scene": "tracer.scene.writer",
         "to_codes": "tracer.picture.png",
         "write_png": "tracer.picture.png",

@@ -12,24 +12,29 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from time import perf_counter
+from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from tracer import __version__
 from tracer.commands import (
+    FAILED,
+    INTERRUPTED,
     allow_interrupts,
+    atomic_file,
     file_name,
     install_signal_handlers,
     is_folder,
     output_paths,
     print_line,
+    printable,
     whole_number,
 )
-from tracer.messages import printable
 
 if TYPE_CHECKING:
-    from tracer.picture.png import Packed
+    from tracer.picture.png import Compressed
+    from tracer.scene.model import Scene
 
 __all__ = ["main", "run"]
 
@@ -39,6 +44,9 @@ examples:
   tracer scenes/*.xml -o pictures/      write every picture to a folder
   tracer room.xml -o room.png --samples 16
                                         smooth edges, as good as 16 samples a pixel
+  tracer room.xml --size 160x90 --watch
+                                        a small picture, anew whenever room.xml is saved
+  generate | tracer - -o - | display    from standard input to standard output
 
 exit status:
   0    all scenes were rendered
@@ -49,6 +57,9 @@ exit status:
 
 # A bar is shown once a picture turns out to take longer than this, in seconds.
 _SLOW = 1.0
+
+# Seconds between two looks at the scene files, with --watch.
+_PAUSE = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         Exit status: 0 if all is done, 1 if some scene could not be read, rendered or written, or
-        NumPy is not installed, 130 if interrupted.
+        NumPy cannot be imported, 130 if interrupted.
 
     Raises
     ------
@@ -71,27 +82,31 @@ def main(argv: Sequence[str] | None = None) -> int:
         With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help`` and
         ``--version``.
     """
-    parser = _parser()
-    arguments = parser.parse_args(argv)
-    beside = [f"{scene}.png" for scene in arguments.scenes]
-    outputs = output_paths(parser, arguments.scenes, arguments.output, beside)
+    arguments, jobs = _parsed(argv)
     try:
-        status = 0
-        for scene, output in zip(arguments.scenes, outputs, strict=True):
-            fault = _render(scene, output, arguments)
-            if fault is not None:
-                print_line(sys.stderr, fault)
-                status = 1
-        return status
+        if arguments.watch:
+            _watch(jobs, arguments)
+        # All of them, whatever becomes of the first.
+        return FAILED if [job for job in jobs if not _done(*job, arguments)] else 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
-        return 1
+        return FAILED
+    except (
+        ImportError,
+        MemoryError,
+        SystemError,
+    ) as error:  # NumPy has a page to say about the former
+        reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
+        remedy = "give it more memory, or install NumPy again"
+        print_line(sys.stderr, printable(f"the tracer cannot start: {reason}; {remedy}"))
+        return FAILED
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
+    """The arguments, and the pairs of a scene and its picture."""
     parser = argparse.ArgumentParser(
         prog="tracer",
         description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
@@ -99,93 +114,185 @@ def _parser() -> argparse.ArgumentParser:
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
-    parser.add_argument(
-        "scenes", nargs="+", type=file_name, metavar="SCENE.xml", help="a scene file"
+    add = parser.add_argument
+    add(
+        "scenes",
+        nargs="+",
+        type=file_name,
+        metavar="SCENE.xml",
+        help="a scene file; - for standard input",
     )
-    parser.add_argument(
+    add(
         "-o",
         "--output",
         type=file_name,
         metavar="PATH",
-        help="the picture to write, always a PNG, or a folder for those of several scenes;"
-        " a folder that ends in / is made if it is missing",
+        help="the picture to write, always a PNG; - for standard output; or a folder for those of"
+        " several scenes, which is made if it is missing and PATH ends in /",
     )
-    parser.add_argument(
+    add(
         "--samples",
         type=whole_number(1),
         default=1,
         metavar="N",
         help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
     )
-    parser.add_argument(
+    add(
+        "--size",
+        type=_size,
+        metavar="WxH",
+        help="width and height of the pictures in pixels, whatever the files say",
+    )
+    add(
+        "--watch",
+        action="store_true",
+        help="render again whenever a scene file is saved, until interrupted",
+    )
+    add(
         "--processes",
         type=whole_number(1),
         metavar="N",
         help="processes that render, at most one for each processor (default: one or two,"
         " whichever pays)",
     )
-    parser.add_argument("--quiet", action="store_true", help="report only what goes wrong")
-    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    return parser
+    add("--quiet", action="store_true", help="report only what goes wrong")
+    add("--version", action="version", version=f"%(prog)s {__version__}")
+    arguments = parser.parse_args(argv)
+    scenes, output = arguments.scenes, arguments.output
+    if "-" in scenes and (output is None or arguments.watch):
+        parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
+    if output == "-":
+        if len(scenes) > 1 or arguments.watch:
+            parser.error("-o -: standard output takes the picture of one scene, and no --watch")
+        return arguments, [(scenes[0], output)]
+    if output is not None and not is_folder(output):
+        stem, suffix = os.path.splitext(output)
+        if suffix and suffix.lower() != ".png":
+            parser.error(printable(f"-o {output}: pictures are PNG files; name it {stem}.png"))
+    pictures = output_paths(parser, scenes, output, [f"{scene}.png" for scene in scenes])
+    return arguments, list(zip(scenes, pictures, strict=True))
 
 
-def _render(scene_path: str, output: str, arguments: argparse.Namespace) -> str | None:
+def _size(text: str) -> tuple[int, int]:
+    """Type of the argument of --size."""
+    number = whole_number(1)
+    try:
+        width, height = text.split("x")
+        return number(width), number(height)
+    except (ValueError, argparse.ArgumentTypeError):
+        wanted = "must be width and height in pixels, as 640x360"
+        raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}") from None
+
+
+def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
+    """Render each scene, and again whenever its file has changed."""
+    last: dict[str, object] = {}
+    rendered: dict[str, object] = {}
+    while True:
+        for scene, output in jobs:
+            try:
+                status = os.stat(scene)
+                now = status.st_mtime_ns, status.st_size, status.st_ino
+            except OSError:
+                now = None
+            # An editor may not have written all yet: it has, if nothing changes any more.
+            settled = last.setdefault(scene, now) == now
+            last[scene] = now
+            if settled and rendered.get(scene, ()) != now:
+                rendered[scene] = now
+                _done(scene, output, arguments)
+        sleep(_PAUSE)
+
+
+def _done(scene: str, output: str, arguments: argparse.Namespace) -> bool:
+    """Render a scene; print what goes wrong, if anything does."""
+    fault = _render(scene, output, arguments)
+    if fault is not None:
+        print_line(sys.stderr, fault)
+    return fault is None
+
+
+def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
-    from tracer.picture.png import packed, write_bands
-    from tracer.picture.rendering import render_each
+    from tracer.picture.bands import render_compressed
+    from tracer.picture.png import PNG, write_tiles
     from tracer.scene.reader import SceneFileError, load_scene
+    from tracer.scene.schema import SceneError
 
     allow_interrupts()
-    start = perf_counter()
-    shown = printable(output)
+    start, shown, quiet = perf_counter(), printable(output), arguments.quiet
     try:
-        scene = load_scene(scene_path)
+        scene = load_scene(sys.stdin.buffer if path == "-" else path)
+        if arguments.size is not None:
+            scene = _resized(scene, path, arguments)
     except SceneFileError as error:
         return str(error)
+    except SceneError as error:
+        return f"--size: {error}"
     except MemoryError:
-        return f"{printable(scene_path)}: not enough memory to read it; split the scene"
+        return f"{printable(path)}: not enough memory to read it; split the scene"
     try:
-        if arguments.output is not None and is_folder(arguments.output):
-            os.makedirs(arguments.output, exist_ok=True)
-        bands = render_each(scene, packed, arguments.samples, processes=arguments.processes)
-        if not arguments.quiet and sys.stderr is not None and sys.stderr.isatty():
-            bands = _with_progress(bands, scene.height, os.path.basename(shown))
-        write_bands(output, scene.width, scene.height, bands)
+        tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
+        if not quiet and sys.stderr is not None and sys.stderr.isatty():
+            tiles = _with_progress(tiles, scene, os.path.basename(shown))
+        if output == "-":
+            with open(1, "wb", closefd=False) as file:
+                write_tiles(file, scene.width, scene.height, tiles)
+        else:
+            if arguments.output is not None and is_folder(arguments.output):
+                os.makedirs(arguments.output, exist_ok=True)
+            with atomic_file(output, PNG) as file:
+                write_tiles(file, scene.width, scene.height, tiles)
     except MemoryError:
         size, remedy = f"{scene.width} x {scene.height} pixels", "make the image smaller"
         if arguments.samples > 1:
             size += f" of {arguments.samples} samples"
             remedy += " or take fewer samples"
-        return f"{printable(scene_path)}: not enough memory for {size}; {remedy}"
+        return f"{printable(path)}: not enough memory for {size}; {remedy}"
     except OSError as error:
         return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
     except ValueError as error:
         return (
             f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
         )
-    if not arguments.quiet:
-        seconds = perf_counter() - start
-        print_line(sys.stdout, f"{shown}: {scene.width} x {scene.height} pixels in {seconds:.3f} s")
+    if not quiet:
+        done = f"{shown}: {scene.width} x {scene.height} pixels in {perf_counter() - start:.3f} s"
+        print_line(sys.stderr if output == "-" else sys.stdout, done)
     return None
 
 
-def _with_progress(bands: Iterator[Packed], rows: int, name: str) -> Iterator[Packed]:
-    """The same bands; shows a bar as soon as the picture turns out to take long."""
-    start = perf_counter()
-    bar = None
-    done = 0
+def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
+    """The scene in another size; a line is printed if its pixels were square and no longer are."""
+    width, height = arguments.size
+    resized = replace(scene, width=width, height=height)
+    if not arguments.quiet and _square(scene) and not _square(resized):
+        ratio = scene.camera.view_height / scene.camera.view_width
+        remedy = f"--size {width}x{max(1, round(width * ratio))} keeps them so"
+        print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
+    return resized
+
+
+def _square(scene: Scene) -> bool:
+    """Whether pixels are square, to the nearest whole number of them."""
+    across, down = scene.camera.view_width, scene.camera.view_height
+    return abs(scene.width * down - scene.height * across) < max(across, down)
+
+
+def _with_progress(tiles: Iterator[Compressed], scene: Scene, name: str) -> Iterator[Compressed]:
+    """The same tiles; shows a bar as soon as the picture turns out to take long."""
+    start, rows, done, bar = perf_counter(), scene.height, 0.0, None
     try:
-        for band in bands:
-            yield band
-            done += band.rows
+        for tile in tiles:
+            yield tile
+            done += tile.size / (1 + 3 * scene.width)
             seconds = perf_counter() - start
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 bar = _bar(name, rows)
                 if bar is None:
                     break
             if bar is not None:
-                bar.update(done - bar.n)
-        yield from bands
+                bar.update(int(done) - bar.n)
+        yield from tiles
     finally:
         if bar is not None:
             bar.close()
@@ -197,7 +304,7 @@ def _bar(name: str, rows: int) -> Any:
     with suppress(ImportError, ValueError):
         from tqdm import tqdm  # takes longer to import than a small picture to render
 
-        tqdm.monitor_interval = 0  # else it starts a thread; see `forked`
+        tqdm.monitor_interval = 0  # else it starts a thread, beside which there are no forks
         return tqdm(desc=name, total=rows, unit="row", leave=False)
     return None
 

@@ -8,8 +8,7 @@ Vectors are triples of such values (structure of arrays): each operation then
 runs over contiguous memory.  Docstrings say "three (n,)".  To take some elements of
 
     a value, or (n,)             select
-    a triple of such values      pick
-    points (3, n), as a triple   rows
+    a triple of such values      pick, or points (3, n)
     points (n, 3), as a triple   columns
     a table (m, n), one by one   entries, put
 """
@@ -21,33 +20,6 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = [
-    "Bools",
-    "Floats",
-    "Index",
-    "Ints",
-    "Triple",
-    "Vector",
-    "batches",
-    "changes",
-    "columns",
-    "cross",
-    "dot",
-    "each",
-    "entries",
-    "equal_runs",
-    "expand",
-    "index_where",
-    "indices",
-    "pick",
-    "put",
-    "ranges",
-    "rows",
-    "scaled",
-    "select",
-    "spread",
-]
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
@@ -93,8 +65,8 @@ def select(value: T, index: Index | slice) -> T:
     return value
 
 
-def pick(vector: Triple, index: Index | slice) -> Triple:
-    """`select`, for each component."""
+def pick(vector: Triple | Floats, index: Index | slice) -> Triple:
+    """`select`, for each component; of points (3, n) as of a triple."""
     return select(vector[0], index), select(vector[1], index), select(vector[2], index)
 
 
@@ -183,8 +155,3 @@ def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:
 def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
     """Set some entries of a contiguous table (m, n), one for each pair of row and column."""
     table.reshape(-1)[row * table.shape[1] + column] = value
-
-
-def rows(points: Floats, index: Ints | slice) -> Triple:
-    """Some of the points (3, n), as a triple."""
-    return pick((points[0], points[1], points[2]), index)

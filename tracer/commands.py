@@ -166,47 +166,46 @@ def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[byte
         with open(target, "r+b") as there:  # to be replaced only by those who may write it
             if there.read(len(begins)) not in (begins, b""):
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
-    try:
-        part = _part_file(target)
-    except OSError as error:
-        error.filename = target
-        raise
-    try:
-        with part:
-            yield part
-            part.flush()
-            if mode is not None:
-                os.chmod(part.name, stat.S_IMODE(mode))
-            if os.name == "nt":  # an open file cannot be moved there
-                part.close()
-            os.replace(part.name, target)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(part.name)
-        raise
-
-
-def _part_file(target: str) -> IO[bytes]:
-    """Open a new file beside `target`, locked, and remove those that killed writers have left."""
     folder, name = os.path.split(target)
     # Not the name itself: that may be as long as a name can be.
-    prefix = f".{zlib.crc32(os.fsencode(name)):08x}-"
-    with suppress(OSError):
-        for other in os.listdir(folder):
-            if other.startswith(prefix) and other.endswith(".part"):
-                _remove_unlocked(os.path.join(folder, other))
+    prefix = os.path.join(folder, f".{zlib.crc32(os.fsencode(name)):08x}-")
+    _remove_abandoned(folder, prefix)
+    part = f"{prefix}{os.urandom(4).hex()}.part"
+    try:
+        with _new_locked(part) as file:
+            yield file
+            file.flush()
+            if mode is not None:
+                os.chmod(part, stat.S_IMODE(mode))
+            if os.name == "nt":  # an open file cannot be moved there
+                file.close()
+            os.replace(part, target)
+    except BaseException as error:
+        if isinstance(error, OSError) and error.filename == part:
+            error.filename = target
+        with suppress(OSError):
+            os.unlink(part)
+        raise
+
+
+def _new_locked(path: str) -> IO[bytes]:
+    """Open a new file, locked."""
     while True:
-        part = open(os.path.join(folder, f"{prefix}{os.urandom(4).hex()}.part"), "xb")  # noqa: SIM115
-        if _locked(part, wait=True) is None or os.fstat(part.fileno()).st_nlink:
-            return part
-        part.close()  # another process has found it before it was locked, and removed it
+        file = open(path, "xb")  # noqa: SIM115
+        if _locked(file, wait=True) is None or os.fstat(file.fileno()).st_nlink:
+            return file
+        file.close()  # another process has found it before it was locked, and removed it
 
 
-def _remove_unlocked(path: str) -> None:
-    """Remove a part file if its writer, which would hold a lock on it, no longer lives."""
-    with suppress(OSError), open(path, "r+b") as file:
-        if _locked(file, wait=False):
-            os.unlink(path)
+def _remove_abandoned(folder: str, prefix: str) -> None:
+    """Remove part files whose writers no longer live: these would hold locks on them."""
+    with suppress(OSError):
+        for name in os.listdir(folder):
+            path = os.path.join(folder, name)
+            if path.startswith(prefix) and path.endswith(".part"):
+                with suppress(OSError), open(path, "r+b") as file:
+                    if _locked(file, wait=False):
+                        os.unlink(path)
 
 
 def _locked(file: IO[bytes], *, wait: bool) -> bool | None:

@@ -13,8 +13,7 @@ from random_scenes import KINDS, random_scene
 from tracer import Box, Lambertian, PointLight, Scene, Sphere, render
 from tracer.antialias import refine as antialias
 from tracer.arrays import Floats, Ints
-from tracer.picture import rendering
-from tracer.picture.rendering import render_each
+from tracer.picture import bands
 
 
 def picture(kind: str, seed: int) -> tuple[Scene, Floats]:
@@ -115,30 +114,25 @@ def test_lights_in_another_order(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("band_pixels", [1, 31, 100, 400])
-def test_bands(kind: str, band_pixels: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("tile_pixels", [1, 31, 100, 400])
+def test_tiles(kind: str, tile_pixels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, image = picture(kind, 5)
-    monkeypatch.setattr(rendering, "_BAND_SAMPLES", band_pixels)
-    bands = list(render_each(scene, np.copy))
-    assert len(bands) > 1
-    assert np.array_equal(np.concatenate(bands), image)
+    monkeypatch.setattr(bands, "_TILE_SAMPLES", tile_pixels)
+    assert np.array_equal(render(scene), image)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("threads", [2, 3])
-def test_threads(kind: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "processors", lambda: threads)
+@pytest.mark.parametrize("processes", [2, 3])
+def test_processes(kind: str, processes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bands, "processors", lambda: processes)
     scene, image = picture(kind, 6)
-    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 31)
-    bands = list(render_each(scene, np.copy, processes=threads))
-    assert len(bands) == scene.height
-    assert np.array_equal(np.concatenate(bands), image)
-    assert np.array_equal(render(scene, processes=threads), image)
+    monkeypatch.setattr(bands, "_TILE_SAMPLES", 31)
+    assert np.array_equal(render(scene, processes=processes), image)
 
 
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("kind", KINDS)
-def test_antialiased_in_another_order_and_in_bands(
+def test_antialiased_in_another_order_and_in_tiles(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Of edges in one place any may be found first.
@@ -151,19 +145,16 @@ def test_antialiased_in_another_order_and_in_bands(
         shuffled = in_order(scene, rng.permutation(len(scene.surfaces)))
         assert np.array_equal(render(shuffled, 16, processes=1), image)
         with monkeypatch.context() as small:
-            small.setattr(rendering, "_BAND_SAMPLES", 25)
-            bands = list(render_each(shuffled, np.copy, 16, processes=1))
-        assert np.array_equal(np.concatenate(bands), image)
+            small.setattr(bands, "_TILE_SAMPLES", 25)
+            assert np.array_equal(render(shuffled, 16, processes=1), image)
 
 
 @pytest.mark.parametrize("samples", [4, 9])
-def test_samples_in_bands_and_threads(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "processors", lambda: 2)
+def test_samples_in_tiles_and_processes(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bands, "processors", lambda: 2)
     scene, _ = picture("scattered", 5)
     image = render(scene, samples, processes=1)
-    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 25)
-    bands = list(render_each(scene, np.copy, samples, processes=2))
-    assert np.array_equal(np.concatenate(bands), image)
+    monkeypatch.setattr(bands, "_TILE_SAMPLES", 25)
     assert np.array_equal(render(scene, samples, processes=2), image)
 
 

@@ -20,7 +20,7 @@ def test_supersampling_in_parts_is_the_same(monkeypatch: pytest.MonkeyPatch) -> 
         [render(scene, offset=(x / 4 - 3 / 8, y / 4 - 3 / 8)) for x in range(4) for y in range(4)],
         axis=0,
     )
-    monkeypatch.setattr(truth, "MAX_PIXELS", 4 * 16 * 9)
+    monkeypatch.setattr(truth, "_STRIP", 4 * 4 * 16 * 2)
     # The same rays, but for the last bit, that decides no pixel here.
     np.testing.assert_allclose(supersampled(scene, 4), whole, rtol=0, atol=1e-12)
     np.testing.assert_allclose(by_hand, whole, rtol=0, atol=1e-12)

@@ -17,7 +17,6 @@ from tracer.arrays import (
     index_where,
     indices,
     pick,
-    rows,
     scaled,
     select,
 )
@@ -30,19 +29,6 @@ from tracer.view.hits import Group, Hits
 from tracer.view.samples import Samples
 from tracer.view.view import View
 from tracer.view.visibility import visible
-
-__all__ = [
-    "Highlights",
-    "Incoming",
-    "Lighting",
-    "incoming_at",
-    "key_of",
-    "lighting_of",
-    "narrow_highlights",
-    "radiance_at",
-    "shade",
-]
-
 
 # On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
 # the bell is as good as zero, and the x where it underflows.
@@ -78,24 +64,19 @@ class Lighting(NamedTuple):
 
 
 class Incoming(NamedTuple):
-    """Light as it comes in at points, whatever lies between: all (lights, n).
-
-    Here n is the unit normal, l the vector to the light and p that from the eye
-    to the point, neither of unit length.
+    """Light as it comes in at points, whatever lies between.
 
     Attributes
     ----------
-    n_dot_l
-        n . l; minus infinity where the object is seen from inside and the light is not inside it.
-    length2
-        l . l.
-    l_dot_p
-        l . p, where there are highlights; not set elsewhere.
+    n_dot_l : (lights, n)
+        n . l, with the unit normal n and the vector l to the light, not of unit length; minus
+        infinity where the object is seen from inside and the light is not inside it.
+    length2 : (lights, n)
+        l . l
     """
 
     n_dot_l: Floats
     length2: Floats
-    l_dot_p: Floats
 
     def part(self, place: slice) -> Incoming:
         """The light at some of the points."""
@@ -109,6 +90,7 @@ class Highlights(NamedTuple):
     ----------
     lighting : Lighting
     p : (3, n)
+        See `Hits`.
     group : Group
     present : bool
         Whether there are any.
@@ -130,36 +112,31 @@ class Highlights(NamedTuple):
     @classmethod
     def of(cls, lighting: Lighting, hits: Hits, group: Group) -> Highlights:
         """Gather what is needed."""
-        materials, shader = lighting.materials, lighting.shader[group.owner]
-        glossy = materials.glossy[shader]
-        present, nothing = bool(glossy.any()), np.zeros(0)
-        distance, n_dot_v = hits.distance_and_cosine(group) if present else (nothing, nothing)
-        return cls(
-            lighting,
-            hits.p[:, group.part],
-            group,
-            present,
-            group.spread(glossy),
-            group.spread(materials.exponent[shader]),
-            distance,
-            n_dot_v,
-        )
+        p, shader = hits.p[:, group.part], lighting.shader[group.owner]
+        glossy, exponent = lighting.materials.glossy[shader], lighting.materials.exponent[shader]
+        present, none = bool(glossy.any()), np.zeros(0)
+        of_eye = hits.distance_and_cosine(group) if present else (none, none)
+        spread = group.spread
+        return cls(lighting, p, group, present, spread(glossy), spread(exponent), *of_eye)
 
     def of_light(self, number: int, incoming: Incoming, at: Ints | slice) -> Floats:
         """(n.h)^exponent of a light at some points; `incoming`: at all of the group."""
-        n_dot_l, length2, l_dot_p = (m[number][at] for m in incoming)
-        length, distance = np.sqrt(length2), self.distance[at]
+        p, light = pick(self.p, at), self.lighting.local[number].tolist()
+        to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
+        length, distance = np.sqrt(incoming.length2[number][at]), self.distance[at]
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
-            place = some if isinstance(at, slice) else at[some]
-            p = rows(self.p, place)
-            x, y, z = self.lighting.local[number].tolist()
-            to_light = scaled((x - p[0], y - p[1], z - p[2]), 1 / length[some])
-            return pick(self.group.n, place), to_light, scaled(p, -1 / distance[some])
+            n = pick(pick(self.group.n, at), some)
+            wi = scaled(pick(to_light, some), 1 / length[some])
+            return n, wi, scaled(pick(p, some), -1 / distance[some])
 
-        l_dot_v = l_dot_p / (-distance * length)
-        exponent = select(self.exponent, at)
-        return highlight(n_dot_l / length, self.n_dot_v[at], l_dot_v, exponent, vectors)
+        return highlight(
+            incoming.n_dot_l[number][at] / length,
+            self.n_dot_v[at],
+            dot(to_light, p) / (-distance * length),
+            select(self.exponent, at),
+            vectors,
+        )
 
 
 def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
@@ -208,19 +185,17 @@ def key_of(group: Group, lit: Bools) -> Ints:
 
 
 def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
-    """What comes in at all hits."""
-    occluders, glossy = lighting.shadows.occluders, lighting.materials.glossy[lighting.shader]
-    result = Incoming(*np.empty((3, len(lighting.local), hits.p.shape[1])))
+    """The light that comes in at all hits."""
+    occluders = lighting.shadows.occluders
+    result = Incoming(*np.empty((2, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
         kept_out = lighting.view.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
-            n_dot_l, length2, l_dot_p = (m[number, group.part] for m in result)
+            n_dot_l, length2 = (m[number, group.part] for m in result)
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
             group.height_of(lighting.positions[number], to_light, n_dot_l)
             dot(to_light, to_light, length2)
-            if glossy[group.owner].any():
-                dot(to_light, (p[0], p[1], p[2]), l_dot_p)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
                 # Not zero, which would be a terminator: a place where light begins.
@@ -236,17 +211,14 @@ def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
     """
     lighting, group = highlights.lighting, highlights.group
     # Sums over the lights, without the shaders' colours: intensity times n.l, and times highlight.
-    fallen: list[Floats] = []
-    mirrored: list[Floats] = []
-    for number, (intensity, reached) in enumerate(
-        zip(lighting.intensities.tolist(), lit, strict=True)
-    ):
+    diffuse: list[Floats] = []
+    specular: list[Floats] = []
+    for number, reached in enumerate(lit):
         if not reached.any():
             continue
+        intensity = lighting.intensities[number].tolist()
         cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
-        if not reached.all():
-            cosine = np.where(reached, cosine, 0.0)
-        _add(fallen, intensity, cosine)
+        _add(diffuse, intensity, cosine if reached.all() else np.where(reached, cosine, 0.0))
         if highlights.present:
             at = index_where(reached & highlights.glossy)
             power = highlights.of_light(number, incoming, at)
@@ -254,12 +226,12 @@ def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
                 everywhere = np.zeros(cosine.size)
                 everywhere[at] = power
                 power = everywhere
-            _add(mirrored, intensity, power)
+            _add(specular, intensity, power)
     materials, shader = lighting.materials, lighting.shader[group.owner]
-    radiance = _returned(fallen, materials.diffuse[:, shader], group)
-    if highlights.present:
-        specular = _returned(mirrored, materials.specular[:, shader], group)
-        radiance = each(np.add, radiance, specular)
+    radiance = _reflected(diffuse, materials.diffuse[:, shader], group)
+    if specular:
+        glossy = _reflected(specular, materials.specular[:, shader], group)
+        radiance = each(np.add, radiance, glossy)
     return radiance
 
 
@@ -272,11 +244,9 @@ def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
         channel += strength * weight
 
 
-def _returned(total: list[Floats], colors: Floats, group: Group) -> Triple:
+def _reflected(total: list[Floats], colors: Floats, group: Group) -> Triple:
     """The light, if there is any, times the surfaces' colours, (3,) or (3, spans)."""
-    if not total:
-        nothing = np.zeros(group.sample.size)
-        return nothing, nothing, nothing
+    total = total or [np.zeros(group.sample.size)] * 3
     r, g, b = (light * group.spread(color) for light, color in zip(total, colors, strict=True))
     return r, g, b
 

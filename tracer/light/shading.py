@@ -17,8 +17,6 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, scaled, select
 from tracer.scene.objects import Phong, Shader
 
-__all__ = ["Materials", "highlight"]
-
 # If 1 + l.v is less, too many of its digits have cancelled.
 _CANCELLED = 1e-3
 

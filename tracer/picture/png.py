@@ -1,8 +1,6 @@
-"""From radiance to the codes of an 8-bit picture, and to a PNG file.
+"""From radiance to 8-bit codes, and to a PNG file (ISO/IEC 15948).
 
-The picture is written band by band, in the order it is rendered, so that no
-more of it than a band need ever be in memory.  It appears under its name only
-when it is whole: whatever goes wrong before leaves what was there untouched.
+A picture is written tile by tile, in the order of its pixels: only a tile need be in memory.
 """
 
 from __future__ import annotations
@@ -21,27 +19,27 @@ from numpy.typing import ArrayLike, NDArray
 from tracer.arrays import Floats
 from tracer.commands import atomic_file
 
-__all__ = ["PNG", "Packed", "packed", "to_codes", "write_bands", "write_png"]
+__all__ = ["PNG", "Compressed", "compressed", "to_codes", "write_png", "write_tiles"]
 
 PNG = b"\x89PNG\r\n\x1a\n"
-"""How a PNG file begins (ISO/IEC 15948, 5.2)."""
+"""The first bytes of a PNG file (5.2)."""
 
-# Values worked on at a time: what stays in a core's cache.
+# Values worked on at a time: they stay in a core's cache.
 _BLOCK = 1 << 15
 
 # The largest prime below 2^16.
 _ADLER = 65521
 
 
-def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
+def write_png(file: str | os.PathLike[str] | IO[bytes], image: ArrayLike) -> None:
     """Write a picture as an 8-bit RGB PNG file.
 
     Parameters
     ----------
-    path : str or path-like
-        A PNG file that is there already is replaced, once the new one is whole.
+    file : str, path-like or binary file
+        A PNG file of this name is replaced, once the new one is whole.
     image : (height, width, 3) array_like
-        Linear RGB, as `render` returns it; the codes are round(255 clip(x, 0, 1)^(1/2.2)).
+        Linear RGB, as `render` returns it; see `to_codes`.
 
     Raises
     ------
@@ -55,86 +53,69 @@ def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     radiance = _checked(image)
     height, width, _ = radiance.shape
     rows = max(1, _BLOCK // (3 * max(1, width)))
-    bands = (packed(radiance[row : row + rows]) for row in range(0, height, rows))
-    write_bands(path, width, height, bands)
+    tiles = (compressed(radiance[row : row + rows]) for row in range(0, height, rows))
+    if isinstance(file, (str, os.PathLike)):
+        with atomic_file(file, PNG) as stream:
+            write_tiles(stream, width, height, tiles)
+    else:
+        write_tiles(file, width, height, tiles)
 
 
-class Packed(NamedTuple):
-    """Some rows of a picture, compressed: a part of a PNG file's pixels.
+class Compressed(NamedTuple):
+    """Some of a picture's pixels, compressed.
 
     Attributes
     ----------
-    rows, width : int
     data : bytes
         Deflate blocks (RFC 1951) that end on a byte, none of them the last.
-    check : int
-        Adler-32 (RFC 1950) of the data before compression.
+    size, check : int
+        Number of bytes before compression, and their Adler-32 (RFC 1950).
     """
 
-    rows: int
-    width: int
     data: bytes
+    size: int
     check: int
 
 
-def packed(band: Floats) -> Packed:
-    """Quantise and compress some rows (rows, width, 3), linear RGB.
+def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
+    """Encode and compress whole rows (rows, width, 3), or a part of one.
 
-    Raises
-    ------
-    TypeError, ValueError
-        See `to_codes`.
+    `from_left` is whether it begins at the picture's left side: there a row has the number of its
+    filter, 0 for none.  Rendered pictures are full of exact repeats, which filters disturb.
     """
-    codes = to_codes(band)
-    rows, width, _ = codes.shape
-    # Every row starts with the number of its filter, 0 for none: rendered pictures are full of
-    # exact repeats, which filters disturb.
-    lines = np.zeros((rows, 1 + 3 * width), dtype=np.uint8)
-    lines[:, 1:] = codes.reshape(rows, 3 * width)
+    codes = to_codes(radiance)
+    lines = codes.reshape(len(codes), -1)
+    if from_left:
+        lines = np.pad(lines, ((0, 0), (1, 0)))
     # Level 3 takes no longer than 1.
     stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
     data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
-    return Packed(rows, width, data, zlib.adler32(lines.data))
+    return Compressed(data, lines.size, zlib.adler32(lines.data))
 
 
-def write_bands(
-    path: str | os.PathLike[str], width: int, height: int, bands: Iterable[Packed]
-) -> None:
-    """Write a picture that comes in bands of rows, from the top, as `write_png` does.
-
-    Parameters
-    ----------
-    path : str or path-like
-    width, height : int
-        Size of the picture in pixels.
-    bands : iterable of Packed
+def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> None:
+    """Write a PNG file of all its pixels, compressed, in order.
 
     Raises
     ------
     ValueError
-        For a picture of no pixels, or bands that do not make it up.
-    OSError
-        If the file cannot be written, or what is there is no PNG file.
+        For a picture of no pixels, or tiles of more or fewer.
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
-    with atomic_file(path, PNG) as file:
-        file.write(PNG)
-        # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
-        _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-        # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
-        start, check, written = b"\x78\x5e", 1, 0
-        for band in bands:
-            written += band.rows
-            if band.width != width or written > height:
-                size = f"{band.rows} rows of {band.width} pixels"
-                raise ValueError(f"a band of {size} does not fit {width} x {height}")
-            _write_chunk(file, b"IDAT", start + band.data)
-            start, check = b"", _adler_of_both(check, band.check, band.rows * (1 + 3 * width))
-        if written < height:
-            raise ValueError(f"the bands have {written} rows, not {height}")
-        _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
-        _write_chunk(file, b"IEND", b"")
+    file.write(PNG)
+    # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
+    _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
+    start, check, left = b"\x78\x5e", 1, height * (1 + 3 * width)
+    for tile in tiles:
+        _write_chunk(file, b"IDAT", start + tile.data)
+        start, check = b"", _adler_of_both(check, tile.check, tile.size)
+        left -= tile.size
+    if left:
+        raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
+    _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
+    _write_chunk(file, b"IEND", b"")
 
 
 def _adler_of_both(first: int, second: int, size: int) -> int:
@@ -145,7 +126,7 @@ def _adler_of_both(first: int, second: int, size: int) -> int:
 
 
 def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
-    """Write a chunk of a PNG file (ISO/IEC 15948, 5.3)."""
+    """Write a chunk of a PNG file (5.3)."""
     file.write(struct.pack(">I", len(data)))
     file.write(kind)
     file.write(data)
@@ -153,10 +134,10 @@ def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
 
 
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
-    """The 8-bit codes of radiances: round(255 clip(x, 0, 1)^(1/2.2)).
+    """Encode radiance in 8 bits: round(255 clip(x, 0, 1)^(1/2.2)).
 
-    The codes are those of exact arithmetic.  The power function in float64 is
-    some ulps off, and on most machines slower than the table used here.
+    The codes are those of exact arithmetic.  The power function in float64 is some ulps off, and
+    takes twice as long as the tables used here.
 
     Parameters
     ----------
@@ -177,11 +158,12 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _checked(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
+    least_code, next_threshold = _cells()
     for start in range(0, flat.size, _BLOCK):
         block = slice(start, start + _BLOCK)
-        bits = _bits(np.clip(flat[block], _LEAST, 1.0))
-        bits += _shifts().take(bits >> _CELL_BITS)
-        flat_codes[block] = bits >> _CELL_BITS
+        x = np.clip(flat[block], _LEAST, 1.0)
+        cell = _cell_of(x)
+        np.add(least_code.take(cell), x >= next_threshold.take(cell), out=flat_codes[block])
     return codes
 
 
@@ -197,30 +179,28 @@ def _checked(image: ArrayLike) -> Floats:
     return radiance
 
 
-# The cells of a table over [_LEAST, 1]: 2^7 between any two powers of two, and so at most
-# one threshold in each.  The cell of a float64 is its leading bits, taken as an integer.
+# A search among thresholds would take three times as long.  Instead [_LEAST, 1] is cut into cells,
+# 2^7 between any two powers of two, with at most one threshold in each: a cell is the leading bits
+# of its float64s.
 _LEAST = 2.0**-20
-_LEAST_BITS = int(np.float64(_LEAST).view(np.int64))
 _CELL_BITS = 52 - 7
 
 
+def _cell_of(x: Floats) -> NDArray[np.int64]:
+    cell: NDArray[np.int64] = x.view(np.int64) >> _CELL_BITS
+    cell -= int(np.float64(_LEAST).view(np.int64)) >> _CELL_BITS
+    return cell
+
+
 @cache
-def _shifts() -> NDArray[np.int64]:
-    """For each cell, what to add to the bits of x so that the leading bits are its code."""
-    thresholds = _bits(np.array([_threshold(code) for code in range(1, 256)]))
-    # NumPy's own integers have 32 bits on some systems.
-    cells = int(_bits(np.ones(1))[0] >> _CELL_BITS) + 1
-    start = np.arange(cells, dtype=np.int64) << _CELL_BITS
-    code = np.searchsorted(thresholds, start, side="right").astype(np.int64)
-    shifts = (code << _CELL_BITS) - start
-    inside = thresholds >> _CELL_BITS
-    shifts[inside] = (np.arange(1, 256, dtype=np.int64) << _CELL_BITS) - thresholds
-    return shifts
-
-
-def _bits(x: Floats) -> NDArray[np.int64]:
-    """The bits of each x as an integer, less those of `_LEAST`: increasing with x."""
-    return x.view(np.int64) - _LEAST_BITS
+def _cells() -> tuple[NDArray[np.uint8], Floats]:
+    """For each cell the code of its least float64, and the threshold of the code after that."""
+    thresholds = np.array([_threshold(code) for code in range(1, 256)])
+    first = int(np.float64(_LEAST).view(np.int64))
+    cells = np.arange(_cell_of(np.ones(1))[0] + 1, dtype=np.int64)
+    least: Floats = ((cells << _CELL_BITS) + first).view(np.float64)
+    code = np.searchsorted(thresholds, least, side="right")
+    return code.astype(np.uint8), np.append(thresholds, np.inf)[code]
 
 
 def _threshold(code: int) -> float:

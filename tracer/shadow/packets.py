@@ -30,7 +30,6 @@ from tracer.arrays import (
     pick,
     put,
     ranges,
-    rows,
 )
 from tracer.shadow.occluders import SLACK, Balls, Candidates, Occluders
 from tracer.view.hits import Hits
@@ -249,7 +248,7 @@ def _on_chords(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     """Put balls around stretches of points in rows."""
     # Points of a row lie on a line, or on an arc of less than half a circle: the ball on the chord
     # between the ends holds them.
-    a, b = rows(hits.p, start), rows(hits.p, start + count - 1)
+    a, b = pick(hits.p, start), pick(hits.p, start + count - 1)
     half = each(lambda a, b: 0.5 * (a + b), a, b)
     middle = hits.view.raster.point_to_scene(half)
     across = each(np.subtract, b, a)
@@ -270,7 +269,7 @@ def _on_points(occluders: Occluders, hits: Hits, owner: Ints, start: Ints, count
     """Put balls around stretches, which follow each other, of points that lie anywhere."""
     low, high = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
     half = 0.5 * (high - low)
-    middle = hits.view.raster.point_to_scene(rows(low + half, slice(None)))
+    middle = hits.view.raster.point_to_scene(pick(low + half, slice(None)))
     radius = np.sqrt((half * half).sum(axis=0))
     return Balls(owner, start, count, middle, radius + occluders.slack[owner])
 

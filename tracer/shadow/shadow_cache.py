@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, indices, rows
+from tracer.arrays import Bools, Floats, Ints, batches, dot, each, expand, indices, pick
 from tracer.shadow.occluders import Candidates, Finder, Occluders, ShadowEdges, candidates_by_kind
 from tracer.view.hits import Hits
 
@@ -108,7 +108,7 @@ class ShadowCache(NamedTuple):
 
     def _inside(self, p: Floats, own: Ints, near: Ints, footprint: Floats | None) -> Bools:
         """Whether hits, with their footprints, are near their points, and on the same object."""
-        away = each(np.subtract, rows(p, slice(None)), rows(self.p, near))
+        away = each(np.subtract, pick(p, slice(None)), pick(self.p, near))
         reach = self.footprint[near]
         if footprint is not None:
             reach = np.maximum(reach - footprint, 0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,6 @@ from tracer.shapes.rounding import (
 from tracer.shapes.silhouette import silhouette_planes
 from tracer.shapes.sphere import LEAST_SLOPE
 from tracer.view.camera import Raster
-
-__all__ = ["Boxes"]
 
 # Slopes (`Spheres.slope`) count as at most so steep.
 _MOST_SLOPE = 8192.0
@@ -151,38 +149,22 @@ class Boxes:
         inside).  Slabs are closed: a ray lying in a face meets the box.
         """
         box, eye, (u, v, w) = owner - self.first, raster.eye.tolist(), raster.axes.tolist()
-        near, far, outside = [], [], []
-        faces: list[Any] = []
+        near, far, faces = [], [], []
         for k in range(3):
             d = s * u[k] + spread(g * v[k] + raster.depth * w[k], counts)
             low, high = (spread(m[box, k] - eye[k], counts) for m in (self.min_pt, self.max_pt))
-            # If every pair has the eye on the same side of a slab, that side's plane is the entry.
-            below, above = bool(np.all(low > 0)), bool(np.all(high < 0))
-            if below or above:
-                outside.append(k)
-                entry, leave = (high, low) if above else (low, high)
-                near.append(entry / d)
-                far.append(leave / d)
-                faces.append(np.int8(2 * k + above))
-            else:
-                enter, leave = _slab(low, high, d, closed=True)
-                near.append(enter)
-                far.append(leave)
-                # The face that is seen looks against the ray.
-                faces.append((d < 0).view(np.int8) + np.int8(2 * k))
-        # The eye is between the planes of every other slab of a single box: no ray enters these.
-        axes = outside if outside and isinstance(owner, int) else [0, 1, 2]
-        enter = near[axes[0]]
-        for k in axes[1:]:
-            enter = np.maximum(enter, near[k])
-        leave = np.minimum(np.minimum(far[0], far[1]), far[2])
-        t = np.where(enter <= leave, enter, np.inf)
-        face = _first_face(enter, near, faces, axes)
-        if not outside:
-            inside = (enter <= 0) & (leave > 0)
-            if inside.any():
-                t = np.where(inside, leave, t)
-                face = np.where(inside, _first_face(leave, far, faces, axes), face)
+            enter, leave = _slab(low, high, d, closed=True)
+            near.append(enter)
+            far.append(leave)
+            # The face that is seen looks against the ray.
+            faces.append((d < 0).view(np.int8) + np.int8(2 * k))
+        enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
+        enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
+        t, face = np.where(enter <= leave, enter, np.inf), _first_face(enter, near, faces)
+        inside = spread(self.eye_inside[box], counts)
+        if inside.any():
+            t = np.where(inside, leave, t)
+            face = np.where(inside, _first_face(leave, far, faces), face)
         t[~(t > 0)] = np.inf
         return t, face
 
@@ -315,15 +297,9 @@ def _slab(
     return enter, leave
 
 
-def _first_face(
-    t: Floats, times: list[Floats], faces: list[Any], axes: list[int]
-) -> NDArray[np.int8]:
+def _first_face(t: Floats, times: list[Floats], faces: list[NDArray[np.int8]]) -> NDArray[np.int8]:
     """Faces met at `t`: through an edge or a corner, that of the first axis counts."""
-    face = np.empty(t.shape, dtype=np.int8)
-    face[...] = faces[axes[-1]]
-    for k in axes[-2::-1]:
-        np.copyto(face, faces[k], where=times[k] == t)
-    return face
+    return np.where(times[0] == t, faces[0], np.where(times[1] == t, faces[1], faces[2]))
 
 
 def _crosses(p: Triple, light: Triple, low: Triple, high: Triple) -> Bools:

@@ -10,8 +10,6 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, expand, indices
 from tracer.view.camera import Raster
 
-__all__ = ["Frames", "Spans"]
-
 
 class Spans(NamedTuple):
     """Intervals of rows of the picture that objects cover.

@@ -12,22 +12,6 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Triple, dot, each
 
-__all__ = [
-    "END_ON",
-    "INSIDE",
-    "NEARLY_PARALLEL",
-    "NEARLY_ZERO_POWER",
-    "ON",
-    "OUTSIDE",
-    "PLANE_ROUNDING",
-    "PRODUCT_ROUNDING",
-    "SQUARE_ROUNDING",
-    "SURFACE_TOLERANCE",
-    "UNIT_ROUNDING",
-    "side_of",
-    "tolerance_at",
-]
-
 _EPSILON = float(np.finfo(np.float64).eps)
 
 OUTSIDE, ON, INSIDE = 1, 0, -1

@@ -12,8 +12,6 @@ import numpy as np
 from tracer.arrays import Floats, Ints, Triple, cross, dot, each
 from tracer.shapes.rounding import END_ON, PRODUCT_ROUNDING
 
-__all__ = ["box_corners", "silhouette_planes"]
-
 
 def box_corners(min_pt: Floats, max_pt: Floats, apex: Floats) -> Triple:
     """Corners seen from an apex: three (8, n); i is high along axis k where bit k of i is set."""

@@ -36,15 +36,12 @@ from tracer.shapes.rounding import (
     NEARLY_ZERO_POWER,
     ON,
     OUTSIDE,
-    PLANE_ROUNDING,
     SQUARE_ROUNDING,
     UNIT_ROUNDING,
     side_of,
     tolerance_at,
 )
 from tracer.view.camera import Raster
-
-__all__ = ["LEAST_SLOPE", "NO_FACE", "Spheres"]
 
 NO_FACE = 3
 """In place of the axis of a box's face."""
@@ -114,8 +111,9 @@ class Spheres:
 
     @property
     def whole(self) -> Bools:
-        """Of which (n,) the whole silhouette is known."""
-        return np.ones(self.count, dtype=np.bool_)
+        """Which (n,) fill what their `spans` cover; not if the eye is on them, or too near."""
+        whole: Bools = self.power != 0
+        return whole
 
     @property
     def slope(self) -> Floats:
@@ -191,15 +189,6 @@ class Spheres:
         hypot2, u, ahead, chord2 = self._discs(raster, owner, g)
         low, high = _tangents(u, ahead, chord2, self.power[owner])
         hypot = np.sqrt(hypot2)
-        touched = indices(self.power[owner] == 0)
-        if touched.size:
-            # The eye is on these: they are seen on their side of the plane that touches them there.
-            u, v, w = pick(self.local, owner[touched])
-            tilted, level = v * g[touched], w * raster.depth
-            bound = -(tilted + level + PLANE_ROUNDING * (np.abs(tilted) + np.abs(level)))
-            bound = bound / (u + 0.0) / hypot[touched]
-            low[touched] = np.fmax(low[touched], np.where(u >= 0, bound, -np.inf))
-            high[touched] = np.fmin(high[touched], np.where(u < 0, bound, np.inf))
         return raster.column(low * hypot), raster.column(high * hypot)
 
     def _discs(
@@ -305,9 +294,7 @@ class Spheres:
 
     def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
         """Where points are: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
-        away = each(np.subtract, columns(self.center, owner), point)
-        tolerance = tolerance_at(point, None, self.size[owner])
-        return side_of(np.sqrt(dot(away, away)) - self.radius[owner], tolerance)
+        return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
 
     def gap(self, owner: Ints, point: Triple) -> Floats:
         """How far objects must grow to reach points; negative for points inside."""
@@ -319,9 +306,7 @@ class Spheres:
 
         They are in or on a sphere, or on the plane of a box's face.
         """
-        away = each(np.subtract, middle, columns(self.center, owner))
-        touches: Bools = dot(away, away) <= (self.radius[owner] + reach) ** 2
-        return touches
+        return self.gap(owner, middle) <= reach
 
     def occludes(
         self,

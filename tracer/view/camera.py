@@ -18,8 +18,6 @@ import numpy as np
 from tracer.arrays import Floats, Triple, cross
 from tracer.scene.objects import Camera, unit
 
-__all__ = ["Raster", "raster_of"]
-
 
 class Raster(NamedTuple):
     """The picture's rays: the eye, its axes, and the step from pixel to pixel.

@@ -14,8 +14,6 @@ from tracer.view.samples import Scattered
 from tracer.view.view import view_of
 from tracer.view.visibility import visible
 
-__all__ = ["Hits", "first_hits"]
-
 # So many rays are traced at a time, where objects do not lie behind each other.
 _AT_ONCE = 1 << 16
 

@@ -7,10 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Index, Ints, Triple, dot, rows, spread
+from tracer.arrays import Floats, Index, Ints, Triple, dot, pick, spread
 from tracer.view.view import Shape, View
-
-__all__ = ["Group", "Hits"]
 
 
 class Group(NamedTuple):
@@ -122,4 +120,4 @@ class Hits(NamedTuple):
 
     def points(self, index: Ints | slice) -> Triple:
         """Some of the points in the scene's axes."""
-        return self.view.raster.point_to_scene(rows(self.p, index))
+        return self.view.raster.point_to_scene(pick(self.p, index))

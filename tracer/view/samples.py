@@ -8,11 +8,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, changes, expand, ranges
+from tracer.arrays import Floats, Index, Ints, changes, expand, ranges, select
 from tracer.shapes.frames import Spans
 from tracer.view.camera import Raster
-
-__all__ = ["Covered", "Rows", "Samples", "Scattered"]
 
 
 class Covered(NamedTuple):
@@ -20,8 +18,8 @@ class Covered(NamedTuple):
 
     Attributes
     ----------
-    owner : (spans,)
-        Which sphere or box.
+    owner : (spans,), or int
+        Which object, or the only one.
     row : (spans,)
         Index into the samples' `y`.
     first : (spans,)
@@ -30,7 +28,7 @@ class Covered(NamedTuple):
         How many there are; None if every span has one.
     """
 
-    owner: Ints
+    owner: Index
     row: Ints
     first: Ints
     counts: Ints | None
@@ -38,7 +36,7 @@ class Covered(NamedTuple):
     def take(self, index: Ints) -> Covered:
         """Some of the spans."""
         counts = None if self.counts is None else self.counts[index]
-        return Covered(self.owner[index], self.row[index], self.first[index], counts)
+        return Covered(select(self.owner, index), self.row[index], self.first[index], counts)
 
     def samples(self) -> Ints:
         """All samples, span by span."""

@@ -13,8 +13,6 @@ from tracer.shapes.frames import Frames
 from tracer.shapes.sphere import Spheres
 from tracer.view.camera import Raster
 
-__all__ = ["Shape", "View", "frames_of", "view_of"]
-
 Shape: TypeAlias = Spheres | Boxes
 """All objects of one kind; see `Spheres` for what they answer."""
 

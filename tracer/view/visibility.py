@@ -15,8 +15,6 @@ from tracer.view.hits import Group, Hits
 from tracer.view.samples import Covered, Samples, Scattered
 from tracer.view.view import Shape, View
 
-__all__ = ["visible", "visible_and_behind"]
-
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
 
@@ -101,8 +99,8 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     raster, s, found = view.raster, samples.across(view.raster), []
     for shape in view.shapes:
         covered = samples.covered(partial(shape.spans, raster, pad=_PAD))
-        for owner, part in _groups(covered, len(view.surfaces)):
-            row, counts, sample = part.row, part.counts, part.samples()
+        for part in _grouped(covered, len(view.surfaces)):
+            owner, row, counts, sample = part.owner, part.row, part.counts, part.samples()
             across = s.take(sample)
             t, detail = shape.hit(raster, owner, raster.down(samples.y[row]), across, counts)
             found.append(_Fragments(shape, owner, row, counts, sample, across, t, detail))
@@ -182,26 +180,16 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
-def _groups(covered: Covered, objects: int) -> Iterator[tuple[Index, Covered]]:
-    """Where each large object may be seen, then all small ones together.
-
-    Yields
-    ------
-    owner
-        The large object, or the owner (spans,) of each span.
-    covered
-        The spans.
-    """
+def _grouped(covered: Covered, objects: int) -> Iterator[Covered]:
+    """Split spans: those of each large object, with one `owner`, then those of all small ones."""
     size = np.bincount(covered.owner, covered.counts, minlength=objects)
-    large = indices(size >= _LARGE).tolist()
-    for owner in large:
-        yield owner, covered.take(indices(covered.owner == owner))
+    for owner in indices(size >= _LARGE).tolist():
+        yield covered.take(indices(covered.owner == owner))._replace(owner=owner)
     rest = size[covered.owner] < _LARGE
     if covered.counts is not None:
         rest &= covered.counts > 0
     if rest.any():
-        small = covered.take(indices(rest))
-        yield small.owner, small
+        yield covered.take(indices(rest))
 
 
 def _by_face(group: _Fragments) -> Iterator[tuple[_Fragments, Any]]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from messages import told
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(

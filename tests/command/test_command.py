@@ -13,6 +13,7 @@ import subprocess
 import sys
 import termios
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,10 @@ from PIL import Image
 import tracer
 from converters import to_mitsuba
 from tracer import __main__ as command_line
+from tracer import to_codes
 from tracer.commands import _interrupted
-from tracer.picture import rendering
-from tracer.picture.png import PNG, to_codes
+from tracer.picture import bands
+from tracer.picture.png import PNG, compressed
 
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
@@ -134,9 +136,9 @@ def test_without_numpy(scene):
 
 def test_wrong_usage_without_numpy(scene):
     (scene.parent / "numpy.py").write_text("raise ModuleNotFoundError")
-    done = run("ball.xml", "-o", "ball.xml", cwd=scene.parent)
+    done = run("ball.xml", "-o", "ball.jpg", cwd=scene.parent)
     assert done.returncode == 2
-    assert done.stderr.endswith("this would replace a scene; choose another with -o\n")
+    assert done.stderr.endswith("pictures are PNG files; name it ball.png\n")
 
 
 def test_half_of_numpy(scene):
@@ -181,8 +183,29 @@ def test_help():
         (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
         (["ball.xml", ""], "argument SCENE.xml: the name is empty; name a file"),
         (
-            ["ball.xml", "-o", "ball.xml"],
-            "ball.xml: this would replace a scene; choose another with -o",
+            ["ball.png", "-o", "ball.png"],
+            "ball.png: this would replace a scene; choose another with -o",
+        ),
+        (
+            ["ball.xml", "-o", "ball.v2.jpg"],
+            "-o ball.v2.jpg: pictures are PNG files; name it ball.v2.png",
+        ),
+        (
+            ["ball.xml", "--size", "640"],
+            "argument --size: must be width and height in pixels, as 640x360, is '640'",
+        ),
+        (
+            ["ball.xml", "--size", "0x10"],
+            "argument --size: must be width and height in pixels, as 640x360, is '0x10'",
+        ),
+        (["-"], "-: a picture of standard input needs a name, with -o, and no --watch"),
+        (
+            ["-", "-o", "ball.png", "--watch"],
+            "-: a picture of standard input needs a name, with -o, and no --watch",
+        ),
+        (
+            ["ball.xml", "other.xml", "-o", "-"],
+            "-o -: standard output takes the picture of one scene, and no --watch",
         ),
         (
             ["ball.xml", "other.xml", "-o", "here.png"],
@@ -243,7 +266,7 @@ def test_what_cannot_be_written(scene, output, reason):
 def limited(scene: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
     """Render with so much more memory than there is in use once all modules are loaded."""
     script = (
-        "import resource, sys, tracer.picture.rendering\n"
+        "import resource, sys, tracer.picture.bands, tracer.scene.reader\n"
         "from tracer.__main__ import main\n"
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
         f"resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)\n"
@@ -255,13 +278,41 @@ def limited(scene: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
 
 
 def test_too_little_memory(scene, tmp_path):
-    scene.write_text(SCENE.format(2**28, 1))  # one row is one band
-    done = limited(scene, 64)
+    scene.write_text(SCENE.format(3000, 2000))
+    done = limited(scene, 4)
     assert done.stderr == (
-        f"{scene}: not enough memory for 268435456 x 1 pixels; make the image smaller\n"
+        f"{scene}: not enough memory for 3000 x 2000 pixels; make the image smaller\n"
     )
     assert done.returncode == 1
     assert names(tmp_path) == ["ball.xml"]
+
+
+@pytest.mark.parametrize("megabytes", [20, 40, 60, 97, 100])
+def test_too_little_memory_to_start(scene, megabytes):
+    """It may also be enough: libraries differ."""
+    limit = megabytes << 20
+    done = subprocess.run(
+        command(scene, "--quiet"),
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+    )
+    assert len(done.stderr.splitlines()) == done.returncode
+    assert names(scene.parent)[1:] == ([] if done.returncode else ["ball.xml.png"])
+
+
+@pytest.mark.slow
+def test_a_picture_as_wide_as_can_be_needs_little_memory(scene):
+    scene.write_text(SCENE.format(1 << 28, 1))
+    script = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True)\n"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    )
+    run = [sys.executable, "-c", script, *command(scene, "--quiet")]
+    done = subprocess.run(run, capture_output=True, text=True, env=ENVIRONMENT, check=True)
+    assert int(done.stdout) < 150_000
+    assert Path(f"{scene}.png").stat().st_size > 100_000
 
 
 def test_memory_that_is_enough_for_a_small_picture(scene, tmp_path):
@@ -274,7 +325,7 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
     def fail(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tracer.picture.rendering.render_each", fail)
+    monkeypatch.setattr("tracer.picture.bands.render_compressed", fail)
     assert command_line.main([str(scene), "--samples", "999999999"]) == 1
     assert capsys.readouterr().err == (
         f"{scene}: not enough memory for 40 x 30 pixels of 999999999 samples;"
@@ -285,8 +336,8 @@ def test_too_little_memory_for_the_samples(scene, monkeypatch, capsys):
 def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
     """However it came about: a line, and not a traceback."""
     monkeypatch.setattr(
-        "tracer.picture.rendering.render_each",
-        lambda _, work, *__, **___: iter([work(np.full((30, 40, 3), np.nan))]),
+        "tracer.picture.bands.render_compressed",
+        lambda *_, **__: iter([compressed(np.full((30, 40, 3), np.nan))]),
     )
     assert command_line.main([str(scene)]) == 1
     assert capsys.readouterr().err.startswith(f"{scene}.png: cannot be written: an image must not")
@@ -294,14 +345,14 @@ def test_a_picture_that_holds_no_numbers(scene, monkeypatch, capsys):
 
 
 def test_what_is_no_picture_is_not_replaced(scene, capsys):
-    other = scene.with_name("other.xml")
+    other = scene.with_name("other.png")
     other.write_text("<scene/>")
     assert command_line.main([str(scene), "-o", str(other)]) == 1
     assert capsys.readouterr().err == (
         f"{other}: cannot be written: a file of another kind is there; choose another with -o\n"
     )
     assert other.read_text() == "<scene/>"
-    assert names(scene.parent) == ["ball.xml", "other.xml"]
+    assert names(scene.parent) == ["ball.xml", "other.png"]
 
 
 def started(scene: Path) -> subprocess.Popen[str]:
@@ -470,7 +521,7 @@ def test_a_slow_picture_does_without_a_bar_that_cannot_be_shown(
     monkeypatch.setenv("TQDM_MININTERVAL", setting)
     monkeypatch.setattr(command_line, "perf_counter", iter(range(100)).__next__)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr(rendering, "_BAND_SAMPLES", 400)
+    monkeypatch.setattr(bands, "_TILE_SAMPLES", 400)
     assert command_line.main([str(scene)]) == 0
     assert capsys.readouterr().err == ""
     with Image.open(f"{scene}.png") as image:
@@ -486,6 +537,98 @@ def test_a_slow_picture_shows_none_where_there_is_no_terminal(scene, monkeypatch
     monkeypatch.setattr(command_line, "perf_counter", iter(range(100)).__next__)
     assert command_line.main([str(scene)]) == 0
     assert capsys.readouterr().err == ""
+
+
+def test_another_size(scene):
+    done = run(scene, "--size", "80x60")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ": 80 x 60 pixels in " in done.stdout
+    with Image.open(f"{scene}.png") as picture:
+        expected = to_codes(tracer.render(replace(tracer.load_scene(scene), width=80, height=60)))
+        assert (np.asarray(picture) == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("file", "window", "size", "told"),
+    [
+        ((30, 30), "", "20x10", "--size 20x20 keeps them so"),
+        ((32, 18), "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>", "321x181", ""),
+        ((32, 18), "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>", "32x32",
+         "--size 32x18 keeps them so"),
+        ((40, 30), "", "20x10", ""),  # they are not square in the file
+    ],
+)  # fmt: skip
+def test_a_size_that_makes_pixels_oblong(scene, file, window, size, told):
+    scene.write_text(SCENE.format(*file).replace("</camera>", f"{window}</camera>"))
+    done = run(scene, "--size", size)
+    told = told and f"{scene}: pixels are no longer square; {told}\n"
+    assert (done.returncode, done.stderr) == (0, told)
+    assert run(scene, "--size", size, "--quiet").stderr == ""
+
+
+def test_a_size_that_is_too_large(scene):
+    done = run(scene, "--size", "99999x99999")
+    assert done.returncode == 1
+    assert done.stderr.startswith("--size: width, height: 99999 x 99999 pixels are too many")
+    assert names(scene.parent) == ["ball.xml"]
+
+
+def test_standard_input_and_output(scene):
+    done = subprocess.run(
+        command("-", "-o", "-"), input=scene.read_bytes(), capture_output=True, env=ENVIRONMENT
+    )
+    assert done.returncode == 0
+    assert re.fullmatch(rb"-: 40 x 30 pixels in \d+\.\d{3} s\n", done.stderr)
+    assert run(scene).returncode == 0
+    assert done.stdout == Path(f"{scene}.png").read_bytes()
+
+
+def test_faulty_standard_input(tmp_path):
+    done = subprocess.run(
+        command("-", "-o", "x.png"), input=b"<scene>", capture_output=True, cwd=tmp_path,
+        env=ENVIRONMENT,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert b":1: " in done.stderr
+    assert names(tmp_path) == []
+
+
+def test_standard_output_that_no_one_reads(scene, unread):
+    done = subprocess.run(
+        command(scene, "-o", "-"), stdout=unread, stderr=subprocess.PIPE, env=ENVIRONMENT
+    )
+    assert done.returncode == 1
+    assert done.stderr == b"-: cannot be written: Broken pipe; choose another with -o\n"
+
+
+@pytest.mark.usefixtures("signals_heeded")
+def test_watch(scene):
+    """A file that is saved, is faulty, is mended, is replaced, is removed."""
+    other = scene.with_name("other.xml")
+    other.write_text(SCENE.format(3, 2))
+    with subprocess.Popen(
+        command(scene, other, "--watch"), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env=ENVIRONMENT,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert "ball.xml.png: 40 x 30" in process.stdout.readline()
+        assert "other.xml.png: 3 x 2" in process.stdout.readline()
+        other.write_text(SCENE.format(5, 4))
+        assert "other.xml.png: 5 x 4" in process.stdout.readline()
+        scene.write_text("<scene>")
+        assert "ball.xml:1: " in process.stderr.readline()
+        new = scene.with_name("new")
+        new.write_text(SCENE.format(8, 6))
+        new.replace(scene)
+        assert "ball.xml.png: 8 x 6" in process.stdout.readline()
+        other.unlink()
+        shown = process.stderr.readline()
+        while "other.xml: cannot be read" not in shown:
+            assert "ball.xml:" in shown  # more faults of the one before
+            shown = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert (process.wait(), process.stdout.read(), process.stderr.read()) == (130, "", "")
 
 
 @pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
@@ -520,7 +663,7 @@ def test_what_draws_nothing_does_not_wait_for_numpy(arguments):
     "module",
     [
         *("tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"),
-        *("tracer.antialias.refine", "tracer.picture.helpers", "tracer.scene.malformed"),
+        *("tracer.antialias.refine", "tracer.scene.malformed"),
     ],
 )
 def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, module):
@@ -533,7 +676,7 @@ def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene, modul
         [sys.executable, "-c", script], capture_output=True, text=True, env=ENVIRONMENT
     )
     loaded = done.stdout.split()
-    assert "tracer.picture.rendering" in loaded
+    assert "tracer.picture.bands" in loaded
     assert module not in loaded
 
 

@@ -1,0 +1,406 @@
+"""Worker processes: results, errors, deaths, limits, and what is left of them."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
+from math import inf
+from mmap import mmap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from parts import PARTS, SIZE, dying_once, failing, refusing, signing
+
+from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
+from tracer.picture import bands, parallel
+from tracer.picture.parallel import Job, Team, forked, helped
+
+ME = os.getpid()
+
+Start = Callable[[int, int, int, Job], AbstractContextManager[Team]]
+
+
+@pytest.fixture(autouse=True)
+def no_workers() -> Iterator[None]:
+    """No test finds workers of another."""
+    parallel._helpers.stop()
+    yield
+    parallel._helpers.stop()
+    assert not children()
+
+
+def children() -> list[int]:
+    """Child processes of this one, ended ones included."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = stat.read_text().rpartition(")")[2].split()
+            found += [int(stat.parent.name)] if int(fields[1]) == os.getpid() else []
+    return found
+
+
+def staying(parts: int, others: int, size: int, job: Job) -> AbstractContextManager[Team]:
+    return helped(parts, others, size, job, inf)
+
+
+def signed(start: Start, others: int = 1, parts: int = 40, job: Job = signing) -> list[int]:
+    """Do a job; return which process did each of its parts."""
+    signers = np.zeros(PARTS, np.int64)
+    with start(parts, others, SIZE, job) as team:
+        own = mmap(-1, SIZE)
+        for number, here in team.finished(signing(own)):
+            assert signers[number] == 0
+            memory = own if here else team.memory
+            assert memory is not None
+            signers[number] = np.frombuffer(memory, np.int64, PARTS)[number]
+    assert signers[:parts].all()
+    return signers[:parts].tolist()
+
+
+def signed_by_all(others: int = 1) -> set[int]:
+    """Repeat a job until all workers that stay take part; return the processes."""
+    for _ in range(100):
+        found = set(signed(staying, others))
+        if len(found) > others:
+            return found
+    pytest.fail("no worker took part")
+
+
+both = pytest.mark.parametrize("start", [forked, staying])
+
+
+@pytest.mark.parametrize("others", [0, 1, 2, 20])
+def test_forks_share_the_parts(others: int) -> None:
+    assert min(others, 2) < len(set(signed(forked, others))) <= others + 1
+    assert not children()
+
+
+@pytest.mark.parametrize("others", [1, 2])
+def test_workers_stay_for_the_next_job(others: int) -> None:
+    first = signed_by_all(others)
+    assert ME in first
+    for _ in range(4):
+        assert set(signed(staying, others)) <= first
+    assert sorted(children()) == sorted(first - {ME})
+
+
+def test_nobody_waits_for_a_worker_to_start() -> None:
+    assert set(signed(staying, parts=2)) == {ME}
+
+
+def test_a_worker_that_has_started_late_joins() -> None:
+    assert len(set(signed(staying, parts=400))) == 2
+
+
+def test_no_forks_beside_another_thread() -> None:
+    """It may hold a lock, which nobody would release in a copy."""
+    ends = threading.Event()
+    thread = threading.Thread(target=ends.wait)
+    thread.start()
+    try:
+        assert set(signed(forked)) == {ME}
+    finally:
+        ends.set()
+        thread.join()
+
+
+def test_one_job_at_a_time_has_workers() -> None:
+    with helped(8, 1, SIZE, signing, inf) as team:
+        assert len(team.workers) == 1
+        assert set(signed(staying, parts=8)) == {ME}
+        assert len(list(team.finished(signing(mmap(-1, SIZE))))) == 8
+
+
+@both
+def test_an_error_is_raised_here(start: Start) -> None:
+    work = failing(mmap(-1, SIZE))
+    with pytest.raises(MemoryError, match="too little"), start(40, 1, SIZE, failing) as team:
+        list(team.finished(work))
+    assert not children()
+
+
+def test_what_only_workers_cannot_do_is_done_here() -> None:
+    before = signed_by_all()
+    for job in (failing, refusing):
+        assert set(signed(staying, job=job)) == {ME}
+    assert signed_by_all() == before
+
+
+@pytest.mark.parametrize(("others", "first"), [(1, 0), (1, 20), (3, 8)])
+@both
+def test_what_a_killed_worker_had_taken_is_done_here(
+    start: Start, others: int, first: int, tmp_path: Path
+) -> None:
+    before = signed_by_all(others) if start is staying else {ME}
+    assert ME in signed(start, others, job=dying_once(first, tmp_path / "died"))
+    assert (tmp_path / "died").exists()
+    assert not children()
+    if start is staying:  # others take their places
+        assert signed_by_all(others) & before == {ME}
+
+
+def test_a_worker_that_was_killed_meanwhile_is_replaced() -> None:
+    (worker,) = signed_by_all() - {ME}
+    os.kill(worker, signal.SIGKILL)
+    time.sleep(0.05)
+    assert worker not in signed_by_all()
+
+
+def test_the_number_of_a_dead_worker_may_be_given_to_another_process() -> None:
+    (worker,) = signed_by_all() - {ME}
+    os.kill(worker, signal.SIGKILL)
+    os.waitpid(worker, 0)
+    # The system gives out numbers in turn: the next is this one.
+    last = Path("/proc/sys/kernel/ns_last_pid")
+    try:
+        for _ in range(100):
+            last.write_text(str(worker - 1))
+            other = subprocess.Popen(["sleep", "60"])
+            if other.pid == worker:
+                break
+            other.kill()
+            other.wait()
+        else:
+            pytest.skip("the number was always taken")
+    except OSError:
+        pytest.skip("only root may choose the number of a process")
+    parallel._helpers.stop()
+    time.sleep(0.05)
+    assert other.poll() is None
+    other.kill()
+    other.wait()
+
+
+@both
+def test_leaving_early_ends_workers(start: Start) -> None:
+    before = signed_by_all() if start is staying else set()
+    with suppress(KeyboardInterrupt), start(40, 1, SIZE, signing) as team:
+        next(team.finished(signing(mmap(-1, SIZE))))
+        raise KeyboardInterrupt
+    assert not children()
+    if start is staying:
+        assert signed_by_all() & before == {ME}
+
+
+@pytest.mark.parametrize("count", range(14))
+@both
+def test_workers_for_whom_there_are_files(
+    start: Start, count: int, files_left: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    with files_left(count):
+        assert ME in signed(start, 2, parts=8)
+        parallel._helpers.stop()
+    assert not children()
+
+
+def test_no_more_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never() -> int:
+        raise BlockingIOError("no more processes")
+
+    monkeypatch.setattr(os, "fork", never)
+    assert set(signed(forked)) == {ME}
+
+
+def test_no_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(_: str) -> int:
+        raise OSError("too many open files")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "memfd_create", none)
+        assert set(signed(staying)) == {ME}
+    for start in (forked, staying):
+        with start(8, 1, 1 << 60, signing) as team:
+            assert not team.workers
+
+
+def test_a_program_with_many_open_files() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
+    try:
+        assert len(signed_by_all()) == 2
+        assert len(set(signed(forked))) == 2
+    finally:
+        for file in files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", ["python3", "a-program-of-its-own"])
+def test_a_worker_that_cannot_start(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / name
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/started\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    assert set(signed(staying, parts=100)) == {ME}
+    assert (tmp_path / "started").exists() == (name == "python3")
+    assert not children()
+
+
+def test_a_worker_has_the_same_tracer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tracer.py").write_text("raise ImportError('another one')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert len(signed_by_all()) == 2
+
+
+def test_a_worker_is_isolated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a program may be that was started by python -I."""
+    (tmp_path / "sitecustomize.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert len(signed_by_all()) == 2
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_fork_has_workers_of_its_own() -> None:
+    before = signed_by_all()
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        os.write(writing, " ".join(map(str, signed_by_all())).encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    theirs = {int(part) for part in os.read(reading, 100).split()}
+    assert len(theirs) == 2
+    assert not theirs & before
+    assert signed_by_all() == before
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_workers_end_with_their_process(killed: bool) -> None:
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import os, signal, test_processes\n"
+        "print(*test_processes.signed_by_all() - {os.getpid()}, flush=True)\n"
+        f"if {killed}: os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True)
+    assert not done.stderr
+    deadline = time.monotonic() + 10
+    while Path(f"/proc/{int(done.stdout)}").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def picture(width: int, height: int) -> Scene:
+    """A sphere, in all of the picture but its corners."""
+    return Scene(
+        camera=Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2),
+        width=width,
+        height=height,
+        lights=(PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))),
+        surfaces=(Sphere(),),
+    )
+
+
+@pytest.mark.parametrize("size", [(300, 200), (400, 1), (1, 400)])
+@pytest.mark.parametrize("samples", [1, 4])
+def test_pictures_are_the_same_whoever_renders_them(
+    samples: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bands, "processors", lambda: 3)
+    scene = picture(*size)
+    alone = render(scene, samples, processes=1)
+    signed_by_all(2)
+    for samples_in_a_tile in (bands._TILE_SAMPLES, 1000, 90):
+        monkeypatch.setattr(bands, "_TILE_SAMPLES", samples_in_a_tile)
+        monkeypatch.setattr(bands, "_LEAST_SAMPLES", samples_in_a_tile)
+        for processes in (1, 2, 3):
+            assert np.array_equal(render(scene, samples, processes=processes), alone)
+
+
+def test_memory_of_a_large_picture_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bands, "_KEPT", 1 << 20)
+    signed_by_all()
+    scene = picture(1000, 1000)
+    alone = render(scene, processes=1)
+    for _ in range(2):
+        assert np.array_equal(render(scene, processes=2), alone)
+        used = os.fstat(parallel._helpers._file).st_blocks * 512
+        assert used < 1 << 20
+
+
+def test_pictures_in_threads() -> None:
+    scenes = [picture(200 + k, 100) for k in range(4)]
+    alone = [render(scene, processes=1) for scene in scenes]
+    wrong: list[int] = []
+
+    def draw(k: int) -> None:
+        pictures = [render(scenes[k], processes=2) for _ in range(10)]
+        wrong.extend(k for image in pictures if not np.array_equal(image, alone[k]))
+
+    signed_by_all()
+    threads = [threading.Thread(target=draw, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+@pytest.mark.parametrize(("processes", "others"), [(1, 0), (2, 1), (3, 2), (6, 2)])
+def test_as_many_processes_as_are_asked_for(
+    processes: int, others: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no more than there are processors."""
+    monkeypatch.setattr(bands, "processors", lambda: 3)
+    render(picture(200, 300), processes=processes)
+    assert len(children()) == others
+
+
+def test_few_small_pictures_start_no_worker() -> None:
+    """It would slow them, and not be ready in time."""
+    for _ in range(3):
+        render(picture(640, 360))
+    assert not children()
+
+
+@pytest.mark.skipif(parallel.processors() < 2, reason="there is one processor")
+def test_large_or_many_pictures_do() -> None:
+    render(picture(2000, 1500))
+    assert len(children()) == 1
+    parallel._helpers.stop()
+    for _ in range(200):
+        render(picture(700, 500))
+    assert len(children()) == 1
+
+
+@pytest.mark.parametrize("place", ["__main__", "nowhere"])
+def test_a_scene_of_which_a_worker_does_not_know_all(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Red(Lambertian):
+        """It can be pickled only if it is found where it says to be."""
+
+    Red.__module__, Red.__qualname__ = place, "Red"
+    monkeypatch.setattr(sys.modules["__main__"], "Red", Red, raising=False)
+    before = signed_by_all()
+    scene = replace(picture(300, 200), surfaces=(Sphere(shader=Red(diffuse=(1, 0, 0))),))
+    alone = render(scene, processes=1)
+    for _ in range(3):
+        assert np.array_equal(render(scene, processes=2), alone)
+    assert signed_by_all() == before
+
+
+def test_no_worker_where_there_is_one_processor() -> None:
+    code = """if True:
+        import os, tracer
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        tracer.render(tracer.Scene(camera=tracer.Camera(), width=4000, height=2500), processes=2)
+        try:
+            os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            print("none")
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "none\n"

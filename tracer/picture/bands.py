@@ -1,0 +1,298 @@
+"""From a scene to radiance, tile by tile.
+
+A tile is some rows of the picture, or a part of one row: small enough for its arrays to stay in
+cache and in memory that is already there, large enough for NumPy's calls to weigh nothing.  Tiles
+depend on nothing but the scene, so processes can share them, and they are written out in order.
+"""
+
+from __future__ import annotations
+
+import operator
+import pickle
+from collections.abc import Iterator
+from functools import cached_property, partial
+from itertools import product
+from math import inf, isqrt
+from mmap import PAGESIZE, mmap
+
+import numpy as np
+
+from tracer.antialias.lattice import CENTRES, Lattice
+from tracer.arrays import Floats
+from tracer.light.lighting import Lighting, lighting_of, radiance_at
+from tracer.picture.memory import keep_heap
+from tracer.picture.parallel import Work, forked, helped, processors
+from tracer.picture.png import Compressed, compressed
+from tracer.scene.model import Scene
+from tracer.view.camera import raster_of
+from tracer.view.view import frames_of, view_of
+
+__all__ = ["render", "render_compressed"]
+
+# Infinities and NaN are valid results here: a slab never left, a sphere not met.
+_QUIET = np.errstate(all="ignore")
+
+# Samples in a tile, and the least that pays; both times `_SPLIT` where pixels are split.
+_TILE_SAMPLES, _LEAST_SAMPLES, _SPLIT = 3 << 15, 1 << 15, 4
+
+# A picture has not many more tiles than this: the queue of their numbers has to fit into a pipe.
+_MOST_TILES = 1 << 12
+
+# A picture's load, in units of some 10 ns, grows with its samples, its lights and its objects up to
+# `_FEW_OBJECTS`; where pixels are split they count `_SPLIT_LOAD` times.  The loads from which it
+# pays to fork, and to ask helpers.
+_FEW_OBJECTS, _SPLIT_LOAD = 8, 10
+_WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
+
+# Shared memory beyond this many bytes is given back.
+_KEPT = 1 << 27
+
+# Of samples and of processes, as in the command: with 1e18 samples a picture would never end.
+_MOST = 999_999_999
+
+
+def render(
+    scene: Scene,
+    samples: int = 1,
+    *,
+    processes: int | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+) -> Floats:
+    """Render a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Rounded up to a square, n x n: the picture's error (RMSE) is no larger than with a grid of
+        n x n samples in every pixel, and mostly much smaller; 1 samples the pixels' centres.
+    processes : int, optional
+        How many processes render, this one included, and no more than there are processors; if
+        absent, one or two, whichever pays.  The others start in the background, and stay for the
+        next picture.
+    offset : (float, float)
+        Moves every sample, in pixels to the right and down.
+
+    Returns
+    -------
+    image : (height, width, 3) float64
+        Linear RGB radiance; row 0 is the top.
+
+    Raises
+    ------
+    TypeError
+        If `scene` is not a Scene, or `samples` or `processes` is not an integer.
+    ValueError
+        If `samples` or `processes` is less than 1 or more than 999,999,999, or `offset` is not two
+        finite numbers.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
+    picture = _Picture(scene, samples, offset, processes, _WORTH_HELP)
+    # Memory of zeros takes no time where nothing is seen: its pages are never touched.
+    image = np.zeros((scene.height, scene.width, 3))
+    # Whoever asks for processes by number gets helpers from the first picture on.
+    load = inf if processes else picture.load
+    with helped(
+        picture.tiles, picture.processes - 1, image.nbytes, partial(_draw_into, picture), load
+    ) as team:
+        for number, here in team.finished(lambda n: picture.draw(n, image[picture.tile(n)])):
+            if not here and team.memory is not None:
+                seen = picture.seen(number)
+                image[seen] = _image_in(team.memory, picture)[seen]
+                if image.nbytes > _KEPT:
+                    rows, row = picture.tile(number)[0], image[0].nbytes
+                    team.give_back(rows.start * row, rows.stop * row)
+    return image
+
+
+def render_compressed(
+    scene: Scene, samples: int = 1, *, processes: int | None = None
+) -> Iterator[Compressed]:
+    """Render a scene for a PNG file, and yield its tiles from the top.
+
+    Parameters are those of `render`, but other processes are forks, and end with the picture: this
+    is for a program that does nothing else.
+    """
+    picture = _Picture(scene, samples, (0.0, 0.0), processes, _WORTH_FORKING)
+    # Deflate adds a few bytes to what it cannot compress.
+    rows, columns = picture.tile(0)
+    pixels = (rows.stop - rows.start) * (columns.stop + 1)
+    place = -(-4 * pixels // PAGESIZE + 1) * PAGESIZE
+
+    def made(number: int) -> Compressed:
+        rows, columns = picture.tile(number)
+        radiance = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
+        picture.draw(number, radiance)
+        return compressed(radiance, from_left=columns.start == 0)
+
+    def job(memory: mmap) -> Work:
+        def store(number: int) -> None:
+            data, start = pickle.dumps(made(number)), number * place
+            memory[start : start + len(data)] = data
+
+        return store
+
+    done: dict[int, Compressed] = {}
+    written = 0
+    with forked(picture.tiles, picture.processes - 1, picture.tiles * place, job) as team:
+        for number, here in team.finished(lambda n: done.update({n: made(n)})):
+            if not here and team.memory is not None:
+                start = number * place
+                done[number] = pickle.loads(memoryview(team.memory)[start : start + place])
+                team.give_back(start, start + place)
+            while written in done:
+                yield done.pop(written)
+                written += 1
+
+
+def _integer(value: int, name: str) -> int:
+    """As a Python integer, checked: NumPy's overflow, and have other methods."""
+    try:
+        number = int(operator.index(value))
+    except TypeError:
+        raise TypeError(f"{name} must be an int, is {value!r}") from None
+    if number < 1:
+        raise ValueError(f"{name} must be at least 1, is {number}")
+    if number > _MOST:
+        raise ValueError(f"{name} must be at most {_MOST}")
+    return number
+
+
+class _Picture:
+    """A picture to render, and how it is cut into tiles; picklable until the first is drawn.
+
+    Parameters
+    ----------
+    scene, samples, offset, processes
+        See `render`.
+    worth : float
+        The load from which a second process pays.
+
+    Attributes
+    ----------
+    load : float
+        About how long it takes to render, in units of some 10 ns.
+    processes, tiles : int
+        How many there are; tiles are numbered from the top and from the left.
+    """
+
+    @_QUIET
+    def __init__(
+        self,
+        scene: Scene,
+        samples: int,
+        offset: tuple[float, float],
+        processes: int | None,
+        worth: float,
+    ) -> None:
+        shift = np.asarray(offset, dtype=np.float64)
+        per_side = isqrt(_integer(samples, "samples") - 1) + 1
+        if shift.shape != (2,) or not np.isfinite(shift).all():
+            raise ValueError(f"offset must be two finite numbers, is {offset!r}")
+        width, height = scene.width, scene.height
+        right, down = shift.tolist()
+        self.scene, self._per_side, self._lattice = scene, per_side, CENTRES
+        self._raster = raster_of(scene.camera, width, height, (right, down))
+        if per_side > 1:
+            from tracer.antialias.refine import dense
+
+            if dense(frames_of(self._raster, scene.surfaces), self._raster, per_side):
+                self._lattice = lattice = Lattice.of(per_side)
+                columns, rows = lattice.columns, lattice.rows
+                self._per_side, moved = 1, (right * columns, down * rows)
+                self._raster = raster_of(scene.camera, width * columns, height * rows, moved)
+        split, pixels = self._per_side > 1, width * height
+        lit = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
+        self.load = pixels * self._lattice.size * lit * (_SPLIT_LOAD if split else 1)
+        asked = (2 if self.load >= worth else 1) if processes is None else processes
+        self.processes = min(_integer(asked, "processes"), processors())
+        # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
+        times = (_SPLIT if split else 1) / self._lattice.size
+        self._at_once = max(1, int(_TILE_SAMPLES * times))
+        size = max(self._at_once, pixels // _MOST_TILES)
+        if self.processes > 1:
+            # Enough tiles that all processes end at about the same time, unless they get too small.
+            many = min(4 * self.processes, int(pixels / (_LEAST_SAMPLES * times)))
+            size = min(size, -(-pixels // max(self.processes, many)))
+        self._rows = _pieces(slice(0, height), max(1, size // width))
+        self._columns = _pieces(slice(0, width), size)
+        self.tiles = len(self._rows) * len(self._columns)
+
+    def tile(self, number: int) -> tuple[slice, slice]:
+        """Rows and columns of a tile."""
+        row, column = divmod(number, len(self._columns))
+        return self._rows[row], self._columns[column]
+
+    def seen(self, number: int) -> tuple[slice, slice]:
+        """Rows and columns of a tile in which something may be seen."""
+        rows, columns = self.tile(number)
+        seen_rows, seen_columns = self._window
+        return (
+            _overlap(rows, seen_rows, self._lattice.rows),
+            _overlap(columns, seen_columns, self._lattice.columns),
+        )
+
+    @cached_property
+    @_QUIET
+    def _window(self) -> tuple[slice, slice]:
+        """Rows and columns of samples in which something may be seen."""
+        view = self._lighting.view
+        return view.frames.window(view.raster)
+
+    @cached_property
+    @_QUIET
+    def _lighting(self) -> Lighting:
+        keep_heap()
+        view = view_of(self._raster, self.scene.surfaces)
+        return lighting_of(self.scene, view, self._per_side > 1)
+
+    @_QUIET
+    def draw(self, number: int, out: Floats) -> None:
+        """Write the radiance of a tile into zeros `out` (rows, columns, 3)."""
+        (tile_rows, tile_columns), (seen, _) = self.tile(number), self.seen(number)
+        top, left, lattice = tile_rows.start, tile_columns.start, self._lattice
+        at_once = self._lighting.view.at_once(self._at_once)
+        tall = max(1, at_once // (tile_columns.stop - left))
+        for rows, columns in product(_pieces(seen, tall), _pieces(tile_columns, at_once)):
+            part = out[
+                rows.start - top : rows.stop - top, columns.start - left : columns.stop - left
+            ]
+            if self._per_side > 1:
+                from tracer.antialias.refine import antialiased
+
+                antialiased(self._lighting, rows, columns, self._per_side, part)
+            elif lattice.size > 1:
+                radiance = radiance_at(self._lighting, lattice.samples(rows, columns))
+                part[:] = lattice.mean(radiance, part.shape[1])
+            else:
+                radiance_at(self._lighting, lattice.samples(rows, columns), part.reshape(-1, 3).T)
+
+
+def _pieces(whole: slice, size: int) -> list[slice]:
+    """A range in pieces of `size`, the last of what is left."""
+    starts = range(whole.start, whole.stop, size)
+    return [slice(start, min(start + size, whole.stop)) for start in starts]
+
+
+def _overlap(part: slice, seen: slice, samples: int) -> slice:
+    """The pixels of a part in which something is seen, given in `samples` a pixel."""
+    first, last = seen.start // samples, -(-seen.stop // samples)
+    return slice(*(min(max(m, part.start), part.stop) for m in (first, last)))
+
+
+def _image_in(memory: mmap, picture: _Picture) -> Floats:
+    """The picture (height, width, 3) in shared memory."""
+    height, width = picture.scene.height, picture.scene.width
+    return np.frombuffer(memory, count=height * width * 3).reshape(height, width, 3)
+
+
+def _draw_into(picture: _Picture, memory: mmap) -> Work:
+    """What a helper does."""
+    image = _image_in(memory, picture)
+
+    def draw(number: int) -> None:
+        image[picture.seen(number)] = 0
+        picture.draw(number, image[picture.tile(number)])
+
+    return draw
