@@ -141,7 +141,7 @@ class Highlights(NamedTuple):
 
 def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
     """Prepare a scene's lights, for pixels that may be split."""
-    surfaces, lights = scene.surfaces, scene.lights
+    surfaces, lights = view.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
         view=view,

@@ -25,7 +25,7 @@ from tracer.picture.parallel import Work, forked, helped, processors
 from tracer.picture.png import Compressed, compressed
 from tracer.scene.model import Scene
 from tracer.view.camera import raster_of
-from tracer.view.view import frames_of, view_of
+from tracer.view.view import distinct, frames_of, view_of
 
 __all__ = ["render", "render_compressed"]
 
@@ -193,11 +193,12 @@ class _Picture:
         width, height = scene.width, scene.height
         right, down = shift.tolist()
         self.scene, self._per_side, self._lattice = scene, per_side, CENTRES
+        self._surfaces = distinct(scene.surfaces)
         self._raster = raster_of(scene.camera, width, height, (right, down))
         if per_side > 1:
             from tracer.antialias.refine import dense
 
-            if dense(frames_of(self._raster, scene.surfaces), self._raster, per_side):
+            if dense(frames_of(self._raster, self._surfaces), self._raster, per_side):
                 self._lattice = lattice = Lattice.of(per_side)
                 columns, rows = lattice.columns, lattice.rows
                 self._per_side, moved = 1, (right * columns, down * rows)
@@ -244,7 +245,7 @@ class _Picture:
     @_QUIET
     def _lighting(self) -> Lighting:
         keep_heap()
-        view = view_of(self._raster, self.scene.surfaces)
+        view = view_of(self._raster, self._surfaces)
         return lighting_of(self.scene, view, self._per_side > 1)
 
     @_QUIET

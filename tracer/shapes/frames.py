@@ -92,24 +92,15 @@ class Frames(NamedTuple):
             between(seen.left, seen.right, raster.width),
         )
 
-    def in_rows(self, raster: Raster, weight: Floats | None = None) -> Floats:
-        """How many objects may be seen in each row of pixels (height,); or their total weight."""
-        height, seen = raster.height, self.in_picture(raster)
-        first, last = (
-            np.bincount(
-                m[seen].clip(0, height).astype(np.intp),
-                None if weight is None else weight[seen],
-                height + 1,
-            )
-            for m in (self.top, self.bottom + 1)
-        )
-        return np.asarray(np.cumsum(first - last)[:height])
-
     def layers(self, raster: Raster) -> float:
         """How many objects at most lie behind a pixel, on average over the fullest row."""
-        width = raster.width
-        wide = np.clip(self.right + 1, 0, width) - np.clip(self.left - 1, 0, width)
-        return float(self.in_rows(raster, wide).max() / width)
+        seen, (width, height) = self.take(self.in_picture(raster)), (raster.width, raster.height)
+        wide = np.clip(seen.right + 1, 0, width) - np.clip(seen.left - 1, 0, width)
+        first, last = (
+            np.bincount(m.clip(0, height).astype(np.intp), wide, height + 1)
+            for m in (seen.top, seen.bottom + 1)
+        )
+        return float(np.cumsum(first - last)[:height].max() / width)
 
     def pairs_in_pixel(self, raster: Raster) -> float:
         """Mean number of (ordered) pairs of silhouettes in a pixel, if these lay at random."""

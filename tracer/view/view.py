@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats
+from tracer.arrays import Bools, Floats, Ints, changes
 from tracer.scene.model import Surfaces
 from tracer.shapes.box import Boxes
 from tracer.shapes.frames import Frames
@@ -81,3 +81,36 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
 def frames_of(raster: Raster, surfaces: Surfaces) -> Frames:
     """Bounds of all objects in the picture, spheres first."""
     return Frames.joined(Spheres.frames_of(raster, surfaces), Boxes.frames_of(raster, surfaces))
+
+
+def distinct(surfaces: Surfaces) -> Surfaces:
+    """Leave out all that repeat an earlier surface: they are never seen, and shade nothing more."""
+    spheres = np.column_stack([surfaces.center, surfaces.radius])
+    boxes = np.concatenate([surfaces.min_pt, surfaces.max_pt], axis=1)
+    sphere = _first_of_equal(spheres, surfaces.sphere_index)
+    box = _first_of_equal(boxes, surfaces.box_index)
+    if sphere.size + box.size == len(surfaces):
+        return surfaces
+    index = np.append(surfaces.sphere_index[sphere], surfaces.box_index[box])
+    index = index.argsort().argsort()
+    return Surfaces(
+        center=surfaces.center[sphere],
+        radius=surfaces.radius[sphere],
+        sphere_shader=surfaces.sphere_shader[sphere],
+        sphere_index=index[: sphere.size],
+        min_pt=surfaces.min_pt[box],
+        max_pt=surfaces.max_pt[box],
+        box_shader=surfaces.box_shader[box],
+        box_index=index[sphere.size :],
+        shaders=surfaces.shaders,
+    )
+
+
+def _first_of_equal(table: Floats, index: Ints) -> Ints:
+    """Rows (n, m) that equal none with a smaller index."""
+    # Most tables are told by one column: to sort by all takes several times as long.
+    column = np.sort(table[:, 0])
+    if np.all(column[1:] != column[:-1]):
+        return np.arange(len(table))
+    order = np.lexsort((index, *table.T))
+    return np.sort(order[changes(*table[order].T)])
