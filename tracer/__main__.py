@@ -12,7 +12,6 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -263,6 +262,8 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
     """The scene in another size; a line is printed if its pixels were square and no longer are."""
+    from dataclasses import replace
+
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
     if not arguments.quiet and _square(scene) and not _square(resized):

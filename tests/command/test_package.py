@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import inspect
+import os
 import pkgutil
+import pydoc
+import re
+import site
 import subprocess
 import sys
+import venv
 from importlib import import_module
 from pathlib import Path
 
@@ -66,3 +72,36 @@ def test_converters_import_nothing_that_imports_them():
 def test_programs_that_use_the_tracer_can_check_its_types():
     """Type checkers take the annotations of a package with this file for its interface."""
     assert (Path(tracer.__file__).parent / "py.typed").exists()
+
+
+def test_help_shows_what_is_public():
+    text = pydoc.render_doc(tracer, renderer=pydoc.plaintext)
+    shown = re.findall(r"^    (?:class )?(\w+)(?:\(| = )", text, re.MULTILINE)
+    assert set(shown) == set(tracer.__all__)
+
+
+@pytest.mark.slow
+def test_a_wheel_renders_and_converts(tmp_path):
+    """In a fresh environment, outside of the checkout; dependencies are those of this one."""
+    root = Path(tracer.__file__).parents[1]
+    here = ["--no-build-isolation"] if importlib.util.find_spec("hatchling") else []
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    subprocess.run(
+        [*pip, "wheel", "-q", "--no-deps", *here, "-w", tmp_path, root], check=True, cwd=tmp_path
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    venv.create(tmp_path / "new", with_pip=False)
+    python = tmp_path / "new" / "bin" / "python"
+    (packages,) = (tmp_path / "new").glob("lib/python*/site-packages")
+    subprocess.run([*pip, "install", "-q", "--no-deps", "--target", packages, wheel], check=True)
+    (packages / "dependencies.pth").write_text("\n".join(site.getsitepackages()))
+    (tmp_path / "ball.xml").write_text(
+        "<scene><camera/><image>30 20</image><surface type='Sphere'/></scene>"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    for command in ("tracer ball.xml --samples 4", "converters.to_mitsuba ball.xml"):
+        subprocess.run([python, "-m", *command.split()], check=True, cwd=tmp_path, env=environment)
+    where = [python, "-c", "import tracer; print(tracer.__file__)"]
+    found = subprocess.run(where, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert found.stdout.startswith(str(packages))
+    assert {"ball.xml.png", "ball.mitsuba.xml"} < {path.name for path in tmp_path.iterdir()}

@@ -127,6 +127,8 @@ def render_compressed(
         return compressed(radiance, from_left=columns.start == 0)
 
     def job(memory: mmap) -> Work:
+        picture.seen(0)  # what all processes need is prepared before they part
+
         def store(number: int) -> None:
             data, start = pickle.dumps(made(number)), number * place
             memory[start : start + len(data)] = data
