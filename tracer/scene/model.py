@@ -215,7 +215,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
 
 
-_DEFAULT_CAMERA = Camera()
+_DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 
 def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
@@ -261,7 +261,7 @@ class Scene:
         height: int,
         camera: Camera = _DEFAULT_CAMERA,
         lights: Iterable[PointLight] = (),
-        surfaces: Iterable[Sphere | Box] = (),
+        surfaces: Iterable[Sphere | Box] = _NO_SURFACES,
     ) -> None:
         given = {"camera": camera, "lights": lights, "surfaces": surfaces}
         schema.check(self, **given, width=width, height=height)

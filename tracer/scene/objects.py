@@ -105,23 +105,17 @@ class Camera:
         return self.view_dir if self.proj_normal is None else self.proj_normal
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Checked:
     """Something whose values are checked when it is made."""
+
+    __slots__ = ()
 
     def __post_init__(self) -> None:
         schema.check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Placed(_Checked):
-    """Something that knows the line it stands in; that is no part of equality."""
-
-    line: int | None = field(default=None, compare=False, repr=False)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PointLight(_Placed):
+class PointLight(_Checked):
     """A point light; its intensity does not fall off with distance.
 
     Parameters
@@ -130,12 +124,13 @@ class PointLight(_Placed):
     intensity : (3,)
         Linear RGB.
     line : int, optional
-        In its file, if it is from one.
+        In its file, if it is from one; no part of equality.
     """
 
     position: VectorLike = field(metadata=of(schema.POINT, "position"))
     # The specification says color, the published scenes say intensity.
     intensity: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "intensity", "color"))
+    line: int | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,7 +174,7 @@ _SHADER = of(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sphere(_Placed):
+class Sphere(_Checked):
     """A sphere; white and Lambertian if it has no shader.
 
     Parameters
@@ -188,16 +183,17 @@ class Sphere(_Placed):
     radius : float
     shader : Lambertian or Phong
     line : int, optional
-        In its file, if it is from one.
+        In its file, if it is from one; no part of equality.
     """
 
     center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
     radius: float = field(default=1.0, metadata=of(schema.LENGTH, "radius"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box(_Placed):
+class Box(_Checked):
     """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
 
     Parameters
@@ -206,7 +202,7 @@ class Box(_Placed):
         Opposite corners, with the least and the largest coordinates.
     shader : Lambertian or Phong
     line : int, optional
-        In its file, if it is from one.
+        In its file, if it is from one; no part of equality.
 
     Raises
     ------
@@ -217,6 +213,7 @@ class Box(_Placed):
     min_pt: VectorLike = field(metadata=of(schema.POINT, "minPt"))
     max_pt: VectorLike = field(metadata=of(schema.POINT, "maxPt"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         schema.check(self)

@@ -15,7 +15,7 @@ import stat
 from array import array
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from typing import IO, Any, cast
 
 import numpy as np
@@ -295,8 +295,9 @@ class _Reader:
                 parts[column.name] = child
                 column.rows.append(row)
                 column.unread.append(child)
-        for tag, column in table.columns.items():
-            if column.default is MISSING and column.name not in parts and tag not in element.attrib:
+        for column in table.required:
+            tag = column.tag
+            if column.name not in parts and tag not in element.attrib:
                 self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
 
     def convert(self, table: Table) -> None:
@@ -321,7 +322,7 @@ class _Reader:
         self.no_attributes(element)
         self.no_children(element)
         found = words(element.text)
-        wrong = [word for word in found if not decimals([word])]
+        wrong = [word for word in found if not decimals([word], word)]
         for word in wrong:
             self.fault(element, f"{quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3")
         if len(found) != count and not wrong and not element:
@@ -375,7 +376,7 @@ class _Reader:
     def check_values(self) -> None:
         """Note all numbers that are given and not allowed."""
         for table in self.tables:
-            for column in table.columns.values():
+            for column in [column for column in table.columns.values() if column.rows]:
                 given = column.given()
                 read = np.flatnonzero(~np.isnan(given).any(axis=1))
                 for i, message in column.kind.faults(given[read]):

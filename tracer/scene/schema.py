@@ -10,7 +10,7 @@ from __future__ import annotations
 import operator
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -148,12 +148,12 @@ _NOT_NEGATIVE: _Rule = (
 )
 
 
-@dataclass(frozen=True)
 class Numbers:
     """A kind: so many numbers, under these rules."""
 
-    count: int
-    rules: tuple[_Rule, ...]
+    def __init__(self, count: int, *rules: _Rule) -> None:
+        self.count = count
+        self.rules = rules
 
     def __call__(
         self, value: ArrayLike, name: str, faults: list[Fault]
@@ -187,18 +187,19 @@ class Numbers:
         """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
         reported = np.zeros(len(values), dtype=bool)
         for is_broken, message in self.rules:
-            broken = np.broadcast_to(is_broken(values), values.shape)
+            broken = is_broken(values)
             if broken.any():
+                broken = np.broadcast_to(broken, values.shape)
                 for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
                     reported[i] = True
                     yield i, message(values[i, broken[i]])
 
 
-POINT = Numbers(3, (_FINITE, _IN_RANGE))
-DIRECTION = Numbers(3, (_FINITE, _NOT_ZERO))
-COLOR = Numbers(3, (_FINITE, _NONE_NEGATIVE))
-LENGTH = Numbers(1, (_POSITIVE, _IN_RANGE))
-EXPONENT = Numbers(1, (_NOT_NEGATIVE,))
+POINT = Numbers(3, _FINITE, _IN_RANGE)
+DIRECTION = Numbers(3, _FINITE, _NOT_ZERO)
+COLOR = Numbers(3, _FINITE, _NONE_NEGATIVE)
+LENGTH = Numbers(1, _POSITIVE, _IN_RANGE)
+EXPONENT = Numbers(1, _NOT_NEGATIVE)
 
 
 def size(value: int, name: str, faults: list[Fault]) -> int:
@@ -266,7 +267,7 @@ def unchecked(made: type[_Made], **values: object) -> _Made:
 
 def integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
     """Return a copy (n,) of whole numbers."""
-    given = Numbers(1, ()).table(value, name, faults)
+    given = Numbers(1).table(value, name, faults)
     with np.errstate(invalid="ignore"):
         array = given.astype(np.intp)
     if not np.array_equal(array, given):

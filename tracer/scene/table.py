@@ -17,7 +17,7 @@ from tracer.scene.schema import Numbers, unchecked
 
 __all__ = ["PLACE", "Column", "Table", "decimals", "numbers", "words"]
 
-PLACE = Numbers(1, ())
+PLACE = Numbers(1)
 """The kind of a shader in a surface: its place among all shaders."""
 
 
@@ -52,6 +52,7 @@ class Table:
                 kind, default = PLACE, 0
             for tag in each.metadata.get("tags", ()):
                 self.columns[tag] = Column(each.name, tag, kind, default)
+        self.required = [c for c in self.columns.values() if c.default is MISSING]
 
     def values(self, name: str) -> Floats:
         """The numbers of a field (n, count), its default or NaN where none are given."""
@@ -88,8 +89,9 @@ def numbers(elements: Sequence[Element], count: int) -> list[float] | None:
     found = text.split()
     between = found[count :: count + 1]
     del found[count :: count + 1]
-    whole = len(found) == count * len(elements) and between == [";"] * (len(elements) - 1)
-    return decimals(found) if whole and text.isascii() else None
+    if len(found) != count * len(elements) or between != [";"] * (len(elements) - 1):
+        return None
+    return decimals(found, text)
 
 
 def words(text: str) -> list[str]:
@@ -97,12 +99,14 @@ def words(text: str) -> list[str]:
     return re.findall("[^ \t\r\n]+", text)
 
 
-def decimals(words: list[str]) -> list[float] | None:
-    """Read decimal numbers; None if any is none.
+def decimals(words: list[str], text: str) -> list[float] | None:
+    """Read the decimal numbers of a text, given its words; None if any is none.
 
     Some words that float() accepts are none: 1_0, nan, infinity, and digits of other scripts.
     """
+    if not text.isascii() or any(map(text.__contains__, "_nN")):
+        return None
     try:
-        return [*map(float, words)] if not re.search("[^-+.eE0-9]", "".join(words)) else None
+        return [*map(float, words)]
     except ValueError:
         return None
