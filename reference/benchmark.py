@@ -28,8 +28,8 @@ from reference import povray, rivals
 from reference.command import SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Ratio, Table, measured_on, write_tables
 from reference.timing import Task, Timing, interleaved, process
-from reference.workloads import crowd, lit_by, resized, to_xml
-from tracer import Scene, load_scene, render
+from reference.workloads import crowd, lit_by, resized
+from tracer import Scene, load_scene, render, save_scene
 
 __all__ = ["Section", "growth_exponent", "main", "peak", "tables"]
 
@@ -74,8 +74,9 @@ def whole_process(rounds: int, quick: bool) -> Table:
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            texts = {"tracer": to_xml(scene), "exact": exact(scene), "stock": stock(scene, 1)}
-            paths = {kind: built(f"{name}.{kind}.xml") for kind in texts}
+            texts = {"exact": exact(scene), "stock": stock(scene, 1)}
+            paths = {kind: built(f"{name}.{kind}.xml") for kind in ("tracer", *texts)}
+            save_scene(scene, paths["tracer"])
             for kind, text in texts.items():
                 paths[kind].write_text(text)
             commands = {
@@ -138,7 +139,7 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     timings = []
     for count in counts:
         scene, path = crowd(count), built("many.xml")
-        path.write_text(to_xml(scene))
+        save_scene(scene, path)
         text = exact(scene)
         tasks: dict[str, Task] = {
             "first": lambda path=path: render(load_scene(path)),  # type: ignore[misc]
@@ -201,7 +202,7 @@ def loading(rounds: int, quick: bool) -> Table:
     """Time reading and validating many objects, against xml.etree alone."""
     count = 1000 if quick else 100_000
     path = built("many.xml")
-    path.write_text(to_xml(crowd(count)))
+    save_scene(crowd(count), path)
     # As in a small process: each collection that so many new objects set off would otherwise go
     # through all of Mitsuba's as well.
     gc.collect()
@@ -269,7 +270,7 @@ def memory(rounds: int, quick: bool) -> Table:
     rows: list[tuple[object, ...]] = []
     for name, scene in scenes.items():
         path = built("scene.xml")
-        path.write_text(to_xml(scene))
+        save_scene(scene, path)
         rows.append((name, f"{peak(*rivals.tracer_command(path, built('out.png'))):.0f}"))
     base = peak(sys.executable, "-c", "import numpy")
     return Table(

@@ -7,137 +7,113 @@ out the same every time, and on every machine.
 from __future__ import annotations
 
 import colorsys
+import io
 import math
 import random
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 
 from reference.command import SCENES, need_scenes, parser, run
-from tracer.arrays import Vector
+from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, Surfaces, save_scene
 
-__all__ = ["main", "many_objects", "sunflower"]
+__all__ = ["main", "many_objects", "sunflower", "write"]
 
 
-def many_objects(count: int = 500, seed: int = 1) -> str:
-    """A cloud of small balls and boxes, as XML.
+def _rounded(*values: float) -> tuple[float, float, float]:
+    """Three numbers with three decimals; adding 0 makes a rounded -0 plain 0."""
+    x, y, z = (round(value, 3) + 0 for value in values)
+    return x, y, z
 
-    Parameters
-    ----------
-    count : int
-        How many objects; every third is a box.
-    seed : int
-        Of Python's Mersenne Twister.
+
+def _phong(color: Sequence[float], specular: float, exponent: float) -> Phong:
+    return Phong(diffuse=_rounded(*color), specular=(specular,) * 3, exponent=exponent)
+
+
+def _light(position: tuple[int, int, int], intensity: tuple[float, float, float]) -> PointLight:
+    return PointLight(position=position, intensity=intensity)
+
+
+def many_objects(count: int = 500, seed: int = 1) -> Scene:
+    """Make a cloud of small balls and boxes: every third is a box.
+
+    `seed` is that of Python's Mersenne Twister.
     """
     shuffled = random.Random(seed)
-    palette = [f"hue{k}" for k in range(12)]
-    lines = [
-        *_head(
-            f"{count} small objects at random (python -m reference.generate, seed {seed}).",
-            eye=(0, 0, 9),
-            direction=(0, 0, -1),
-            window=(1, 2.4, 1.35),
-        ),
-        *_light((6, 9, 8), (0.75, 0.72, 0.66)),
-        *_light((-9, 2, 5), (0.2, 0.26, 0.36)),
-        *(
-            line
-            for k, name in enumerate(palette)
-            for line in _phong(name, colorsys.hsv_to_rgb(k / len(palette), 0.72, 0.8), 0.3, 30)
-        ),
-    ]
+    palette = [_phong(colorsys.hsv_to_rgb(k / 12, 0.72, 0.8), 0.3, 30) for k in range(12)]
+    surfaces: list[Sphere | Box] = []
     for k in range(count):
-        at = (shuffled.gauss(0, 3.4), shuffled.gauss(0, 1.9), shuffled.uniform(-5, 3))
+        x, y, z = shuffled.gauss(0, 3.4), shuffled.gauss(0, 1.9), shuffled.uniform(-5, 3)
         size = 0.08 * 5 ** shuffled.random()
         if k % 3:
-            lines += _sphere(shuffled.choice(palette), at, size)
+            shader, radius = shuffled.choice(palette), round(size, 3)
+            surfaces.append(Sphere(center=_rounded(x, y, z), radius=radius, shader=shader))
         else:
-            sides = [size * shuffled.uniform(0.5, 1.2) for _ in range(3)]
-            lines += _box(shuffled.choice(palette), at, sides)
-    return "\n".join([*lines, "</scene>", ""])
+            a, b, c = (size * shuffled.uniform(0.5, 1.2) for _ in range(3))
+            low, high = _rounded(x - a, y - b, z - c), _rounded(x + a, y + b, z + c)
+            surfaces.append(Box(min_pt=low, max_pt=high, shader=shuffled.choice(palette)))
+    return Scene(
+        camera=Camera(view_point=(0, 0, 9), view_width=2.4, view_height=1.35),
+        width=320,
+        height=180,
+        lights=(_light((6, 9, 8), (0.75, 0.72, 0.66)), _light((-9, 2, 5), (0.2, 0.26, 0.36))),
+        surfaces=Surfaces.of(surfaces),
+    )
 
 
-def sunflower(count: int = 233) -> str:
-    """Balls in a sunflower's spiral on a dark ground, as XML.
+def sunflower(count: int = 233) -> Scene:
+    """Make balls in a sunflower's spiral on a dark ground.
 
     Seed k stands at the golden angle from the one before, at a distance that
     grows as the root of k (H. Vogel, Mathematical Biosciences 44, 1979).
     """
-    lines = [
-        *_head(
-            f"A sunflower of {count} balls, each turned from the one before by the golden\n"
-            "     angle, under a warm light, a cool one and a low one from behind"
-            " (python -m reference.generate).",
-            eye=(0, 7.6, 11),
-            direction=(0, -8.25, -10.6),
-            window=(3, 3.68, 2.07),
-        ),
-        *_light((9, 8, 3), (0.9, 0.76, 0.56)),
-        *_light((-10, 6, 6), (0.14, 0.24, 0.5)),
-        *_light((-4, 3, -14), (0.42, 0.28, 0.36)),
-        *_phong("ground", (0.1, 0.11, 0.17), 0.12, 12),
-        *_box("ground", (0, -1, 0), (60, 1, 60)),
-    ]
-    golden = math.pi * (3 - math.sqrt(5))
+    ground = _phong((0.1, 0.11, 0.17), 0.12, 12)
+    surfaces: list[Sphere | Box] = [Box(min_pt=(-60, -2, -60), max_pt=(60, 0, 60), shader=ground)]
     for k in range(1, count + 1):
-        t = k / count
+        t, turn = k / count, k * math.pi * (3 - math.sqrt(5))
         radius = 0.16 + 0.27 * math.sin(math.pi * t**0.8) ** 1.5
-        distance, turn = 6.1 * math.sqrt(t), k * golden
+        distance = 6.1 * math.sqrt(t)
         color = colorsys.hsv_to_rgb((0.13 - 0.38 * t**1.2) % 1, 0.85 - 0.2 * t, 0.9 - 0.25 * t)
-        name = f"seed{k}"
-        at = (distance * math.cos(turn), radius, distance * math.sin(turn))
-        lines += _phong(name, color, 0.45, 60)
-        lines += _sphere(name, at, radius)
-    return "\n".join([*lines, "</scene>", ""])
-
-
-def _head(comment: str, eye: Vector, direction: Vector, window: Vector) -> Iterator[str]:
-    distance, width, height = window
-    yield f"<!-- {comment} -->"
-    yield "<scene>"
-    yield "    <camera>"
-    yield f"        <viewPoint>{_text(eye)}</viewPoint>"
-    yield f"        <viewDir>{_text(direction)}</viewDir>"
-    yield f"        <projDistance>{distance:g}</projDistance>"
-    yield f"        <viewWidth>{width:g}</viewWidth>"
-    yield f"        <viewHeight>{height:g}</viewHeight>"
-    yield "    </camera>"
-    yield "    <image>320 180</image>"
-
-
-def _light(position: Vector, intensity: Vector) -> Iterator[str]:
-    yield (
-        f"    <light><position>{_text(position)}</position>"
-        f"<intensity>{_text(intensity)}</intensity></light>"
+        center = _rounded(distance * math.cos(turn), radius, distance * math.sin(turn))
+        shader = _phong(color, 0.45, 60)
+        surfaces.append(Sphere(center=center, radius=round(radius, 3), shader=shader))
+    return Scene(
+        camera=Camera(
+            view_point=(0, 7.6, 11),
+            view_dir=(0, -8.25, -10.6),
+            proj_distance=3,
+            view_width=3.68,
+            view_height=2.07,
+        ),
+        width=320,
+        height=180,
+        lights=(
+            _light((9, 8, 3), (0.9, 0.76, 0.56)),
+            _light((-10, 6, 6), (0.14, 0.24, 0.5)),
+            _light((-4, 3, -14), (0.42, 0.28, 0.36)),
+        ),
+        surfaces=Surfaces.of(surfaces),
     )
 
 
-def _phong(name: str, diffuse: Vector, specular: float, exponent: float) -> Iterator[str]:
-    yield (
-        f'    <shader name="{name}" type="Phong"><diffuseColor>{_text(diffuse)}</diffuseColor>'
-        f"<specularColor>{_text([specular] * 3)}</specularColor>"
-        f"<exponent>{exponent:g}</exponent></shader>"
-    )
+_GENERATED = {
+    "many-objects": (many_objects, "500 small objects at random"),
+    "sunflower": (
+        sunflower,
+        "A sunflower of 233 balls, each turned from the one before by the golden angle,\n"
+        "     under a warm light, a cool one and a low one from behind",
+    ),
+}
 
 
-def _sphere(shader: str, center: Vector, radius: float) -> Iterator[str]:
-    yield (
-        f'    <surface type="Sphere"><shader ref="{shader}"/>'
-        f"<center>{_text(center)}</center><radius>{radius:.3f}</radius></surface>"
-    )
-
-
-def _box(shader: str, center: Vector, half: Sequence[float]) -> Iterator[str]:
-    low = [c - h for c, h in zip(center, half, strict=True)]
-    high = [c + h for c, h in zip(center, half, strict=True)]
-    yield (
-        f'    <surface type="Box"><shader ref="{shader}"/>'
-        f"<minPt>{_text(low)}</minPt><maxPt>{_text(high)}</maxPt></surface>"
-    )
-
-
-def _text(values: Iterable[float]) -> str:
-    """Numbers with three decimals, none of them superfluous."""
-    # Adding 0 makes a rounded -0 plain 0.
-    return " ".join(f"{round(value, 3) + 0:g}" for value in values)
+def write(folder: Path) -> list[Path]:
+    """Write the scenes into a folder, each under a comment that says what it shows."""
+    paths = []
+    for name, (make, shows) in _GENERATED.items():
+        save_scene(make(), text := io.BytesIO())
+        paths.append(folder / f"{name}.xml")
+        head = f"<!-- {shows} (python -m reference.generate). -->\n"
+        paths[-1].write_bytes(head.encode() + text.getvalue())
+    return paths
 
 
 def main() -> None:
@@ -145,10 +121,7 @@ def main() -> None:
     used = parser("reference.generate", __doc__)
     used.parse_args()
     need_scenes(used)
-    for name, text in (("many-objects", many_objects()), ("sunflower", sunflower())):
-        path = SCENES / f"{name}.xml"
-        path.write_text(text, encoding="utf-8", newline="\n")
-        print(path)
+    print(*write(SCENES), sep="\n")
 
 
 if __name__ == "__main__":

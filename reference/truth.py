@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import math
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+import tracer
 from reference.command import built
-from reference.workloads import to_xml
-from tracer import Scene, render
-from tracer.arrays import Floats
+from tracer import Scene, render, save_scene
 
 __all__ = ["Truth", "supersampled", "truth_side"]
 
-# About how many pixels of a picture the error is measured over.
-_PIXELS = 1 << 15
-
-# Samples that are rendered at once.
-_STRIP = 1 << 22
+# About how many pixels of a picture the error is measured over, and samples rendered at once.
+_PIXELS, _STRIP = 1 << 15, 1 << 22
 
 
 def truth_side(quick: bool) -> int:
@@ -28,27 +28,32 @@ def truth_side(quick: bool) -> int:
 
 
 def supersampled(
-    scene: Scene,
-    side: int,
-    offset: tuple[float, float] = (0.0, 0.0),
-    *,
-    processes: int | None = None,
-) -> Floats:
-    """`side` x `side` samples spread evenly over every pixel, by brute force.
+    scene: Scene, side: int, row: int = 0, count: int | None = None, *, processes: int | None = None
+) -> NDArray[np.float64]:
+    """Average `side` x `side` samples spread evenly over every pixel, by brute force.
 
-    They are the pixels of a picture `side` times as large, rendered at one sample a pixel and
-    averaged, strip by strip.  `offset` and `processes`: see `tracer.render`.
+    They are the pixels of a picture `side` times as large, rendered at one sample a pixel, strip
+    by strip: of the whole picture, or of `count` rows from `row` on.
     """
-    strips, camera = [], scene.camera
+    strips, camera, end = [], scene.camera, scene.height if count is None else row + count
     rows = max(1, _STRIP // (scene.width * side**2))
-    for top in range(0, scene.height, rows):
-        height = min(rows, scene.height - top)
+    for top in range(row, end, rows):
+        height = min(rows, end - top)
         window = replace(camera, view_height=camera.view_height * height / scene.height)
         large = replace(scene, width=scene.width * side, height=height * side, camera=window)
-        below = offset[1] + top + height / 2 - scene.height / 2
-        image = render(large, processes=processes, offset=(offset[0] * side, below * side))
+        below = (top + height / 2 - scene.height / 2) * side
+        image = render(large, processes=processes, offset=(0, below))
         strips.append(image.reshape(height, side, scene.width, side, 3).mean(axis=(1, 3)))
     return np.concatenate(strips)
+
+
+@cache
+def _code() -> bytes:
+    """A hash of the tracer's code, which decides what samples are."""
+    found = hashlib.sha256()
+    for path in sorted(Path(tracer.__file__).parent.rglob("*.py")):
+        found.update(path.read_bytes())
+    return found.digest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +61,21 @@ class Truth:
     """Some rows of a converged picture."""
 
     rows: slice
-    radiance: Floats
+    radiance: NDArray[np.float64]
 
     @classmethod
     def of(cls, scene: Scene, side: int) -> Truth:
-        """`supersampled` rows, kept in the build folder for the next time."""
+        """Sample rows, or read them where the same code has sampled them before."""
         apart = math.ceil(scene.width * scene.height / _PIXELS)
         rows = slice(apart // 2, None, apart)
-        name = hashlib.sha256(f"{side} {rows} {to_xml(scene)}".encode()).hexdigest()[:16]
-        path = built(f"truth-{name}.npy")
+        save_scene(scene, text := io.BytesIO())
+        key = hashlib.sha256(f"{side} {rows}".encode() + text.getvalue() + _code()).hexdigest()
+        path = built(f"truth-{key[:16]}.npy")
         if not path.exists():
-            window = replace(scene.camera, view_height=scene.camera.view_height / scene.height)
-            row = replace(scene, height=1, camera=window)
-            middle = (scene.height - 1) / 2
-            picture = [
-                supersampled(row, side, offset=(0.0, y - middle)) for y in range(scene.height)[rows]
-            ]
+            picture = [supersampled(scene, side, y, 1) for y in range(scene.height)[rows]]
             np.save(path, np.concatenate(picture))
         return cls(rows, np.load(path))
 
-    def error(self, image: Floats) -> float:
+    def error(self, image: NDArray[np.float64]) -> float:
         """Root mean square of the difference."""
         return float(np.sqrt(np.mean((image[self.rows] - self.radiance) ** 2)))

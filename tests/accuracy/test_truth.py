@@ -38,5 +38,10 @@ def test_truth_is_rows_of_the_whole_picture(
     # The same rays, but for the last bit, that decides no pixel here.
     assert kept.error(whole) < 1e-12
     assert kept.error(whole + 0.1) == pytest.approx(0.1)
-    stored = Truth.of(scene, 5)
-    assert np.array_equal(stored.radiance, kept.radiance)
+    # It is kept, for this scene and this code.
+    monkeypatch.setattr(truth, "supersampled", None)
+    assert np.array_equal(Truth.of(scene, 5).radiance, kept.radiance)
+    for code, other in ((b"changed", scene), (truth._code(), small("room", 16, 9))):
+        monkeypatch.setattr(truth, "_code", lambda code=code: code)
+        with pytest.raises(TypeError):
+            Truth.of(other, 5)
