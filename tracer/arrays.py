@@ -85,8 +85,8 @@ def spread(value: T, counts: Ints | None) -> T:
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Where a mask holds, or numbers are not zero; of an array of any shape, as if it were flat."""
-    # As np.flatnonzero says, in a fifth of the time where there are few.
+    """Places at which a mask holds, or numbers are not zero; of any array as if it were flat."""
+    # The same as np.flatnonzero, in a fifth of the time where there are few.
     found: Ints = mask.ravel().nonzero()[0]
     return found
 
@@ -112,7 +112,7 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
 
 
 def changes(*values: NDArray[Any]) -> Bools:
-    """Where elements (n,) differ from those before them, in any of the arrays; the first do."""
+    """Mask of elements (n,) that differ from those before them, in any array; the first do."""
     change = np.ones(values[0].size, dtype=np.bool_)
     later = np.not_equal(values[0][1:], values[0][:-1], out=change[1:])
     for more in values[1:]:
@@ -121,7 +121,7 @@ def changes(*values: NDArray[Any]) -> Bools:
 
 
 def equal_runs(values: Ints) -> tuple[Ints, Ints]:
-    """Where each run of equal neighbours begins, and its length."""
+    """Starts of runs of equal neighbours, and their lengths."""
     first = indices(changes(values))
     return first, np.append(first[1:], values.size) - first
 

@@ -1,4 +1,4 @@
-"""Light on what is seen: shadows, then shading, light by light."""
+"""Radiance of hits: shadows, then shading, light by light."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Lighting(NamedTuple):
 
     @property
     def positions(self) -> Floats:
-        """Where the lights are (lights, 3), in the scene's axes."""
+        """Positions of the lights (lights, 3), in the scene's axes."""
         return self.shadows.occluders.lights
 
 

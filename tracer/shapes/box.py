@@ -89,7 +89,7 @@ class Boxes:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of boxes."""
         return len(self.min_pt)
 
     @property
@@ -281,7 +281,7 @@ class Boxes:
 def _slab(
     low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
-    """Where lines enter and leave the slab between two planes, in units of `d`.
+    """Places where lines enter and leave the slab between two planes, in units of `d`.
 
     `low`, `high`: the planes' places seen from the lines' origins; `d`: the lines' component
     across.  A line parallel to the planes is between them for ever, or never; one that lies in a
@@ -303,7 +303,7 @@ def _first_face(t: Floats, times: list[Floats], faces: list[NDArray[np.int8]]) -
 
 
 def _crosses(p: Triple, light: Triple, low: Triple, high: Triple) -> Bools:
-    """Whether open segments cross the surfaces of boxes."""
+    """Test whether open segments cross the surfaces of boxes."""
     enter, leave = np.array(-np.inf), np.array(np.inf)
     for start, end, a, b in zip(p, light, low, high, strict=True):
         near, far = _slab(a - start, b - start, end - start, closed=False)

@@ -68,7 +68,7 @@ class Frames(NamedTuple):
         return Frames(*(m[index] for m in self))
 
     def in_picture(self, raster: Raster) -> Bools:
-        """Which objects (n,) may be seen if nothing hides them."""
+        """Objects (n,) that may be seen if nothing hides them."""
         seen: Bools = (self.top <= raster.height + 1) & (self.bottom >= -1)
         return seen & (self.left <= raster.width + 1) & (self.right >= -1)
 
@@ -93,7 +93,7 @@ class Frames(NamedTuple):
         )
 
     def layers(self, raster: Raster) -> float:
-        """How many objects at most lie behind a pixel, on average over the fullest row."""
+        """Bound on how many objects lie behind a pixel, on average over the fullest row."""
         seen, (width, height) = self.take(self.in_picture(raster)), (raster.width, raster.height)
         wide = np.clip(seen.right + 1, 0, width) - np.clip(seen.left - 1, 0, width)
         first, last = (

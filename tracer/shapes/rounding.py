@@ -52,7 +52,7 @@ def side_of(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def tolerance_at(point: Triple, eye: Floats | None, size: Floats) -> Floats:
-    """How near to surfaces points count as on them.
+    """Distances from surfaces within which points count as on them.
 
     `size`: of the surfaces' coordinates; `eye` (3,): from where the points are seen, if they are
     hits of rays, which err in proportion to the distance.

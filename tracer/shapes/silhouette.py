@@ -66,8 +66,8 @@ def silhouette_planes(
     -------
     normals : three (6, n)
         In the same axes; directions d towards the box have d . normal >= 0.
-        Zero, which says nothing, where there is no silhouette (apex inside) or
-        an edge is so short, or so nearly end-on, that rounding has a say.
+        Zero, which bounds nothing, where there is no silhouette (apex inside), or where an edge
+        is so short, or so nearly end-on, that rounding decides its direction.
     rounding : two (6, n)
         How much of d . normal that may be: so much for each unit of d's length, and so much more
         for each unit that d lies beside the line to the edge's nearer end, which the plane holds.

@@ -101,17 +101,17 @@ class Spheres:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of spheres."""
         return self.radius.size
 
     @cached_property
     def eye_inside(self) -> Bools:
-        """Which (n,) are seen from inside, the eye on the surface included."""
+        """Objects (n,) that are seen from inside, the eye on the surface included."""
         return self.power <= 0
 
     @property
     def whole(self) -> Bools:
-        """Which (n,) fill what their `spans` cover; not if the eye is on them, or too near."""
+        """Objects (n,) whose `spans` are exact: not those that the eye is on, or too near to."""
         whole: Bools = self.power != 0
         return whole
 
@@ -131,7 +131,7 @@ class Spheres:
 
     @cached_property
     def size(self) -> Floats:
-        """How large the coordinates on each (n,) are (1-norm): rounding is in proportion."""
+        """Size (n,) of the coordinates on each object (1-norm): rounding is in proportion."""
         size: Floats = np.abs(self.center).sum(axis=1) + self.radius
         return size
 
@@ -184,7 +184,7 @@ class Spheres:
         return raster.row(v / (np.where(ahead > 0, ahead, np.nan) / raster.depth))
 
     def _ends(self, raster: Raster, owner: Ints, y: Floats) -> tuple[Floats, Floats]:
-        """Where spheres begin and end on lines at `y`; where they do not, the end comes first."""
+        """Columns at which spheres begin and end on lines at `y`; a miss has its end first."""
         g = raster.down(y)
         hypot2, u, ahead, chord2 = self._discs(raster, owner, g)
         low, high = _tangents(u, ahead, chord2, self.power[owner])
@@ -293,18 +293,18 @@ class Spheres:
     # What blocks light.
 
     def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
-        """Where points are: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
+        """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
         return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
 
     def gap(self, owner: Ints, point: Triple) -> Floats:
-        """How far objects must grow to reach points; negative for points inside."""
+        """Distance by which objects must grow to reach points; negative for points inside."""
         away = each(np.subtract, columns(self.center, owner), point)
         return np.sqrt(dot(away, away)) - self.radius[owner]
 
     def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
-        """Whether a ball may hold points that `occludes` must look at more closely.
+        """Tell balls that may hold points for which `occludes` needs the closer test.
 
-        They are in or on a sphere, or on the plane of a box's face.
+        These are in or on a sphere, or on the plane of a box's face.
         """
         return self.gap(owner, middle) <= reach
 
@@ -317,7 +317,7 @@ class Spheres:
         closely: Bools,
         grown: Floats | None = None,
     ) -> Bools:
-        """Whether objects block the open segments from points `p` to `light`, pair by pair.
+        """Test whether objects block the open segments from points `p` to `light`, pair by pair.
 
         A root strictly between the ends blocks.  An end within its tolerance of a surface is on
         it; a point on a sphere is then on its outer side, or, if the eye is inside, on its inner.
@@ -329,7 +329,7 @@ class Spheres:
         owner : (n,)
         p, light : three (n,)
         closely : (n,)
-            False where both ends are surely no nearer to the object than `touches` says.
+            False where both ends are surely farther from the object than `touches` asks.
         grown : (n,), optional
             By how much to grow objects on all sides; shrunk to less than nothing, none blocks.
         """
@@ -363,7 +363,7 @@ class Spheres:
     def capsules(
         self, owner: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Whether objects meet, and whether they cut, the capsules around segments.
+        """Test whether objects meet, and whether they cut, the capsules around segments.
 
         A capsule, all that is within a thickness of a segment, holds all segments from the ball
         around its start to its end (Haines and Wallace, Shaft culling, 1991).  An object that does

@@ -1,1 +1,1 @@
-"""What is seen: the camera, and the nearest surface along each of its rays."""
+"""The camera, and the nearest surface along each of its rays."""

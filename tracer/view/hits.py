@@ -44,7 +44,7 @@ class Group(NamedTuple):
 
     @property
     def flat(self) -> bool:
-        """Whether the surfaces are planes."""
+        """True for planes."""
         return self.shape.flat
 
     def spread(self, values: Any) -> Any:

@@ -14,7 +14,7 @@ from tracer.view.camera import Raster
 
 
 class Covered(NamedTuple):
-    """Where objects may be seen.
+    """Spans of samples in which objects may be seen.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Rows(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return self.x.size * self.y.size
 
     def across(self, raster: Raster) -> Floats:
@@ -82,7 +82,7 @@ class Rows(NamedTuple):
         return self.x[column] + self.shift[row], self.y[row]
 
     def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
-        """Where objects may be seen, given the function from rows and their height to `spans`."""
+        """Spans of objects, given the function from rows and their height to `spans`."""
         owner, row, left, right = spans(self.y, 0.0)
         columns = self.x.size
         first = self.x[0] + self.shift[row]
@@ -125,7 +125,7 @@ class Scattered(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return self.x.size
 
     def across(self, raster: Raster) -> Floats:
@@ -137,7 +137,7 @@ class Scattered(NamedTuple):
         return self.x[index], self.y[index]
 
     def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
-        """Where objects may be seen, given the function from rows and their height to `spans`."""
+        """Spans of objects, given the function from rows and their height to `spans`."""
         tops = self.row[changes(self.row)]
         owner, row, left, right = spans(tops.astype(np.float64), 1.0)
         # Whole pixels: so samples are sorted.
@@ -150,4 +150,4 @@ class Scattered(NamedTuple):
 
 
 Samples: TypeAlias = Rows | Scattered
-"""Where rays are sent."""
+"""Positions in the picture through which rays are traced."""

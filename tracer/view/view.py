@@ -57,7 +57,7 @@ class View(NamedTuple):
         return self.spheres if owner < self.boxes.first else self.boxes
 
     def at_once(self, samples: int) -> int:
-        """How many samples to take at a time: fewer where many objects lie behind each other."""
+        """Number of samples to take at a time: fewer where many objects lie behind each other."""
         return max(1, int(samples * min(1.0, _LAYERS / max(self.layers, 1.0))))
 
 
@@ -108,7 +108,7 @@ def distinct(surfaces: Surfaces) -> Surfaces:
 
 def _first_of_equal(table: Floats, index: Ints) -> Ints:
     """Rows (n, m) that equal none with a smaller index."""
-    # Most tables are told by one column: to sort by all takes several times as long.
+    # One column mostly tells all rows apart: to sort by all takes several times as long.
     column = np.sort(table[:, 0])
     if np.all(column[1:] != column[:-1]):
         return np.arange(len(table))

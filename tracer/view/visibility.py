@@ -32,7 +32,7 @@ def visible(view: View, samples: Samples) -> Hits:
 
 
 def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits, Hits]:
-    """What is `visible`, and what is so close behind it that the two may cross nearby.
+    """The `visible` surfaces, and those so close behind that the two may cross nearby.
 
     Nearby is within the cell of the sample, a square of `size` pixels around it.
     """
@@ -140,7 +140,7 @@ def _close_behind(
     nearest: Floats | None,
     size: float,
 ) -> list[_Fragments]:
-    """Fragments as close behind the nearest of their samples as `visible_and_behind` says."""
+    """Fragments so close behind the nearest of their samples: see `visible_and_behind`."""
     if nearest is None:
         return []
     raster = view.raster
@@ -266,7 +266,7 @@ def _runs(
 
 
 def _starts(some: Ints | list[int], *numbers: Any) -> Ints:
-    """Where any of the numbers (n,) changes, and at `some` places."""
+    """Places at which any of the numbers (n,) changes, and `some` more."""
     starts = changes(*(m for m in numbers if np.ndim(m)))
     starts[some] = True
     return indices(starts)
