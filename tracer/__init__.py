@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tracer.explain import Explanation, explain
     from tracer.picture.bands import render
     from tracer.picture.png import to_codes, write_png
     from tracer.scene.model import Scene, Surfaces
@@ -16,11 +17,13 @@ if TYPE_CHECKING:
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.scene.writer import save_scene
+    from tracer.suspicions import SceneWarning
     from tracer.view.first_hits import Hits, first_hits
 
 __all__ = [
     "Box",
     "Camera",
+    "Explanation",
     "Hits",
     "Lambertian",
     "Phong",
@@ -28,9 +31,11 @@ __all__ = [
     "Scene",
     "SceneError",
     "SceneFileError",
+    "SceneWarning",
     "Shader",
     "Sphere",
     "Surfaces",
+    "explain",
     "first_hits",
     "load_scene",
     "render",
@@ -39,16 +44,19 @@ __all__ = [
     "write_png",
 ]
 
-__version__ = "1.0.0"
+__version__ = "2.0.0"
 
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
+        "Explanation": "tracer.explain",
         "Hits": "tracer.view.first_hits",
         "Scene": "tracer.scene.model",
         "SceneError": "tracer.scene.schema",
         "SceneFileError": "tracer.scene.reader",
+        "SceneWarning": "tracer.suspicions",
         "Surfaces": "tracer.scene.model",
+        "explain": "tracer.explain",
         "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.bands",

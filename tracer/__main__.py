@@ -10,7 +10,7 @@ import argparse
 import gc
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from time import perf_counter, sleep
@@ -154,10 +154,20 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         help="processes that render, at most one for each processor (default: one or two,"
         " whichever pays)",
     )
+    add(
+        "--pixel",
+        type=_pixel,
+        metavar="X,Y",
+        help="explain a pixel, by its column and row (0,0 is the top left), and write no picture",
+    )
     add("--quiet", action="store_true", help="report only what goes wrong")
     add("--version", action="version", version=f"%(prog)s {__version__}")
     arguments = parser.parse_args(argv)
     scenes, output = arguments.scenes, arguments.output
+    if arguments.pixel is not None:
+        if output is not None or arguments.watch:
+            parser.error("--pixel writes no picture: it goes without -o and --watch")
+        return arguments, [(scene, "") for scene in scenes]
     if "-" in scenes and (output is None or arguments.watch):
         parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
     if output == "-":
@@ -180,6 +190,17 @@ def _size(text: str) -> tuple[int, int]:
         return number(width), number(height)
     except (ValueError, argparse.ArgumentTypeError):
         wanted = "must be width and height in pixels, as 640x360"
+        raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}") from None
+
+
+def _pixel(text: str) -> tuple[int, int]:
+    """Type of the argument of --pixel."""
+    number = whole_number(0)
+    try:
+        x, y = text.split(",")
+        return number(x), number(y)
+    except (ValueError, argparse.ArgumentTypeError):
+        wanted = "must be column and row, as 160,90"
         raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}") from None
 
 
@@ -217,6 +238,7 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
     from tracer.picture.png import PNG, write_tiles
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
+    from tracer.suspicions import suspicions
 
     allow_interrupts()
     start, shown, quiet = perf_counter(), printable(output), arguments.quiet
@@ -230,13 +252,25 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
         return f"--size: {error}"
     except MemoryError:
         return f"{printable(path)}: not enough memory to read it; split the scene"
+    if arguments.pixel is not None:
+        return _explain(scene, path, arguments.pixel)
+    black = True
+
+    def noted(tiles: Iterable[Compressed]) -> Iterator[Compressed]:
+        """The same tiles; notes whether all are black."""
+        nonlocal black
+        for tile in tiles:
+            black = black and tile.black
+            yield tile
+
     try:
         tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
+        tiles = noted(tiles)
         if not quiet and sys.stderr is not None and sys.stderr.isatty():
             tiles = _with_progress(tiles, scene, os.path.basename(shown))
         if output == "-":
-            with open(1, "wb", closefd=False) as file:
-                write_tiles(file, scene.width, scene.height, tiles)
+            with open(1, "wb", closefd=False) as stream:
+                write_tiles(stream, scene.width, scene.height, tiles)
         else:
             if arguments.output is not None and is_folder(arguments.output):
                 os.makedirs(arguments.output, exist_ok=True)
@@ -255,8 +289,22 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
             f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
         )
     if not quiet:
+        for suspicion in suspicions(scene, black=black):
+            print_line(sys.stderr, printable(f"{path}: warning: {suspicion}"))
         done = f"{shown}: {scene.width} x {scene.height} pixels in {perf_counter() - start:.3f} s"
         print_line(sys.stderr if output == "-" else sys.stdout, done)
+    return None
+
+
+def _explain(scene: Scene, path: str, pixel: tuple[int, int]) -> str | None:
+    """Print what goes into a pixel; return what is wrong with it."""
+    from tracer.explain import explain
+
+    try:
+        for line in str(explain(scene, *pixel)).splitlines():
+            print_line(sys.stdout, line)
+    except ValueError as error:
+        return f"{printable(path)}: {error}; columns and rows count from 0"
     return None
 
 

@@ -7,8 +7,10 @@ depend on nothing but the scene, so processes can share them, and they are writt
 
 from __future__ import annotations
 
+import io
 import operator
 import pickle
+import warnings
 from collections.abc import Iterator
 from functools import cached_property, partial
 from itertools import product
@@ -22,12 +24,13 @@ from tracer.arrays import Floats
 from tracer.light.lighting import Lighting, lighting_of, radiance_at
 from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Work, forked, helped, processors
-from tracer.picture.png import Compressed, compressed
+from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
+from tracer.suspicions import SceneWarning, suspicions
 from tracer.view.camera import raster_of
 from tracer.view.view import distinct, frames_of, view_of
 
-__all__ = ["render", "render_compressed"]
+__all__ = ["render", "render_compressed", "to_png"]
 
 # Infinities and NaN are valid results here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
@@ -85,6 +88,11 @@ def render(
     ValueError
         If `samples` or `processes` is less than 1 or more than 999,999,999, or `offset` is not two
         finite numbers.
+
+    Warns
+    -----
+    SceneWarning
+        If no object is in view, no light reaches any, or a colour looks like 0 to 255.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
@@ -103,7 +111,15 @@ def render(
                 if image.nbytes > _KEPT:
                     rows, row = picture.tile(number)[0], image[0].nbytes
                     team.give_back(rows.start * row, rows.stop * row)
+    for suspicion in suspicions(scene, black=not image.any()):
+        warnings.warn(suspicion, SceneWarning, stacklevel=2)
     return image
+
+
+def to_png(scene: Scene) -> bytes:
+    """Render a scene at one sample a pixel, as the bytes of a PNG file."""
+    write_png(file := io.BytesIO(), render(scene))
+    return file.getvalue()
 
 
 def render_compressed(

