@@ -22,16 +22,10 @@ _GRIDS = 12, 48, 192
 
 
 class Window(NamedTuple):
-    """A window seen from the eye, in scene units.
+    """A window seen from the eye.
 
-    Attributes
-    ----------
-    eye : (3,)
-    axes : (3, 3)
-        Unit vectors: to the right along the window's edge, down along it, ahead through it.
-    center : (3,)
-        The window's centre from the eye, along the axes.
-    width, height : float
+    `axes` (3, 3) are unit vectors to the right and down along its edges, and ahead through it;
+    `center` (3,) leads from the eye to its middle, along these.
     """
 
     eye: Floats

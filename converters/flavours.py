@@ -10,19 +10,10 @@ import numpy as np
 
 from converters.camera import Floats, Window, bounds, visible_points, window_of
 from converters.mitsuba_xml import document, element, matrix, plugin, rgb, xyz
-from converters.projectors import Cell, Face, faces, gather, pfm
+from converters.projectors import Projector, projectors
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
-__all__ = [
-    "SAMPLES",
-    "Normalisation",
-    "convert",
-    "exact",
-    "gain",
-    "normalisation",
-    "squared",
-    "stock",
-]
+__all__ = ["SAMPLES", "convert", "exact", "gain", "normalisation", "squared", "stock"]
 
 SAMPLES = {"stock": 64, "stock-lights": 256, "exact": 1}
 """The flavours, from what any Mitsuba draws to the same picture: samples a pixel, if not given."""
@@ -33,13 +24,12 @@ _EXTENT = 10.0
 # Largest error of a hit point, in roundings (2^-24) of the largest length in the scene.
 _TOLERANCE_ROUNDINGS = 100
 
-# With what is seen of this size, and no farther from the origin than so many times that, float32
-# is accurate enough for a stock scene in the file's own coordinates.
+# A stock scene of which so much is seen, no farther from the origin than so many times that, keeps
+# the file's coordinates.
 _OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
 
-# Largest sphere of a stock scene, and least share of its size that a scene is given on its account.
-# Hit points err by some 1e-7 of a radius; Mitsuba starts shadow rays 1e-4 above a surface, even if
-# all is small.
+# Largest sphere of a stock scene, whose hit points err by 1e-7 of its radius, and the least share
+# of its size that a scene is given for that: shadow rays start 1e-4 above what may be small.
 _LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
 
 # Half thickness of flat boxes, relative to the largest coordinate.
@@ -48,34 +38,15 @@ _THINNEST = 1e-6
 # Where the stock camera begins to see, relative to the farthest point of all surfaces.
 _NEAREST = 1e-6
 
-# The format's largest picture, in pixels.
-_MOST_PIXELS = 1 << 28
-
 
 def convert(
     scene: Scene, flavour: str, samples: int | None = None, picture: str = ""
 ) -> tuple[str, bytes | None]:
-    """Convert a scene to Mitsuba XML.
+    """Convert a scene to Mitsuba XML, in a flavour, a key of `SAMPLES`.
 
-    Parameters
-    ----------
-    scene : Scene
-    flavour : {"stock", "stock-lights", "exact"}
-    samples : int, optional
-        Samples a pixel; those of the flavour if absent.
-    picture : str
-        Name of a file beside the XML, for what the lights of "stock-lights" show.
-
-    Returns
-    -------
-    text : str
-    shown : bytes or None
-        The contents of `picture`, in the PFM format; None if the flavour has none.
-
-    Raises
-    ------
-    ValueError
-        If a number is beyond those of float32, or the picture is too large.
+    `picture` is the name of a file beside the XML for what the lights of "stock-lights" show.
+    Returns the text, and that file's bytes if there is one.  Raises ValueError for numbers
+    beyond those of float32, and for too many square pixels.
     """
     count = SAMPLES[flavour] if samples is None else samples
     if flavour == "stock-lights":
@@ -169,11 +140,8 @@ _EXACT = """
 in the exact flavour.
 
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
-plugins. The mitsuba command does not know them; load it in Python, where the project is installed:
-    import mitsuba
-    mitsuba.set_variant("scalar_rgb")  # or another that ends in _rgb
-    import converters.plugins
-    scene = mitsuba.load_file("NAME.mitsuba.xml")
+plugins. Where it is installed, Python's mitsuba.load_file reads it after mitsuba.set_variant of a
+variant that ends in _rgb, and "import converters.plugins".
 {moved}"""
 
 
@@ -183,10 +151,9 @@ def exact(scene: Scene, samples: int = 1) -> str:
     """By this project's plugins, the same picture: one sample takes the pixel's centre."""
     place = normalisation(scene)
     names, bsdfs = _bsdf_names(scene.surfaces)
-    largest = max([_EXTENT, *(scene.surfaces.radius * place.scale)])
-    tolerance = float(_TOLERANCE_ROUNDINGS * largest * 2.0**-24)
+    largest = max(_EXTENT, float(scene.surfaces.radius.max(initial=0)) * place.scale)
     parts = [
-        plugin("integrator", "every_light", tolerance=tolerance),
+        plugin("integrator", "every_light", tolerance=_TOLERANCE_ROUNDINGS * largest * 2.0**-24),
         _exact_sensor(scene, place, samples),
         *(_exact_emitter(light, place) for light in scene.lights),
         *(_exact_bsdf(shader, name) for name, shader in bsdfs.items()),
@@ -217,37 +184,22 @@ def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
 
 
 def _exact_emitter(light: PointLight, place: Normalisation) -> str:
-    return plugin(
-        "emitter",
-        "unattenuated_point",
-        xyz("point", "position", place(np.array(light.position))),
-        xyz("vector", "intensity", light.intensity),
-    )
+    position = xyz("point", "position", place(np.array(light.position)))
+    intensity = xyz("vector", "intensity", light.intensity)
+    return plugin("emitter", "unattenuated_point", position, intensity)
 
 
 def _exact_bsdf(shader: Shader, name: str) -> str:
     phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-    return plugin(
-        "bsdf",
-        "blinn_phong",
-        xyz("vector", "diffuse", phong.diffuse),
-        xyz("vector", "specular", phong.specular),
-        name=name,
-        exponent=phong.exponent,
-    )
+    lobes = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
+    return plugin("bsdf", "blinn_phong", *lobes, name=name, exponent=phong.exponent)
 
 
 def squared(scene: Scene) -> Scene:
-    """A scene with as many columns, in square pixels, and a window of as many rows as fit best.
-
-    Raises
-    ------
-    ValueError
-        If they are too many for a picture.
-    """
+    """A scene with as many columns, in square pixels, and a window of as many rows as fit best."""
     camera = scene.camera
     rows = scene.width * camera.view_height / camera.view_width
-    if not scene.width * rows <= _MOST_PIXELS:
+    if not scene.width * rows <= 1 << 28:
         raise ValueError(
             f"cannot be converted: Mitsuba's pixels are square, and {rows:.3g} rows of"
             f" {scene.width} are too many; make viewWidth larger or viewHeight smaller"
@@ -297,13 +249,9 @@ def stock(scene: Scene, samples: int = 64) -> str:
 def _stock_lights(scene: Scene, picture: str, samples: int) -> tuple[str, bytes]:
     """By stock plugins, with projectors that do not fall off, and the contents of `picture`."""
     place, strength = _stock_place(scene), gain(scene.surfaces)
-    found = list(faces(scene))
-    image, cells = gather(scene, found)
-    lights = [
-        _projector(face, cell, place, strength, picture)
-        for face, cell in zip(found, cells, strict=True)
-    ]
-    return _stock_document(scene, samples, place, _PROJECTORS, lights), pfm(image)
+    found, shown = projectors(scene)
+    lights = [_projector(projector, place, strength, picture) for projector in found]
+    return _stock_document(scene, samples, place, _PROJECTORS, lights), shown
 
 
 def _stock_document(
@@ -348,8 +296,8 @@ def _stock_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
     """The camera by its field of view and principal point."""
     window = window_of(scene.camera)
     across, below, depth = window.center
-    corners = np.stack(np.meshgrid(*bounds(scene.surfaces).T)).reshape(3, -1).T
-    far = place.scale * float(np.linalg.norm(corners - window.eye, axis=1).max()) or 1.0
+    farthest = np.abs(bounds(scene.surfaces) - window.eye).max(axis=0)
+    far = place.scale * float(np.linalg.norm(farthest)) or 1.0
     return plugin(
         "sensor",
         "perspective",
@@ -358,65 +306,50 @@ def _stock_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
         plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
         fov=degrees(2 * atan(window.width / 2 / depth)),
-        principal_point_offset_x=_offset(across / window.width),
-        principal_point_offset_y=_offset(below / window.height),
+        # What rounding leaves of zero is zero.
+        principal_point_offset_x=round(float(across / window.width), 12),
+        principal_point_offset_y=round(float(below / window.height), 12),
         # The window may be anywhere: it only says what is in the picture.
         near_clip=_NEAREST * far,
         far_clip=2 * far,
     )
 
 
-def _offset(share: float) -> float:
-    """Where the window's centre lies: what is left of zero after rounding is zero."""
-    return float(share) if abs(share) > 1e-12 else 0.0
-
-
 def _point(light: PointLight, place: Normalisation, strength: float, seen: Floats) -> str:
+    """A light that is right at one distance: that of least squares over points (n, 3)."""
     position = place(np.array(light.position))
-    distance2 = _distance2(position, seen)
-    # A diffuse surface reflects 1 / pi of its reflectance.
-    intensity = np.array(light.intensity) * (np.pi * strength * distance2)
-    return plugin(
-        "emitter",
-        "point",
-        f"<!-- right at a distance of {distance2**0.5:.4g} -->",
-        xyz("point", "position", position),
-        rgb("intensity", intensity),
-    )
-
-
-def _distance2(position: Floats, seen: Floats) -> float:
-    """Squared distance at which a light's strength is right: least squares over points (n, 3)."""
     square = ((seen - position) ** 2).sum(axis=1)
     # In units of the largest, whatever the scene's; in the light itself nothing is divided by zero.
     largest = float(square.max()) or 1.0
     inverse = 1 / np.maximum(square / largest, 1e-12)
-    return largest * float(inverse.sum() / (inverse * inverse).sum())
+    distance2 = largest * float(inverse.sum() / (inverse * inverse).sum())
+    # A diffuse surface reflects 1 / pi of its reflectance.
+    intensity = np.array(light.intensity) * (np.pi * strength * distance2)
+    note = f"<!-- right at a distance of {distance2**0.5:.4g} -->"
+    at = xyz("point", "position", position)
+    return plugin("emitter", "point", note, at, rgb("intensity", intensity))
 
 
-def _projector(face: Face, cell: Cell, place: Normalisation, strength: float, picture: str) -> str:
-    """A projector that shows a part of a picture."""
-    # From shares of the face, of which one is 2 in tangents, to shares of the picture.
-    (size, left, top), (side, x, y) = face.part, cell.square
-    zoom = 2 * side / size
-    moved = xyz("translate", None, (x - (left + 1) / 2 * zoom, y - (top + 1) / 2 * zoom, 0))
+def _projector(projector: Projector, place: Normalisation, strength: float, picture: str) -> str:
+    zoom = projector.zoom
+    to_uv = xyz("scale", None, (zoom, zoom, 1)), xyz("translate", None, (*projector[3:], 0))
     texture = plugin(
-        "texture",
+        'texture name="irradiance"',
         "bitmap",
-        element('transform name="to_uv"', xyz("scale", None, (zoom, zoom, 1)), moved),
+        element('transform name="to_uv"', *to_uv),
         filename=picture,
         raw=True,
         filter_type="nearest",
-    ).replace("<texture ", '<texture name="irradiance" ', 1)
-    to_world = _to_world(window_of(face.camera), place)
-    scale = strength * cell.brightest * place.scale**2
+    )
+    to_world = _to_world(window_of(projector.camera), place)
+    scale = strength * projector.brightest * place.scale**2
     return plugin("emitter", "projector", to_world, texture, fov=90.0, scale=scale)
 
 
 def gain(surfaces: Surfaces) -> float:
     """What reflectances are divided by: 1, or twice the largest, as blends need them doubled."""
-    used = (surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist())
-    return float(np.max([2 * np.array(_lobes(shader)) for shader in used], initial=1))
+    used = np.unique(surfaces.shader_index).tolist()
+    return float(np.max([2 * np.array(_lobes(surfaces.shaders[k])) for k in used], initial=1))
 
 
 def _lobes(shader: Shader) -> tuple[Floats, Floats]:

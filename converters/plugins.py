@@ -1,25 +1,10 @@
 """The small Mitsuba plugins that the exact flavour of a converted scene names.
 
-Importing this module registers them, for the current variant and again for every other that is
-set later; in an RGB variant ``mitsuba.load_file`` then reads such a scene:
-
->>> import mitsuba
->>> mitsuba.set_variant("scalar_rgb")
->>> import converters.plugins
->>> scene = mitsuba.load_file("one-sphere.mitsuba.xml")
-
-Where no variant is set yet, importing sets the fastest one that works here.
-
-window (sensor)
-    Pixels that are not square; rays that start near the scene, computed in float64.
-unattenuated_point (emitter)
-    A point light that does not fall off with distance.
-blinn_phong (bsdf)
-    kd n.l + ks (n.h)^p, seen from both sides.
-every_light (integrator)
-    Each light once a sample, in place of one at random.
-
-Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2, has the shading.
+Importing this module registers them, for the current variant (the fastest that works here, if none
+is set) and for every other that is set later.  They are a sensor whose pixels need not be square
+and whose rays start near the scene, a point light that does not fall off, the BSDF of the scene
+format (Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2), and an integrator that
+asks each light once a sample.
 """
 
 # Mitsuba's stubs describe one variant; these classes run in every one.
@@ -51,15 +36,9 @@ def _name(self: object) -> str:
 
 
 class Window(mi.Sensor):
-    """Rays from `eye` through a rectangle, started where they enter the scene's bounds.
+    """Rays from `eye` through a rectangle, started on a box around the scene, `low` to `high`.
 
-    Parameters
-    ----------
-    eye : point
-    corner, right, down : vector
-        From the eye to the window's upper left corner, and the window's upper and left edges.
-    low, high : point
-        Corners of a box around everything; rays start on it.
+    `corner` leads from the eye to the window's upper left; `right` and `down` are its edges.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -147,17 +126,12 @@ class BlinnPhong(mi.BSDF):
         # Both sides: only whether the two directions lie on the same side matters.
         h = dr.normalize(si.wi + wo)
         # (n.h)^p by the sine, which float32 still knows where the cosine has become 1.
-        power = dr.exp(0.5 * self.exponent * _log1p(-(dr.square(h.x) + dr.square(h.y))))
+        cosine2 = 1 - mi.Float64(dr.square(h.x) + dr.square(h.y))
+        power = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
         value = self.diffuse * dr.abs(wo.z) + self.specular * power
         return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
 
     to_string = _name
-
-
-def _log1p(x: mi.Float) -> mi.Float:
-    """log(1 + x) without losing the digits of a small x (Kahan)."""
-    u = 1 + x
-    return dr.select(u == 1, x, dr.log(u) * (x / (u - 1)))
 
 
 def _exit(box: mi.ScalarBoundingBox3f, p: mi.Point3f, d: mi.Vector3f) -> mi.Float:

@@ -1,34 +1,29 @@
 """Light without fall-off from Mitsuba's own projectors: what is seen from a light undoes it.
 
-A ``projector`` is a point light with a picture in front of it: through a texel of value E arrives
+A ``projector`` is a point light behind a picture: through a texel of value E arrives
 pi E / (z^2 cos a) at a depth z, where the ray makes the angle a with the projector's axis.  So a
-texel of z^2 cos a, with the depth of what the light shines on there, sends the same to all of it.
+texel of z^2 cos a, with the depth of what the light meets there, sends the same to all of it.
 Six projectors with square pictures cover all directions from a light.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from itertools import product
 from math import ceil, sqrt
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from converters.camera import Floats, window_of
 from tracer import Camera, Scene, first_hits
 
-__all__ = ["SIDE", "Cell", "Face", "faces", "gather", "pfm"]
+__all__ = ["Projector", "projectors"]
 
-Square: TypeAlias = tuple[float, float, float]
-"""A square part of a picture, in shares of its side: size, left, top."""
+# Texels across a projector's part of the picture.
+_SIDE = 256
 
-SIDE = 256
-"""Texels across a face."""
-
-
-# Directions to the middle of a face and to its upper side.
+# Directions to the middle of each face of a cube, and to its upper side.
 _FACES = [
     face
     for s in (1.0, -1.0)
@@ -40,39 +35,54 @@ _FACES = [
 ]
 
 
-class Face(NamedTuple):
-    """What a light shines on, of all that is in view, through one face of a cube around it.
+class Projector(NamedTuple):
+    """A projector at a light, 90 degrees wide.
 
     Attributes
     ----------
-    light : int
     camera : Camera
-        At the light; it looks at the face.
-    part : (float, float, float)
-        The part of the face that matters: its size, left and top, as tangents of angles.
-    irradiance : (SIDE, SIDE)
-        z^2 cos a of each texel of that part; 0 where nothing is met.
+        Its place and orientation.
+    brightest : float
+        What a texel of 1 stands for.
+    zoom, left, top : float
+        A place (x, y) of its square, 0 ... 1, is (zoom x + left, zoom y + top) of the picture.
     """
 
-    light: int
     camera: Camera
-    part: Square
-    irradiance: Floats
-
-
-class Cell(NamedTuple):
-    """A face in the picture of all: where, and what its brightest texel, 1, stands for."""
-
-    square: Square
     brightest: float
+    zoom: float
+    left: float
+    top: float
+
+
+def projectors(scene: Scene) -> tuple[list[Projector], bytes]:
+    """Find the projectors for all lights, and their common picture, a PFM file."""
+    parts = list(_parts(scene))
+    side = max(1, ceil(sqrt(len(parts))))
+    picture = np.zeros((side, _SIDE, side, _SIDE, 3), dtype="<f4")
+    found = []
+    for number, (camera, size, (x, y), irradiance) in enumerate(parts):
+        row, column = divmod(number, side)
+        brightest = float(irradiance.max()) or 1.0
+        picture[row, :, column] = irradiance / brightest
+        zoom = 2 / (size * side)
+        left, top = column / side - (x + 1) / 2 * zoom, row / side - (y + 1) / 2 * zoom
+        found.append(Projector(camera, brightest, zoom, left, top))
+    # From the last row to the first.
+    rows = picture.reshape(side * _SIDE, -1)[::-1]
+    return found, f"PF\n{side * _SIDE} {side * _SIDE}\n-1.0\n".encode() + rows.tobytes()
 
 
 @np.errstate(all="ignore")
-def faces(scene: Scene) -> Iterator[Face]:
-    """Every face of every light through which something in view is lit."""
+def _parts(scene: Scene) -> Iterator[tuple[Camera, float, Floats, Floats]]:
+    """What each light shines on, of all that is in view, through each face of a cube around it.
+
+    Yields a camera that looks at the face; size and corner (2,) of the part that matters, in
+    tangents of angles; z^2 cos a there, times the light's intensity (_SIDE, _SIDE, 3).
+    """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     seen = first_hits(scene, x, y).point
-    for (number, light), (ahead, up) in product(enumerate(scene.lights), _FACES):
+    for light, (ahead, up) in product(scene.lights, _FACES):
         camera = Camera(view_point=light.position, view_dir=ahead, view_up=up)
         right, down, depth = window_of(camera).axes @ (seen - light.position).T
         ends = np.array([right, down]) / depth
@@ -81,44 +91,14 @@ def faces(scene: Scene) -> Iterator[Face]:
             continue
         low, high = ends.min(axis=1), ends.max(axis=1)
         # A few texels wider on all sides, as objects reach beyond the centres of pixels.
-        size = max(float((high - low).max()), 1 / SIDE) * (1 + 8 / SIDE)
+        size = max(float((high - low).max()), 1 / _SIDE) * (1 + 8 / _SIDE)
         corner = (low + high - size) / 2
-        texels = (np.arange(SIDE) + 0.5) * (size / SIDE) + corner[:, None]
-        yield Face(number, camera, (size, *corner), _irradiance(scene, camera, *texels))
-
-
-def _irradiance(scene: Scene, camera: Camera, x: Floats, y: Floats) -> Floats:
-    """z^2 cos a (SIDE, SIDE) at the crossings of columns and rows; 0 where nothing is met."""
-    # A window of 1 x 1 at distance 1, in a picture of one pixel: its middle is straight ahead.
-    square = replace(scene, camera=camera, width=1, height=1)
-    across, below = (plane.ravel() for plane in np.meshgrid(x, y))
-    distance = first_hits(square, across + 0.5, below + 0.5).distance
-    z2_cos = np.where(np.isfinite(distance), distance**2, 0) / (1 + across**2 + below**2) ** 1.5
-    return z2_cos.reshape(SIDE, SIDE)
-
-
-def gather(scene: Scene, found: Sequence[Face]) -> tuple[Floats, list[Cell]]:
-    """One picture (h, h, c) of all faces in the colours of their lights, and where each is in it.
-
-    It is grey (c = 1) if all lights are.
-    """
-    side = max(1, ceil(sqrt(len(found))))
-    colors = np.array([light.intensity for light in scene.lights]).reshape(-1, 3)
-    if (colors == colors[:, :1]).all():
-        colors = colors[:, :1]
-    whole = np.zeros((side, SIDE, side, SIDE, colors.shape[1]))
-    cells = []
-    for number, face in enumerate(found):
-        row, column = divmod(number, side)
-        picture = face.irradiance[:, :, None] * colors[face.light]
-        most = float(picture.max()) or 1.0
-        whole[row, :, column] = picture / most
-        cells.append(Cell((1 / side, column / side, row / side), most))
-    return whole.reshape(side * SIDE, side * SIDE, -1), cells
-
-
-def pfm(image: Floats) -> bytes:
-    """A picture (h, w, 1 or 3) as a PFM file: float32, from the last row to the first."""
-    height, width, channels = image.shape
-    head = f"{'PF' if channels == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
-    return head.encode() + image[::-1].astype("<f4").tobytes()
+        texels = (np.arange(_SIDE) + 0.5) * (size / _SIDE) + corner[:, None]
+        across, below = (plane.ravel() for plane in np.meshgrid(*texels))
+        # The window is 1 x 1 at distance 1: in a picture of one pixel, its middle is at .5, .5.
+        face = Scene(camera=camera, width=1, height=1, surfaces=scene.surfaces)
+        distance = first_hits(face, across + 0.5, below + 0.5).distance
+        # z is the distance times cos a.
+        secant = np.sqrt(1 + across**2 + below**2)
+        z2_cos = np.where(np.isfinite(distance), distance**2, 0) / secant**3
+        yield camera, size, corner, z2_cos.reshape(_SIDE, _SIDE, 1) * light.intensity

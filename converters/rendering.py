@@ -20,6 +20,7 @@ from tracer.commands import atomic_file
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 
+_PICTURE = "picture.pfm"
 _EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
 
 # More samples in a picture than Mitsuba counts, in 32 bits, would end in a riddle.
@@ -38,28 +39,11 @@ class Rendering:
 def render_mitsuba(
     scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
 ) -> Floats:
-    """Render a scene with Mitsuba.
+    """Render a scene with Mitsuba: (h, w, 3) float64, linear; stock flavours in square pixels.
 
-    Parameters
-    ----------
-    scene : Scene
-    samples : int, optional
-        Samples a pixel; those of the flavour if absent.
-    variant : str, optional
-        Mitsuba's variant; the fastest that works here if absent.
-    flavour : {"exact", "stock-lights", "stock"}
-
-    Returns
-    -------
-    image : (h, w, 3) float64
-        Linear RGB; stock flavours are in square pixels (`converters.flavours.squared`).
-
-    Raises
-    ------
-    ImportError
-        If the given variant does not work here.
-    ValueError
-        If the samples are more than Mitsuba can count, or a number is beyond those of float32.
+    Takes the flavour's samples a pixel, and the fastest variant that works here, unless they are
+    given.  Raises ImportError for a variant that does not work, ValueError for more samples than
+    Mitsuba can count and for what `convert` refuses.
     """
     side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
     every = scene.width * scene.height * side**2
@@ -68,29 +52,22 @@ def render_mitsuba(
             f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
             " use fewer a pixel"
         )
-    text, picture = convert(scene, flavour, samples, "picture.pfm")
-    with TemporaryDirectory() as folder:
-        if picture is not None:
-            Path(folder, "picture.pfm").write_bytes(picture)
-        return load(text, variant, folder)().image
+    return load(*convert(scene, flavour, samples, _PICTURE), variant)().image
 
 
-def load(text: str, variant: str | None, folder: str | None = None) -> Callable[[], Rendering]:
-    """Load a converted scene into Mitsuba; each call of what is returned renders it.
-
-    `folder` holds the picture that the scene names, if it names one.
-    """
+def load(
+    text: str, picture: bytes | None = None, variant: str | None = None
+) -> Callable[[], Rendering]:
+    """Load a converted scene, and its picture; each call of what is returned renders it."""
     chosen = use(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 
     # Otherwise every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
-    if folder is None:
-        scene = mi.load_string(text)
-    else:
-        path = Path(folder, "scene.xml")
-        path.write_text(text, encoding="utf-8")
-        scene = mi.load_file(str(path))
+    with TemporaryDirectory() as folder:
+        Path(folder, "scene.xml").write_text(text, encoding="utf-8")
+        Path(folder, _PICTURE).write_bytes(picture or b"")
+        scene = mi.load_file(str(Path(folder, "scene.xml")))
 
     def rendered() -> Rendering:
         start = perf_counter()

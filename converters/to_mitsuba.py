@@ -22,9 +22,11 @@ Converting needs no Mitsuba. --render and --check need it ("pip install .[refere
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
@@ -43,9 +45,12 @@ from tracer.commands import (
     whole_number,
 )
 
-__all__ = ["main", "run"]
+__all__ = ["TROUBLE", "main", "run", "told"]
 
 _FLAVOURS = "stock", "stock-lights", "exact"
+
+TROUBLE = (ChildProcessError, ImportError, MemoryError, RuntimeError, ValueError)
+"""What the reader, the tracer, the converter and Mitsuba raise over a scene."""
 
 _Work = Callable[[Path, Path, argparse.Namespace], bool]
 
@@ -53,23 +58,15 @@ _Work = Callable[[Path, Path, argparse.Namespace], bool]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Returns
-    -------
-    int
-        0; 1 where a scene could not be read or written, or a tolerance is broken; 130 if
-        interrupted.
-
-    Raises
-    ------
-    SystemExit
-        With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help``.
+    Returns 0; 1 where a scene could not be read or written, or a tolerance is broken; 130 if
+    interrupted.  Exits with 2 for wrong usage, 1 in a folder that is gone, 0 for ``--help``.
     """
     parser = _parser()
     options = parser.parse_args(arguments)
     work, usual, ending, files = (
         (_render, "exact", ".mitsuba.png", _png_and_exr)
         if options.render
-        else (_check, "exact", ".check.png", _alone)
+        else (_check, "exact", ".check.png", lambda target: (target,))
         if options.check
         else (_convert, "stock", ".mitsuba.xml", _xml_and_pfm)
     )
@@ -127,26 +124,18 @@ def _converted(scene: str) -> bool:
     return True
 
 
-def _alone(target: str) -> tuple[Path]:
-    return (Path(target),)
+def _pair(first: str, second: str, target: str) -> tuple[Path, Path]:
+    """Two files of these formats, either of which -o may name.
 
-
-def _xml_and_pfm(target: str) -> tuple[Path, Path]:
-    """A converted scene, and what the lights of a `stock-lights` one show."""
-    return Path(target), _beside(target, ".xml", ".pfm")
-
-
-def _png_and_exr(target: str) -> tuple[Path, Path]:
-    """The two files of a rendering, either of which -o may name."""
-    if target.lower().endswith(".exr"):
-        return Path(target).with_suffix(".png"), Path(target)
-    return Path(target), _beside(target, ".png", ".exr")
-
-
-def _beside(target: str, old: str, new: str) -> Path:
-    """Only what names the format is replaced: room.v1 and room.v2 have their own."""
+    Only what names a format is replaced: room.v1 and room.v2 have each its own.
+    """
     path = Path(target)
-    return path.with_suffix(new) if path.suffix.lower() == old else Path(target + new)
+    if path.suffix.lower() == second:
+        return path.with_suffix(first), path
+    return path, path.with_suffix(second) if path.suffix.lower() == first else Path(target + second)
+
+
+_xml_and_pfm, _png_and_exr = partial(_pair, ".xml", ".pfm"), partial(_pair, ".png", ".exr")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -183,8 +172,6 @@ def _parser() -> argparse.ArgumentParser:
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
     """Do one scene; its faults are told, a line each, and the other scenes go on."""
-    from converters.trouble import TROUBLE, told
-
     try:
         if options.output is not None and is_folder(options.output):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -196,6 +183,22 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     return False
 
 
+def told(path: str | os.PathLike[str], error: BaseException) -> str:
+    """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
+    from tracer import SceneFileError
+
+    if isinstance(error, SceneFileError):
+        return str(error)
+    # Of what fails while it renders, drjit says only that it does.
+    while isinstance(error, RuntimeError) and error.__cause__ is not None:
+        error = error.__cause__
+    if isinstance(error, (ChildProcessError, MemoryError)):  # the system kills who takes too much
+        reason = "not enough memory; make the image smaller"
+    else:
+        reason = " ".join(str(error).split()) or type(error).__name__
+    return printable(f"{os.fspath(path)}: {reason}")
+
+
 def _print_unwritten(path: Path, error: OSError) -> None:
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
@@ -205,15 +208,16 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from tracer import load_scene
 
     allow_interrupts()
-    beside = _xml_and_pfm(str(target))[1]
-    text, shown = convert(load_scene(path), options.flavour, options.samples, beside.name)
+    xml, pfm = _xml_and_pfm(str(target))
+    text, shown = convert(load_scene(path), options.flavour, options.samples, pfm.name)
+    also = ""
     if shown is not None:
-        with atomic_file(beside, b"P") as file:
+        also = f" and {pfm.name}"
+        with atomic_file(pfm, b"PF") as file:
             file.write(shown)
-    with atomic_file(target, WRITTEN.encode()) as file:
+    with atomic_file(xml, WRITTEN.encode()) as file:
         file.write(text.encode())
-    also = "" if shown is None else f" and {beside.name}"
-    print_line(sys.stdout, printable(f"{target}{also}: {options.flavour} flavour"))
+    print_line(sys.stdout, printable(f"{xml}{also}: {options.flavour} flavour"))
     return True
 
 

@@ -72,13 +72,7 @@ _chosen = cache(choose)
 
 
 def use(variant: str | None = None) -> Choice:
-    """Make a variant Mitsuba's current one: the given one, or the fastest that works.
-
-    Raises
-    ------
-    ImportError
-        If the given variant does not work here.
-    """
+    """Make a variant Mitsuba's current one; ImportError for a given one that does not work here."""
     choice = _chosen()
     if variant is not None and variant != choice.variant:
         able = [name for name in mi.variants() if name.endswith("_rgb")]

@@ -205,7 +205,7 @@ def check(
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Compare all light, by this project's plugins."""
-    rendered = load(exact(scene), variant)
+    rendered = load(exact(scene), variant=variant)
     rendering = rendered()
     if rendering.variant == LLVM:
         # The first time compiles the kernel.
@@ -313,7 +313,7 @@ def _diffuse(scene: Scene, variant: str | None) -> Rendering:
         aov.append(parts["direct"])
         parts["multijitter"].set("type", "stratified")
         ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
-        seen = load(ET.tostring(root, encoding="unicode"), variant)().image
+        seen = load(ET.tostring(root, encoding="unicode"), variant=variant)().image
         place, strength = parts["point"].findall("*")
         away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
         unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(scene.surfaces))

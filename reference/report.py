@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
-from converters.trouble import TROUBLE, told
+from converters.to_mitsuba import TROUBLE, told
 from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
