@@ -1,16 +1,14 @@
 """Hold the tracer's pictures against Mitsuba's, pixel by pixel, in linear light.
 
-There are two ways.  With this project's plugins (the exact flavour) all light is compared; with
-Mitsuba's own parts alone diffuse light, so that no plugin has a say in what is seen by the camera
-and by which light.  ``python -m reference.check`` prints how similar, besides, the pictures of the
-stock flavours are, which do not judge.
+With this project's plugins (the exact flavour) all light is compared; with Mitsuba's own alone
+diffuse light, so that no plugin has a say in what is seen, and by which light.
+``python -m reference.check`` prints how similar the pictures of the stock flavours are.
 
-Both renderers sample the centres of the pixels.  Mitsuba computes in float32, so where an edge runs
-through a pixel's centre the two may fall on different sides of it: pixels whose value changes by
-more than `EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and
-counted, if they differ.  Every other pixel has to agree; where one does not, exact arithmetic says
-which of the two errs.  Limits are of linear radiance, in units of the brightest pixel's where that
-is more than 1.
+Both renderers sample the pixels' centres.  Mitsuba computes in float32, so where an edge runs
+through a centre the two may fall on different sides of it: pixels that change by more than
+`EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted, if they
+differ.  Every other pixel has to agree; where one does not, exact arithmetic says which of the two
+errs.  Limits are of linear radiance, in units of the brightest pixel's where that is more than 1.
 """
 
 from __future__ import annotations
@@ -38,12 +36,6 @@ from tracer import Lambertian, Scene, Surfaces, load_scene, render
 from tracer.commands import printable
 
 __all__ = [
-    "EDGE_CHANGE",
-    "EDGE_SHIFT",
-    "MAX_DIFFERENCE",
-    "MAX_MASKED",
-    "MAX_MEDIAN",
-    "MIN_SSIM",
     "CheckResult",
     "check",
     "check_diffuse",
@@ -68,7 +60,7 @@ MAX_DIFFERENCE = 1e-4
 MAX_MEDIAN = 1e-6
 """Largest median of these differences."""
 
-# The oracle is slow: of more pixels that differ it is asked about some, evenly chosen.
+# Exact arithmetic is slow: of more pixels that differ some are traced, evenly chosen.
 _MOST_ASKED = 500
 
 Mask = NDArray[np.bool_]
@@ -80,24 +72,22 @@ class CheckResult:
 
     Attributes
     ----------
-    name : str
     tracer, mitsuba : (h, w, 3) float64
         The two pictures, linear.
     reference : (h, w, 3) float64
-        Mitsuba's picture, but the tracer's where the oracle says that Mitsuba errs.
+        Mitsuba's, but the tracer's where exact arithmetic says that Mitsuba errs.
     mask : (h, w) bool
         Edge pixels that differ, which do not count.
     figures : Figures
-        Of `tracer` against `reference`, outside the mask, in units of the
-        brightest pixel where that is more than 1; the SSIM is of the whole
-        picture.
+        Of `tracer` against `reference`, outside the mask, in units of the brightest pixel where
+        that is more than 1; the SSIM is of the whole picture.
     variant : str
         Mitsuba's.
     tracer_seconds, mitsuba_seconds : float
         Rendering times, warm where that makes a difference.
     differing, asked, agreed : int
-        How many pixels differ outside the mask; about how many of them the
-        oracle was asked; on how many of these it agrees with the tracer.
+        Pixels that differ outside the mask; of these, those that were traced exactly; of these,
+        those on which the tracer is right.
     judged : bool
         Whether the pictures should be the same, and not only similar.
     """
@@ -154,20 +144,14 @@ class CheckResult:
 
 def faults(measured: Figures, mask: Mask) -> tuple[str, ...]:
     """Which figures of a comparison are out of tolerance, in words."""
-    share = float(mask.mean())
-    limits = (
-        (measured.ssim >= MIN_SSIM, f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}"),
-        (
-            measured.max <= MAX_DIFFERENCE,
-            f"largest difference {measured.max:.1e} exceeds {MAX_DIFFERENCE:.0e}",
-        ),
-        (
-            measured.median <= MAX_MEDIAN,
-            f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}",
-        ),
-        (share <= MAX_MASKED, f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}"),
-    )
-    return tuple(fault for within, fault in limits if not within)
+    ssim, most, median, share = measured.ssim, measured.max, measured.median, float(mask.mean())
+    limits = {
+        f"SSIM {ssim:.5f} is below {MIN_SSIM}": ssim < MIN_SSIM,
+        f"largest difference {most:.1e} exceeds {MAX_DIFFERENCE:.0e}": most > MAX_DIFFERENCE,
+        f"median difference {median:.1e} exceeds {MAX_MEDIAN:.0e}": median > MAX_MEDIAN,
+        f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}": share > MAX_MASKED,
+    }
+    return tuple(fault for fault, broken in limits.items() if broken)
 
 
 def edge_mask(scene: Scene, image: Floats) -> Mask:
@@ -189,14 +173,7 @@ def check(
     """Render a scene file with the tracer and with Mitsuba, and compare.
 
     The exact flavour judges all light, "stock" diffuse light, by stock parts alone; "stock-lights"
-    does not judge.
-
-    Raises
-    ------
-    SceneFileError
-        If the file is not a faultless scene.
-    ImportError
-        If the given variant does not work here.
+    does not judge.  Raises what `load_scene` and `converters.variant.use` do.
     """
     scene, name = load_scene(path), printable(Path(path).stem)
     ways = {"exact": check_scene, "stock": check_diffuse, "stock-lights": resemblance}
@@ -245,10 +222,7 @@ def resemblance(
 def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     """Hold the tracer's picture of a scene against one that Mitsuba has made.
 
-    Raises
-    ------
-    ValueError
-        If a radiance of Mitsuba's is not finite, or every pixel is masked.
+    Raises ValueError if a radiance of Mitsuba's is not finite, or every pixel is masked.
     """
     if not np.isfinite(rendering.image).all():
         raise ValueError(
@@ -265,7 +239,8 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     pixels = np.argwhere(differs)
     asked = pixels[:: 1 + len(pixels) // _MOST_ASKED]
     row, column = asked.T
-    agrees = np.abs(image[row, column] - _exactly(scene, asked)).max(axis=1) <= limit
+    exactly = plain.trace(scene, column + 0.5, row + 0.5, arithmetic="decimal").radiance
+    agrees = np.abs(image[row, column] - exactly).max(axis=1) <= limit
     if agrees.all():
         reference[differs] = image[differs]
     return CheckResult(
@@ -282,12 +257,6 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
     )
-
-
-def _exactly(scene: Scene, pixels: NDArray[np.intp]) -> Floats:
-    """Radiance (n, 3) of pixels (n, 2), rows and columns, by the oracle."""
-    row, column = pixels.T + 0.5
-    return plain.trace(scene, column, row, arithmetic="decimal").radiance
 
 
 def _matte(scene: Scene) -> Scene:

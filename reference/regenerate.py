@@ -45,25 +45,13 @@ def scene_hash(path: Path) -> str:
 
 
 def manifest(folder: Path = FOLDER) -> dict[str, Any]:
-    """How the stored pictures were made.
-
-    Raises
-    ------
-    OSError
-        If there is none.
-    """
+    """How the stored pictures were made."""
     loaded: dict[str, Any] = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     return loaded
 
 
 def stored(name: str, folder: Path = FOLDER) -> Floats:
-    """The stored picture of a scene, (h, w, 3), linear.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is none.
-    """
+    """The stored picture of a scene, (h, w, 3), linear; FileNotFoundError if there is none."""
     path = folder / f"{name}.exr"
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; python -m reference.regenerate makes it")

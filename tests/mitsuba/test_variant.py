@@ -55,6 +55,7 @@ def test_without_a_library_the_scalar_variant_is_left(tmp_path: Path, there: boo
     assert rendered_with(str(fake)).startswith(f"{SCALAR} no usable libLLVM")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", LIBRARIES or [None], ids=str)
 def test_every_library_on_this_machine_renders_in_some_variant(library: Path | None) -> None:
     if library is None:
