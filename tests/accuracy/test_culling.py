@@ -22,7 +22,7 @@ from tracer.picture import bands
 from tracer.view.camera import raster_of
 from tracer.view.hits import Hits
 from tracer.view.samples import Samples, Scattered
-from tracer.view.view import View, frames_of, view_of
+from tracer.view.view import View, view_of
 
 
 def assert_same(scene: Scene) -> None:
@@ -162,7 +162,7 @@ def test_nothing_is_seen_outside_the_window(kind: str) -> None:
     for seed in range(2 if kind == "crowd" else 12):
         scene = random_scene(kind, seed, 40, 30)
         raster = raster_of(scene.camera, scene.width, scene.height)
-        frames = frames_of(raster, scene.surfaces)
+        frames = view_of(raster, scene.surfaces).frames
         image = brute_force(scene)
         image[frames.window(raster)] = 0
         assert not image.any()
@@ -174,7 +174,7 @@ def test_the_window_is_tight(surface: Sphere | Box) -> None:
     # All that is seen is lit.
     alone = scene(surface, light=CAMERA.view_point)
     raster = raster_of(alone.camera, alone.width, alone.height)
-    frames = frames_of(raster, alone.surfaces)
+    frames = view_of(raster, alone.surfaces).frames
     seen = render(alone).any(axis=2)
     for window, axis in zip(frames.window(raster), (1, 0), strict=True):
         first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()

@@ -31,8 +31,7 @@ from tracer.antialias.lines import Kind, Lines, joined
 from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
-from tracer.shapes.frames import Frames
-from tracer.view.camera import Raster
+from tracer.view.view import View
 
 __all__ = ["antialiased", "dense", "splittings"]
 
@@ -63,12 +62,12 @@ _SAME = 6.0
 _LINES = 4
 
 
-def dense(frames: Frames, raster: Raster, per_side: int) -> bool:
+def dense(view: View, per_side: int) -> bool:
     """Whether a picture is so full of outlines that samples everywhere cost less than looks.
 
     Either way it is to be as accurate as per_side x per_side samples in every pixel.
     """
-    return frames.pairs_in_pixel(raster) > _DENSE * per_side**2
+    return view.frames.pairs_in_pixel(view.raster) > _DENSE * per_side**2
 
 
 def splittings(per_side: int) -> int:

@@ -28,7 +28,7 @@ from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.suspicions import SceneWarning, suspicions
 from tracer.view.camera import raster_of
-from tracer.view.view import distinct, frames_of, view_of
+from tracer.view.view import distinct, view_of
 
 __all__ = ["render", "render_compressed", "to_png"]
 
@@ -216,7 +216,7 @@ class _Picture:
         if per_side > 1:
             from tracer.antialias.refine import dense
 
-            if dense(frames_of(self._raster, self._surfaces), self._raster, per_side):
+            if dense(view_of(self._raster, self._surfaces), per_side):
                 self._lattice = lattice = Lattice.of(per_side)
                 columns, rows = lattice.columns, lattice.rows
                 self._per_side, moved = 1, (right * columns, down * rows)

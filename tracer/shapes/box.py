@@ -82,11 +82,6 @@ class Boxes:
         first = surfaces.sphere_count
         return cls(first, low, high, frames, planes, slack, inside, slope)
 
-    @staticmethod
-    def frames_of(raster: Raster, surfaces: Surfaces) -> Frames:
-        """See `Spheres.frames_of`."""
-        return _frames(raster, _local_corners(raster, surfaces.min_pt, surfaces.max_pt))
-
     @property
     def count(self) -> int:
         """Number of boxes."""

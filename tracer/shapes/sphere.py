@@ -94,11 +94,6 @@ class Spheres:
         power = np.where(on, 0, height * (distance + radius))
         return cls(center, radius, local, power, _frames(raster, local, radius))
 
-    @staticmethod
-    def frames_of(raster: Raster, surfaces: Surfaces) -> Frames:
-        """`frames`, for those who need nothing else."""
-        return _frames(raster, raster.to_camera(surfaces.center), surfaces.radius)
-
     @property
     def count(self) -> int:
         """Number of spheres."""

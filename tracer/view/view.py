@@ -78,11 +78,6 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
     )
 
 
-def frames_of(raster: Raster, surfaces: Surfaces) -> Frames:
-    """Bounds of all objects in the picture, spheres first."""
-    return Frames.joined(Spheres.frames_of(raster, surfaces), Boxes.frames_of(raster, surfaces))
-
-
 def distinct(surfaces: Surfaces) -> Surfaces:
     """Leave out all that repeat an earlier surface: they are never seen, and shade nothing more."""
     spheres = np.column_stack([surfaces.center, surfaces.radius])
