@@ -12,7 +12,7 @@ lit or in shadow.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -143,17 +143,13 @@ def mitsuba_render(scene: Scene, variant: str) -> Floats:
         "film": film | {"rfilter": {"type": "box"}, "component_format": "float32"},
         "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
     }
-    light = {"type": "unattenuated_point", "intensity": [float(np.pi)] * 3}
+    light: Any = {"type": "unattenuated_point", "intensity": [float(np.pi)] * 3}
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    parts = {
-        "integrator": {"type": "direct"},
-        "sensor": sensor,
-        "light": light | {"position": [*scene.lights[0].position]},
-    }
-    for k, s in enumerate(scene.surfaces):
-        if isinstance(s, Sphere):
-            sphere = {"type": "sphere", "center": s.center, "radius": s.radius, "bsdf": white}
-            parts[f"sphere{k}"] = sphere
+    light["position"] = [*scene.lights[0].position]
+    parts = {"integrator": {"type": "direct"}, "sensor": sensor, "light": light}
+    spheres = zip(scene.surfaces.center.tolist(), scene.surfaces.radius.tolist(), strict=True)
+    for k, (center, radius) in enumerate(spheres):
+        parts[f"{k}"] = {"type": "sphere", "center": center, "radius": radius, "bsdf": white}
     return np.array(mi.render(mi.load_dict({"type": "scene", **parts})), dtype=np.float64)
 
 
@@ -202,18 +198,14 @@ class Panel:
 
     title: str
     axis: str
-    at: Floats
+    at: NDArray[Any]
     scene: Callable[[float], Scene]
     judge: Callable[[Floats, Floats], float]
     methods: tuple[str, ...]
-    guides: tuple[tuple[str, int], ...] = ()
-    """Lines of ε (of float32 and of float64) times powers of what is along the axis."""
+    guides: tuple[tuple[str, int, int], ...] = ()
+    """Lines of ε, of float32 and of float64, times a power of x; named above (1) or below (-1)."""
     nearby: tuple[float, ...] = (1.0,)
     """A point shows the worst of the scenes at these multiples of its place on the axis."""
-
-
-def _powers(base: float, first: float, last: float, step: float) -> Floats:
-    return np.asarray(base ** np.arange(first, last + step / 2, step))
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
@@ -227,22 +219,25 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
-    Panel("A sphere far away", "distance / radius (D)", _powers(10, 1, 8, 0.5), distant,
-          largest_error, (*_HITS, *_MITSUBA), (("εD", 1), ("εD²", 2))),
+    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant,
+          largest_error, (*_HITS, *_MITSUBA), (("εD", 1, -1), ("εD²", 2, -1))),
     Panel("Hit or missed: within 10⁻⁶ of the limb", "distance / radius (D)",
-          _powers(2, 3, 25, 2), limb, wrong_share, _HITS),
-    Panel("A scene far from the origin", "offset / radius", _powers(10, 0, 8, 0.5), moved,
-          largest_error, _MOVED, (("ε · offset", 1), ("ε · offset²", 2)), _NEARBY),
+          np.logspace(3, 25, 12, base=2), limb, wrong_share, _HITS),
+    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
+          largest_error, _MOVED, (("ε · offset", 1, 1), ("ε · offset²", 2, 1)), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
-          _powers(2, 0, 28, 2), lambda x: ball_on_ground(offset=x), wrong_share, _SHADOWS),
-    Panel("The ground as a huge sphere", "radius / height of the eye", _powers(10, 1, 9, 0.5),
-          ground, largest_error, (*_HITS, *_MITSUBA), (("ε · radius", 1),)),
+          np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
+          wrong_share, _SHADOWS),
+    Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
+          ground, largest_error, (*_HITS, *_MITSUBA), (("ε · radius", 1, 1),)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
-          _powers(2, 1, 27, 2), lambda x: ball_on_ground(radius=x / 2), wrong_share, _SHADOWS),
-    Panel("A narrow highlight", "Phong exponent (e)", _powers(10, 0, 8, 0.5), shiny,
-          largest_error, _SHINY, (("εe", 1),)),
+          np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
+          wrong_share, _SHADOWS),
+    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), shiny,
+          largest_error, _SHINY, (("εe", 1, -1),)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
-          _powers(2, -30, 30, 4), lambda x: ball_on_ground(scale=x), wrong_share, _SHADOWS),
+          np.logspace(-30, 30, 16, base=2), lambda x: ball_on_ground(scale=x),
+          wrong_share, _SHADOWS),
 )
 # fmt: on
 
@@ -263,7 +258,7 @@ def measure(panel: Panel, methods: dict[str, Method], at: Iterable[float]) -> di
 # --- The chart -------------------------------------------------------------------------
 
 
-def _draw(axes: Any, panel: Panel, at: Floats, found: dict[str, Floats]) -> None:
+def _draw(axes: Any, panel: Panel, at: NDArray[Any], found: dict[str, Floats]) -> None:
     error = panel.judge is largest_error
     first = panel.scene(float(at[0]))
     floor, top = (_DIGITS, 1.0) if error else (25 / (first.width * first.height), 100.0)
@@ -273,8 +268,8 @@ def _draw(axes: Any, panel: Panel, at: Floats, found: dict[str, Floats]) -> None
     if error:
         axes.axhspan(_VISIBLE, 1.6, color="#fbe8dd", lw=0, zorder=0)
         # In an SVG, ordinary spaces at the beginning do not count.
-        words, look = "\u00a0\u00a0visible in the picture", {"fontsize": 8.5, "style": "italic"}
-        axes.text(at[0], _VISIBLE, words, va="bottom", color="#a04000", **look)
+        look = {"color": "#a04000", "fontsize": 8.5, "style": "italic", "path_effects": HALO}
+        axes.text(at[0], _VISIBLE, "\u00a0\u00a0visible in the picture", va="bottom", **look)
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
         # Nothing is named above these, so they may be taller.
@@ -282,12 +277,13 @@ def _draw(axes: Any, panel: Panel, at: Floats, found: dict[str, Floats]) -> None
         axes.set_position((box.x0, box.y0, box.width, box.height + more))
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
-    for name, power in panel.guides:
+    for name, power, side in panel.guides:
         for eps in (2.0**-24, 2.0**-53):
             axes.plot(at, eps * at**power, color="#888888", lw=1, ls=(0, (1, 2.5)), zorder=1)
         k = len(at) // 3 if power == 2 else len(at) - 2
-        place = {"xytext": (3, -13), "textcoords": "offset points", "path_effects": HALO}
-        axes.annotate(name, (at[k], eps * at[k] ** power), color="#555555", zorder=7, **place)
+        place = {"xytext": (-3 * side, 9 * side - 4), "textcoords": "offset points"}
+        look = {"ha": "right" if side > 0 else "left", "color": "#555555", "path_effects": HALO}
+        axes.annotate(name, (at[k], eps * at[k] ** power), zorder=7, **place, **look)
     ends, lost = list[End](), list[End]()
     for name, values in found.items():
         look = LOOKS[_ALL[name][0]]
@@ -302,16 +298,6 @@ def _draw(axes: Any, panel: Panel, at: Floats, found: dict[str, Floats]) -> None
     label_losses(axes, lost)
 
 
-def _rows(methods: dict[str, Method], step: int) -> Iterator[tuple[object, ...]]:
-    """What is measured in all panels, at every so many points of their axes."""
-    for panel in tqdm(PANELS, disable=None):
-        at = panel.at[::step]
-        unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
-        for name, values in measure(panel, methods, at).items():
-            for x, value in zip(at, values, strict=True):
-                yield panel.title, panel.axis, float(x), name, unit, float(value)
-
-
 def _chart(path: Path) -> Any:
     """The figure of a stored table."""
     figure, grid = plt.subplots(4, 2, figsize=(14, 17))
@@ -324,13 +310,14 @@ def _chart(path: Path) -> Any:
     )
     where, rows = read_csv(path)
     figure.text(0.03, 0.008, f"Measured on {where}.", color="#666666", fontsize=9)
-    curves: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-    for title, _, at, name, _, value in rows:
-        curves[title][name].append((float(at), float(value)))
     for axes, panel in zip(grid.ravel(), PANELS, strict=True):
-        found = {name: np.array(points).T for name, points in curves[panel.title].items()}
-        at = next(iter(found.values()))[0]
-        _draw(axes, panel, at, {name: values for name, (_, values) in found.items()})
+        curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        for title, _, x, name, _, value in rows:
+            if title == panel.title:
+                curves[name].append((float(x), float(value)))
+        at = np.array([x for x, _ in curves["this tracer"]])
+        found = {name: np.array([value for _, value in points]) for name, points in curves.items()}
+        _draw(axes, panel, at, found)
     return figure
 
 
@@ -344,9 +331,14 @@ def main() -> None:
     else:
         where = measured_on()
         # All of them before the stored table is replaced.
-        rows = [*_rows(methods_of(), step=3 if options.quick else 1)]
-        columns = ("panel", "axis", "at", "method", "measure", "value")
-        write_csv(chart, where, columns, rows)
+        rows: list[tuple[object, ...]] = []
+        for panel in tqdm(PANELS, disable=None):
+            at = panel.at[:: 3 if options.quick else 1].tolist()
+            unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
+            for name, values in measure(panel, methods_of(), at).items():
+                points = zip(at, values.tolist(), strict=True)
+                rows += ((panel.title, panel.axis, x, name, unit, value) for x, value in points)
+        write_csv(chart, where, ("panel", "axis", "at", "method", "measure", "value"), rows)
     save(_chart(chart), chart.with_suffix(".svg"))
 
 
