@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tracer.explain import Explanation, explain
+    from tracer.explanation import Explanation, explain
     from tracer.picture.bands import render
     from tracer.picture.png import to_codes, write_png
     from tracer.scene.model import Scene, Surfaces
@@ -49,14 +49,14 @@ __version__ = "2.0.0"
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = {
-        "Explanation": "tracer.explain",
+        "Explanation": "tracer.explanation",
         "Hits": "tracer.view.first_hits",
         "Scene": "tracer.scene.model",
         "SceneError": "tracer.scene.schema",
         "SceneFileError": "tracer.scene.reader",
         "SceneWarning": "tracer.suspicions",
         "Surfaces": "tracer.scene.model",
-        "explain": "tracer.explain",
+        "explain": "tracer.explanation",
         "first_hits": "tracer.view.first_hits",
         "load_scene": "tracer.scene.reader",
         "render": "tracer.picture.bands",

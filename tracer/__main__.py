@@ -91,11 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         package = (error.name or "numpy").partition(".")[0]
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         return FAILED
-    except (
-        ImportError,
-        MemoryError,
-        SystemError,
-    ) as error:  # NumPy has a page to say about the former
+    except (ImportError, MemoryError, SystemError) as error:
+        # What NumPy says of a library that cannot be loaded is a page.
         reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
         remedy = "give it more memory, or install NumPy again"
         print_line(sys.stderr, printable(f"the tracer cannot start: {reason}; {remedy}"))
@@ -114,13 +111,8 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
     add = parser.add_argument
-    add(
-        "scenes",
-        nargs="+",
-        type=file_name,
-        metavar="SCENE.xml",
-        help="a scene file; - for standard input",
-    )
+    what = "a scene file; - for standard input"
+    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=what)
     add(
         "-o",
         "--output",
@@ -136,17 +128,9 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         metavar="N",
         help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
     )
-    add(
-        "--size",
-        type=_size,
-        metavar="WxH",
-        help="width and height of the pictures in pixels, whatever the files say",
-    )
-    add(
-        "--watch",
-        action="store_true",
-        help="render again whenever a scene file is saved, until interrupted",
-    )
+    what = "width and height of the pictures in pixels, whatever the files say"
+    add("--size", type=_size, metavar="WxH", help=what)
+    add("--watch", action="store_true", help="render again whenever a scene file is saved")
     add(
         "--processes",
         type=whole_number(1),
@@ -298,7 +282,7 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
 
 def _explain(scene: Scene, path: str, pixel: tuple[int, int]) -> str | None:
     """Print what goes into a pixel; return what is wrong with it."""
-    from tracer.explain import explain
+    from tracer.explanation import explain
 
     try:
         for line in str(explain(scene, *pixel)).splitlines():

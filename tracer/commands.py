@@ -79,20 +79,11 @@ def output_paths(
     beside: Sequence[str],
     files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda target: (target,),
 ) -> list[str]:
-    """Choose where each scene's result goes.
+    """Choose where each scene's result goes: to `output`, a file or a folder, or `beside` it.
 
-    Parameters
-    ----------
-    parser : ArgumentParser
-        Ends the process: with status 2 where a result would replace a scene or another result,
-        with 1 in a working folder that is gone.
-    scenes : sequence of str
-    output : str or None
-        The option `-o`: a file, or a folder for all results.
-    beside : sequence of str
-        A result's path beside each scene, for want of `output`.
-    files
-        All that is written for a result's path.
+    `files` returns all that is written for a result's path.  The parser ends the process with
+    status 2 where one of these would replace a scene or another result, and with 1 in a working
+    folder that is gone.
     """
     if output is None:
         found = list(beside)
@@ -136,19 +127,10 @@ def print_line(stream: TextIO | None, text: str) -> None:
 
 @contextmanager
 def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[bytes]]:
-    """Open a new file that replaces `path` once it is whole, and vanishes after an error.
+    """Open a new binary file that replaces `path` once it is whole, and vanishes after an error.
 
-    Parameters
-    ----------
-    path : str or path-like
-        A link stays one: what it points to is replaced.
-    begins : bytes
-        The first bytes of such files.  A file that begins otherwise is somebody's work, and stays,
-        unless it is empty.
-
-    Yields
-    ------
-    binary file
+    A link stays one: what it points to is replaced.  Such files begin with the bytes `begins`; one
+    that does not is somebody's work, and stays, unless it is empty.
 
     Raises
     ------

@@ -98,7 +98,7 @@ def test_output_file(scene):
 @pytest.mark.parametrize("made", [True, False])
 def test_output_folder(scene, made):
     other = scene.with_name("other.xml")
-    other.write_text(SCENE.format(3, 2))
+    other.write_text(SCENE.format(3, 3))
     folder = scene.parent / "deep" / "pictures"
     if made:
         folder.mkdir(parents=True)
@@ -445,7 +445,7 @@ def test_ends_of_children_that_the_caller_ignores(scene):
 
 def test_no_one_reads_the_output(scene, unread):
     other = scene.with_name("other.xml")
-    other.write_text(SCENE.format(3, 2))
+    other.write_text(SCENE.format(3, 3))
     done = subprocess.run(
         command(scene, other), stdout=unread, stderr=subprocess.PIPE, env=ENVIRONMENT
     )
@@ -605,7 +605,7 @@ def test_standard_output_that_no_one_reads(scene, unread):
 def test_watch(scene):
     """A file that is saved, is faulty, is mended, is replaced, is removed."""
     other = scene.with_name("other.xml")
-    other.write_text(SCENE.format(3, 2))
+    other.write_text(SCENE.format(3, 3))
     with subprocess.Popen(
         command(scene, other, "--watch"), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, env=ENVIRONMENT,
@@ -613,9 +613,9 @@ def test_watch(scene):
         assert process.stdout is not None
         assert process.stderr is not None
         assert "ball.xml.png: 40 x 30" in process.stdout.readline()
-        assert "other.xml.png: 3 x 2" in process.stdout.readline()
-        other.write_text(SCENE.format(5, 4))
-        assert "other.xml.png: 5 x 4" in process.stdout.readline()
+        assert "other.xml.png: 3 x 3" in process.stdout.readline()
+        other.write_text(SCENE.format(5, 5))
+        assert "other.xml.png: 5 x 5" in process.stdout.readline()
         scene.write_text("<scene>")
         assert "ball.xml:1: " in process.stderr.readline()
         new = scene.with_name("new")

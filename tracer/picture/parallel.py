@@ -93,21 +93,9 @@ def _taken(queue: int) -> Iterator[int]:
 class _Worker:
     """Another process that takes part, as this one sees it.
 
-    Parameters
-    ----------
-    process : int
-        A child of this process.
-    files : ExitStack
-        Closes its files.
-    reports : int
-        Pipe on which it reports the numbers of parts it has done, and the end of each job.
-    calls : int, optional
-        Pipe on which it waits for jobs.
-
-    Attributes
-    ----------
-    busy, begun, lost : bool
-        Whether it has a job, has done a part of it, and has died.
+    It reports the numbers of the parts it has done, and the end of each job, on the pipe `reports`;
+    if it stays, it waits for jobs on `calls`.  It may have a job (`busy`), have done a part of it
+    (`begun`), or have died (`lost`).
     """
 
     def __init__(self, process: int, files: ExitStack, reports: int, calls: int = -1) -> None:
