@@ -24,17 +24,14 @@ from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
 from tracer.antialias import refine as antialias
-from tracer.antialias.classify import LightingIn, Seen
+from tracer.antialias.classify import Seen
 from tracer.antialias.lattice import Lattice
 from tracer.antialias.lines import Lines
 from tracer.antialias.regions import Points
 from tracer.arrays import Floats, Ints
 from tracer.light import shading
-from tracer.light.lighting import Lighting
 from tracer.picture import bands
-from tracer.shadow import grid as light_buffers
-from tracer.shadow import occlusion as shadow
-from tracer.shadow import packets as stretches
+from tracer.shadow import occluders, occlusion
 from tracer.shapes.box import Boxes
 from tracer.shapes.sphere import Spheres
 from tracer.view import visibility
@@ -83,11 +80,6 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     return np.zeros_like(radiance), np.zeros(key.size)
 
 
-def _forgotten(_: Seen, lighting: Lighting) -> LightingIn:
-    """What may shade samples is sought anew, whatever looks have found."""
-    return lambda _: lighting
-
-
 def _alike(_: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Points, Ints]:
     """All points in a cell have the same share, whatever lines lie between them."""
     cell, shares = np.repeat(cells, x.size), np.full(cells.size * x.size, 1 / x.size)
@@ -108,18 +100,9 @@ def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
 
 
 ONE_SAMPLE = [
-    Part(
-        "no stretches: light buffers for all shadows",
-        [(shadow, "_FEW", _NEVER), (shadow, "_MOST", _NEVER)],
-    ),
-    Part(
-        "no light buffers: stretches for all shadows",
-        [(shadow, "_FEW", _ALWAYS), (shadow, "_MOST", _ALWAYS)],
-    ),
-    Part("no stretch certainly in shadow", [_uncertain(Spheres), _uncertain(Boxes)]),
-    Part("no long stretches before short ones", [(stretches, "_LONG", stretches._SHORT)]),
-    Part("no tiles in blocks", [(stretches, "_TILE", 144), (stretches, "_BLOCK", 1)]),
-    Part("no planes between cells and objects", [(light_buffers, "_FEW_CELLS", _ALWAYS)]),
+    Part("no tiles: short packets ask the grid", [(occluders, "LONGEST", occlusion._SHORT)]),
+    Part("no short packets: tiles of long ones ask the grid", [(occluders, "_FEW", _ALWAYS)]),
+    Part("no packet certainly in shadow", [_uncertain(Spheres), _uncertain(Boxes)]),
     Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
     Part("no bands: the picture in one", [(bands, "_TILE_SAMPLES", _ALWAYS)]),
     Part("bands of 16,384 pixels", [(bands, "_TILE_SAMPLES", 1 << 14)]),
@@ -137,7 +120,7 @@ ANTIALIASING = [
         "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]
     ),
     Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
-    Part("no memory of looks: shadows sought anew", [(Seen, "lighting_in", _forgotten)]),
+    Part("no memory of looks: shadows sought anew", [(Seen, "nearby", lambda _: None)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
     Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
 ]

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 from tracer.antialias import refine as antialias
-from tracer.shadow import occlusion as shadow
+from tracer.shadow import occluders
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")
@@ -63,23 +63,10 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
 
 
-@pytest.fixture
-def all_by_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stretches find all shadows."""
-    monkeypatch.setattr(shadow, "_FEW", 10**9)
-
-
-@pytest.fixture
-def all_by_light_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Light buffers find all shadows."""
-    monkeypatch.setattr(shadow, "_FEW", -1)
-    monkeypatch.setattr(shadow, "_MOST", -1)
-
-
-@pytest.fixture(params=["all_by_stretches", "all_by_light_buffers"])
-def either_finder(request: pytest.FixtureRequest) -> None:
-    """All shadows are found in one of the two ways, or in the other."""
-    request.getfixturevalue(request.param)
+@pytest.fixture(params=[10**9, 0], ids=["tiles", "short packets"])
+def either_packets(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shadows are sought for large packets, as among few objects, or for small ones."""
+    monkeypatch.setattr(occluders, "_FEW", request.param)
 
 
 @pytest.fixture

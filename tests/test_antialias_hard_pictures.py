@@ -263,7 +263,7 @@ def test_the_ends_of_a_thin_rod_far_away() -> None:
     no_worse_than_the_uniform_grid(scene, numbers=(16, 64))
 
 
-@pytest.mark.usefixtures("either_finder")
+@pytest.mark.usefixtures("either_packets")
 def test_a_light_on_a_ball() -> None:
     # Its tangent plane there divides what it lights from what the ball shades: on the wall.
     wall = Box(min_pt=(-9, -9, -4), max_pt=(9, 9, -3))

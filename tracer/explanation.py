@@ -178,7 +178,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     raster = raster_of(scene.camera, width, height)
-    lighting = lighting_of(scene, view_of(raster, scene.surfaces), split=False)
+    lighting = lighting_of(scene, view_of(raster, scene.surfaces))
     samples = CENTRES.samples(slice(y, y + 1), slice(x, x + 1))
     radiance = radiance_at(lighting, samples)
     hit, hits = first_hits(scene, [x + 0.5], [y + 0.5]), visible(lighting.view, samples)

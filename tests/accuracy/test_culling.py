@@ -28,15 +28,14 @@ from tracer.view.view import View, view_of
 def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
-    Made in all ways that there are: as with many samples for each object, and with few; objects
+    Made in all ways that there are: with large packets, single points and short packets; objects
     one by one, and together; samples in rows, and scattered.
     """
     expected = brute_force(scene)
-    for samples_each, large in ((1e-3, 100), (1e-3, 1e9), (1e9, 1e9)):
+    for few, part, large in ((1e9, 0.5, 100), (0, 1e-9, 1e9), (0, 0.2, 1e9)):
         with (
-            patch("tracer.shadow.occlusion._PIXELS_EACH", samples_each),
-            patch("tracer.shadow.occlusion._SPLIT_EACH", samples_each),
-            patch("tracer.shadow.occlusion._FEW", 0),
+            patch("tracer.shadow.occluders._FEW", few),
+            patch("tracer.shadow.occluders._PART", part),
             patch("tracer.view.visibility._LARGE", large),
         ):
             images = render(scene), scattered(scene)
@@ -60,7 +59,7 @@ def scattered(scene: Scene) -> Floats:
     x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
     samples, order = Scattered.of(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
-    radiance[:, order] = lighting.radiance_at(lighting.lighting_of(coarse, view, True), samples)
+    radiance[:, order] = lighting.radiance_at(lighting.lighting_of(coarse, view), samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
@@ -72,21 +71,20 @@ def test_random_scenes(kind: str, width: int, height: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_light_buffers_of_a_part_of_the_field(kind: str) -> None:
+def test_grids_of_a_part_of_the_field(kind: str) -> None:
     for seed in range(4):
         scene = random_scene(kind, seed, 60, 44)
-        with patch("tracer.shadow.grid._CROWDED", 0.9):
+        with patch("tracer.shadow.grid._BEYOND", 3):
             assert_same(scene)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_light_buffers_of_large_cells(kind: str) -> None:
+def test_grids_of_large_cells(kind: str) -> None:
     for pairs in (1, 40, 1000):
         scene = random_scene(kind, pairs, 60, 44)
         with (
             patch("tracer.shadow.grid._PAIRS", pairs),
-            patch("tracer.shadow.occlusion._PIXELS_EACH", 1e9),
-            patch("tracer.shadow.occlusion._FEW", 0),
+            patch("tracer.shadow.occluders._FEW", 0),
         ):
             image = render(scene)
         np.testing.assert_array_equal(image, brute_force(scene))

@@ -144,7 +144,7 @@ def test_antialiased_in_another_order_and_in_tiles(
             assert np.array_equal(render(shuffled, 16, processes=1), image)
 
 
-@pytest.mark.usefixtures("pixels_are_split", "either_finder")
+@pytest.mark.usefixtures("pixels_are_split", "either_packets")
 def test_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     # The cells of a large band are split and sampled some at a time.
     for seed in range(3):

@@ -8,8 +8,7 @@ lines is *unresolved*.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,17 +25,14 @@ from tracer.light.lighting import (
     radiance_at,
     shade,
 )
-from tracer.shadow.occluders import ShadowEdges
+from tracer.shadow.occlusion import NearbyShadows, ShadowEdges, shadow_edges
 from tracer.view.samples import Samples, Scattered
 from tracer.view.visibility import visible_and_behind
 
-__all__ = ["Cells", "LightingIn", "Seen", "look", "look_at", "radiance_in"]
+__all__ = ["Cells", "Seen", "look", "look_at", "radiance_in"]
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
-
-LightingIn: TypeAlias = Callable[[Ints], Lighting]
-"""Given the cell of each sample: the lighting, with what is known of shadows in those cells."""
 
 
 class Cells(NamedTuple):
@@ -111,32 +107,32 @@ class Seen(NamedTuple):
     shadow_edges: ShadowEdges
     unresolved: Bools
 
-    def lighting_in(self, lighting: Lighting) -> LightingIn:
-        """The lighting for samples in cells, with what the look has found of shadows there."""
-        if not lighting.shadows.caches:
-            return lambda _: lighting
-        seen = self.cell[self.shadow_edges.hits.sample]
-        place = np.full(self.key.size, -1)
-        place[seen] = np.arange(seen.size)
-        cached = lighting.shadows.cached(self.shadow_edges)
-        return lambda cell: lighting._replace(shadows=cached(place[cell]))
+    def nearby(self) -> NearbyShadows:
+        """What the look has found of shadows, by cell."""
+        point = np.full(self.key.size, -1)
+        point[self.cell[self.shadow_edges.sample]] = np.arange(self.shadow_edges.own.size)
+        return NearbyShadows(self.shadow_edges, point)
 
 
-def radiance_in(lighting_in: LightingIn, x: Floats, y: Floats, cell: Ints) -> tuple[Floats, Ints]:
+def radiance_in(
+    lighting: Lighting, nearby: NearbyShadows | None, x: Floats, y: Floats, cell: Ints
+) -> tuple[Floats, Ints]:
     """Radiance (3, n) and keys (n,), as in `Seen`, at positions in any order.
 
-    `cell` (n,): the cell that each lies in.
+    `cell` (n,): the cell, of those that `nearby` knows, that each lies in.
     """
     radiance, key, found = np.empty((3, x.size)), *np.full((2, x.size), -1)
     if x.size:
         samples, order = Scattered.of(x, y)
-        radiance[:, order] = radiance_at(lighting_in(cell[order]), samples, key=found)
+        known = nearby and nearby.at(cell[order])
+        radiance[:, order] = radiance_at(lighting, samples, key=found, nearby=known)
         key[order] = found
     return radiance, key
 
 
 def look_at(
-    lighting_in: LightingIn,
+    lighting: Lighting,
+    nearby: NearbyShadows | None,
     x: Floats,
     y: Floats,
     cell: Ints,
@@ -147,11 +143,12 @@ def look_at(
 ) -> Seen:
     """Look at cells of a size around positions in any order.
 
-    `cell` (n,): the cell, of those that `lighting_in` knows, in which each position lies.
+    `cell` (n,): the cell, of those that `nearby` knows, in which each position lies.
     `share`: see `look`.
     """
     samples, order = Scattered.of(x, y)
-    return look(lighting_in(cell[order]), samples, order, size, tolerance, share, outlines)
+    known = nearby and nearby.at(cell[order])
+    return look(lighting, samples, order, size, tolerance, share, outlines, known)
 
 
 def look(
@@ -162,11 +159,12 @@ def look(
     tolerance: float,
     share: float = 1.0,
     outlines: tuple[Margins, ...] | list[Margins] = (),
+    nearby: NearbyShadows | None = None,
 ) -> Seen:
     """Look at cells of a size around samples.
 
     `cell` (n,): the cell around each, a number less than n.  `share`: the part of its cell's width
-    that a sample stands for.
+    that a sample stands for.  `nearby`: what is known of shadows near the samples.
     """
     radiance, key = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
@@ -179,7 +177,7 @@ def look(
     wide = np.any(incoming.length2 < (share * footprint / _WIDE) ** 2, axis=0)
     unresolved[cell[hits.sample[wide]]] = True
     reach = np.where(wide, 0, footprint)
-    blocked, found = lighting.shadows.edges(hits, facing, reach)
+    blocked, found = shadow_edges(lighting.occluders, hits, facing, reach, nearby)
     lit = facing & ~blocked
     views = Views(lighting, hits, sheets(hits), cell[hits.sample], footprint, size)
     margins = [*outlines, *views.intersections(behind), *views.shadows(found)]

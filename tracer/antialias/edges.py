@@ -22,7 +22,7 @@ from tracer.antialias.margins import (
 from tracer.arrays import Floats, Ints, Triple, columns, dot, each, entries, indices, pick, select
 from tracer.light.lighting import Incoming, Lighting
 from tracer.scene.model import Surfaces
-from tracer.shadow.occluders import ShadowEdges
+from tracer.shadow.occlusion import ShadowEdges
 from tracer.shapes.rounding import INSIDE
 from tracer.shapes.silhouette import box_corners, silhouette_planes
 from tracer.view.camera import Raster
@@ -168,7 +168,7 @@ class Views(NamedTuple):
             radius = self.surfaces.radius[ball]
             distance = np.sqrt(dot(center, center))
             power = (distance - radius) * (distance + radius)
-            inside = entries(lighting.shadows.occluders.side, number[on], ball) == INSIDE
+            inside = entries(lighting.occluders.side, number[on], ball) == INSIDE
             power = np.where(inside, np.nan, np.maximum(power, 0))
             value = sphere_margins(_columns(q, on), center, radius, power)
             margins.append(_margins(self.cell[point[on]], Kind.SHADOW, value))

@@ -13,16 +13,15 @@ get samples on a lattice that is as good as the grid asked for; those between th
 same lines stand for their exact area together.  Where these do not see the same,
 there is an edge that was not found, and a finer lattice takes their place.
 
-Where light buffers find the shadows, what a look has found of them serves all
-samples in its cell.  In pictures full of edges there are no looks, and all pixels
-have the lattice.
+What a look has found of shadows serves all samples in its cell.  In pictures full
+of edges there are no looks, and all pixels have the lattice.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, LightingIn, Seen, look, look_at, radiance_in
+from tracer.antialias.classify import Cells, Seen, look, look_at, radiance_in
 from tracer.antialias.crossings import crossed
 from tracer.antialias.curvature import curvature, extrapolated
 from tracer.antialias.edges import silhouettes
@@ -31,6 +30,7 @@ from tracer.antialias.lines import Kind, Lines, joined
 from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
+from tracer.shadow.occlusion import NearbyShadows
 from tracer.view.view import View
 
 __all__ = ["antialiased", "dense", "splittings"]
@@ -165,12 +165,12 @@ def _refine(
     kept = indices(divided[there.cell])
     there.take(kept).add(colors[:, kept], mean)
     beside = beside.take(indices(divided[beside.cell]))
-    lighting_in = seen.lighting_in(lighting)
+    nearby = seen.nearby()
     if per_side > _LAST:
-        _split(lighting, lighting_in, cells, seen, rest, per_side, mean)
+        _split(lighting, nearby, cells, seen, rest, per_side, mean)
         rest = rest[:0]
     rounds = (per_side,) if cells.size == 1 else _ROUNDS
-    _sample(lighting, lighting_in, cells, lines, rest, rounds, beside, mean)
+    _sample(lighting, nearby, cells, lines, rest, rounds, beside, mean)
 
 
 def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
@@ -188,7 +188,7 @@ def _look_beyond(
     cell, x, y = sides.cell, sides.x, sides.y
     # A square of twice the size, around whichever point of a cell, contains all of the cell.
     at = cells.at(cell, x, y)
-    seen = look_at(lambda _: lighting, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
+    seen = look_at(lighting, None, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
     found = seen.lines
     a, b = found.a / 2, found.b / 2
     c = found.c - a * x[found.cell] - b * y[found.cell]
@@ -198,7 +198,7 @@ def _look_beyond(
 
 def _sample(
     lighting: Lighting,
-    lighting_in: LightingIn,
+    nearby: NearbyShadows | None,
     cells: Cells,
     lines: Lines,
     some: Ints,
@@ -230,7 +230,7 @@ def _sample(
         if not begin:
             points = points.joined(beside)
         radiance, key = radiance_in(
-            lighting_in, *cells.at(points.cell, points.x, points.y), points.cell
+            lighting, nearby, *cells.at(points.cell, points.x, points.y), points.cell
         )
         if finer:
             # What differs between the same lines shows that an edge has not been found.
@@ -240,12 +240,12 @@ def _sample(
         points.add(radiance, mean)
     again, none = indices(coarse), beside.take(np.arange(0))
     if again.size:
-        _sample(lighting, lighting_in, cells, lines, again, tuple(finer), none, mean)
+        _sample(lighting, nearby, cells, lines, again, tuple(finer), none, mean)
 
 
 def _split(
     lighting: Lighting,
-    lighting_in: LightingIn,
+    nearby: NearbyShadows | None,
     cells: Cells,
     seen: Seen,
     some: Ints,
@@ -261,7 +261,7 @@ def _split(
         q = quarters.cell
         outlines = silhouettes(lighting.view, q, quarters.owner, x[q], y[q], size)
         # `cell` of a quarter's silhouettes is the quarter
-        closer = look_at(lighting_in, x, y, inside, size, cells.tolerance, 1.0, outlines)
+        closer = look_at(lighting, nearby, x, y, inside, size, cells.tolerance, 1.0, outlines)
         bend, error = extrapolated(
             seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
         )

@@ -22,8 +22,8 @@ from tracer.arrays import (
 )
 from tracer.light.shading import Materials, highlight
 from tracer.scene.model import Scene
-from tracer.shadow.occluders import occluders_of
-from tracer.shadow.occlusion import Shadows, shadows_of
+from tracer.shadow.occluders import Occluders, occluders_of
+from tracer.shadow.occlusion import NearbyShadows, occlusion
 from tracer.shapes.rounding import INSIDE
 from tracer.view.hits import Group, Hits
 from tracer.view.samples import Samples
@@ -44,7 +44,7 @@ class Lighting(NamedTuple):
     intensities : (lights, 3)
     local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
-    shadows : Shadows
+    occluders : Occluders
     shader : (n,)
         Each object's index into `materials`.
     materials : Materials
@@ -53,14 +53,14 @@ class Lighting(NamedTuple):
     view: View
     intensities: Floats
     local: Floats
-    shadows: Shadows
+    occluders: Occluders
     shader: Ints
     materials: Materials
 
     @property
     def positions(self) -> Floats:
         """Positions of the lights (lights, 3), in the scene's axes."""
-        return self.shadows.occluders.lights
+        return self.occluders.lights
 
 
 class Incoming(NamedTuple):
@@ -139,32 +139,37 @@ class Highlights(NamedTuple):
         )
 
 
-def lighting_of(scene: Scene, view: View, split: bool) -> Lighting:
-    """Prepare a scene's lights, for pixels that may be split."""
+def lighting_of(scene: Scene, view: View) -> Lighting:
+    """Prepare a scene's lights."""
     surfaces, lights = view.surfaces, scene.lights
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
     return Lighting(
         view=view,
         intensities=np.array([light.intensity for light in lights]).reshape(-1, 3),
         local=np.column_stack(view.raster.to_camera(positions)),
-        shadows=shadows_of(occluders_of(view, positions), view.raster, split),
+        occluders=occluders_of(view, positions),
         shader=surfaces.shader_index,
         materials=Materials.of(surfaces.shaders),
     )
 
 
 def radiance_at(
-    lighting: Lighting, samples: Samples, out: Floats | None = None, key: Ints | None = None
+    lighting: Lighting,
+    samples: Samples,
+    out: Floats | None = None,
+    key: Ints | None = None,
+    nearby: NearbyShadows | None = None,
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given.
 
     If `key` (n,) is given, what `key_of` says is put there; what sees nothing is left as it is.
+    `nearby`: what is known of shadows near the samples.
     """
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
     incoming = incoming_at(lighting, hits)
     lit = incoming.n_dot_l > 0
-    lit &= ~lighting.shadows.blocked(hits, lit)
+    lit &= ~occlusion(lighting.occluders, hits, lit, nearby)
     for group in hits.groups:
         part = group.part
         shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
@@ -186,7 +191,7 @@ def key_of(group: Group, lit: Bools) -> Ints:
 
 def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
     """The light that comes in at all hits."""
-    occluders = lighting.shadows.occluders
+    occluders = lighting.occluders
     result = Incoming(*np.empty((2, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
         kept_out = lighting.view.eye_inside & (occluders.side[number] != INSIDE)

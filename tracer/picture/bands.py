@@ -264,7 +264,7 @@ class _Picture:
     def _lighting(self) -> Lighting:
         keep_heap()
         view = view_of(self._raster, self._surfaces)
-        return lighting_of(self.scene, view, self._per_side > 1)
+        return lighting_of(self.scene, view)
 
     @_QUIET
     def draw(self, number: int, out: Floats) -> None:

@@ -1,16 +1,16 @@
 """Which points the lights reach.
 
-All shadow segments end at a light, so an object can be ruled out for many of
-them at once.  The pairs of points and objects that remain are found in one of
-two ways, whichever has less to do: from coarse to fine in the picture
-(`stretches`), or by light buffers; near points that were looked at before, they
-are taken from a cache.  All pairs go through the same exact test.
+Packets of neighbouring points ask the lights' grids for objects that may come between.  What is
+found is narrowed down, from large packets to small ones, by whether objects meet the capsules
+around their segments; one that cuts a capsule certainly shades all of the packet.  The points that
+remain go through the exact test with each object that remains, pair by pair.
+
+Where shadows have been sought around a point, what was found there serves all samples nearby.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import sqrt
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,157 +19,302 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
+    Triple,
+    batches,
+    changes,
     columns,
+    dot,
     each,
     entries,
+    expand,
     indices,
+    pick,
     put,
+    ranges,
 )
-from tracer.shadow.occluders import (
-    Candidates,
-    Finder,
-    Occluders,
-    Pairs,
-    ShadowEdges,
-    point_candidates,
-)
-from tracer.shadow.packets import StretchFinder, stretch_finder
+from tracer.shadow.occluders import LONGEST, Occluders
+from tracer.shadow.packets import Packets, cut, packets_of, tiles_of
 from tracer.shapes.rounding import ON
-from tracer.view.camera import Raster
 from tracer.view.hits import Hits
 from tracer.view.view import Shape
 
-__all__ = ["Shadows", "shadows_of"]
+__all__ = ["NearbyShadows", "ShadowEdges", "occlusion", "shadow_edges"]
 
-# Stretches are used for up to `_FEW` objects; beyond that, for up to `_MOST` if there are
-# `_PIXELS_EACH` pixels for each object (`_SPLIT_EACH`, where pixels are split).
-_PIXELS_EACH, _SPLIT_EACH, _MOST, _FEW = 2000, 400, 1024, 64
+# Long packets are cut into packets of at most so many points.
+_SHORT = 6
 
 
-class Shadows(NamedTuple):
-    """What may keep lights from points.
+class ShadowEdges(NamedTuple):
+    """Where shadows may have an edge near some points, each on its own object.
 
     Attributes
     ----------
-    occluders : Occluders
-    finder : Finder
+    sample, own : (n,)
+        The sample that sees each point, and the object that it is on.
+    p : (3, n)
+        The points, as in `Hits`.
+    footprint : (n,)
+        Within which distance of each point is near.
+    frontlit, umbra : (lights, n)
+        Which points face which light, and where it reaches nothing that is near.
+    point, light, occluder : (m,)
+        Objects that may keep a light from some of what is near a point; the pairs ascend by light,
+        then by point.
     """
 
-    occluders: Occluders
-    finder: Finder
+    sample: Ints
+    own: Ints
+    p: Floats
+    footprint: Floats
+    frontlit: Bools
+    umbra: Bools
+    point: Ints
+    light: Ints
+    occluder: Ints
 
-    def blocked(self, hits: Hits, facing: Bools) -> Bools:
-        """Whether other objects than their own keep lights from points that face them.
 
-        `facing` and the answer: (lights, n).  Where a point does not face a light, the answer has
-        no meaning.
+class _Pairs(NamedTuple):
+    """Pairs of a point and an object that may keep a light from it.
+
+    Attributes
+    ----------
+    shape : Spheres or Boxes
+        Of all objects.
+    point, light, occluder : (m,)
+    closely : (m,)
+        See `Spheres.occludes`.
+    """
+
+    shape: Shape
+    point: Ints
+    light: Ints
+    occluder: Ints
+    closely: Bools
+
+    def take(self, index: Ints) -> _Pairs:
+        """Some of them."""
+        shape, point, light, occluder, closely = self
+        return _Pairs(
+            shape, point.take(index), light.take(index), occluder.take(index), closely.take(index)
+        )
+
+
+def occlusion(
+    occluders: Occluders, hits: Hits, frontlit: Bools, nearby: NearbyShadows | None = None
+) -> Bools:
+    """Whether other objects than their own keep lights from points.
+
+    `frontlit` and the answer: (lights, n).  Where a point does not face a light, the answer has no
+    meaning.
+    """
+    blocked = np.zeros(frontlit.shape, dtype=np.bool_)
+    for umbra, pairs in _candidates(occluders, hits, frontlit, nearby):
+        blocked |= umbra
+        block = _blocks(occluders, hits, pairs)
+        put(blocked, pairs.light[block], pairs.point[block], True)
+    return blocked
+
+
+def shadow_edges(
+    occluders: Occluders,
+    hits: Hits,
+    frontlit: Bools,
+    footprint: Floats,
+    nearby: NearbyShadows | None = None,
+) -> tuple[Bools, ShadowEdges]:
+    """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
+
+    Listed are the objects whose shadow's edge may be as near as that.  They block as they are, or
+    when grown by the footprint, or have the light within it of their surface; and they do not block
+    when shrunk by it.  Where any object does even then, nothing near is lit.
+    """
+    blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
+    none = np.zeros(0, dtype=np.intp)
+    edges = [(none, none, none)]
+    for dark, pairs in _candidates(occluders, hits, frontlit, nearby, footprint):
+        umbra |= dark
+        reach = footprint[pairs.point]
+        grown = _blocks(occluders, hits, pairs, reach)
+        # An object grown by more than the gap holds the light.  It may then hold the whole of a
+        # segment, and block nothing, where the object itself blocks it.
+        gap = pairs.shape.gap(pairs.occluder, columns(occluders.lights, pairs.light))
+        near = indices(grown | (gap <= reach))
+        pairs, reach, grown, gap = pairs.take(near), reach[near], grown[near], gap[near]
+        itself = _blocks(occluders, hits, pairs)
+        # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
+        # nothing.  Nor does that of a sphere with the light on its surface.
+        shrunk = itself & _blocks(occluders, hits, pairs, -reach)
+        shrunk &= entries(occluders.side, pairs.light, pairs.occluder) != ON
+        put(blocked, pairs.light[itself], pairs.point[itself], True)
+        put(umbra, pairs.light[shrunk], pairs.point[shrunk], True)
+        changing = ~shrunk & (grown | itself | (np.abs(gap) <= reach))
+        edge = indices(changing & entries(frontlit, pairs.light, pairs.point))
+        edges.append((pairs.light[edge], pairs.point[edge], pairs.occluder[edge]))
+    light, point, occluder = (np.concatenate(m) for m in zip(*edges, strict=True))
+    kept = indices(~entries(umbra, light, point))
+    # A pair may have been found in several octants of the grid.
+    objects = occluders.slack.size
+    pair = np.sort(((light * hits.first[-1] + point) * objects + occluder)[kept])
+    place, occluder = np.divmod(pair[changes(pair)], objects)
+    light, point = np.divmod(place, hits.first[-1])
+    found = ShadowEdges(
+        sample=hits.sample,
+        own=hits.own,
+        p=hits.p,
+        footprint=footprint,
+        frontlit=frontlit,
+        umbra=umbra,
+        point=point,
+        light=light,
+        occluder=occluder,
+    )
+    return blocked | umbra, found
+
+
+def _blocks(occluders: Occluders, hits: Hits, pairs: _Pairs, grown: Floats | None = None) -> Bools:
+    """The exact test of pairs; `grown` (m,): by how much objects grow on all sides."""
+    end = columns(occluders.lights, pairs.light)
+    eye, p = occluders.view.raster.eye, hits.points(pairs.point)
+    return pairs.shape.occludes(eye, pairs.occluder, p, end, pairs.closely, grown)
+
+
+def _candidates(
+    occluders: Occluders,
+    hits: Hits,
+    frontlit: Bools,
+    nearby: NearbyShadows | None,
+    footprint: Floats | None = None,
+) -> Iterator[tuple[Bools, _Pairs]]:
+    """All that may keep lights from points.
+
+    Yields, some at a time, points (lights, n) that are certainly in shadow, and pairs to be tested.
+    With a `footprint` (n,) they are those that may shade anything on a point's own object within
+    this distance of it.
+    """
+    if nearby is not None:
+        frontlit, umbra, known = nearby.candidates(occluders, hits, frontlit, footprint)
+        for pairs in known:
+            yield umbra, pairs
+    if occluders.grid is None or not frontlit.any():
+        return
+    # Scattered points stand close together: their packets are short from the start.
+    tiled = occluders.packet == LONGEST
+    longest = LONGEST if tiled and not hits.scattered else min(occluders.packet, _SHORT)
+    packets, run = packets_of(hits, occluders.slack, longest, footprint)
+    asked = np.logical_or.reduceat(frontlit, packets.start, axis=1)
+    tiles, order = packets, np.arange(run.size)
+    if tiled:
+        tiles, order = tiles_of(hits, packets, run, LONGEST)
+    else:
+        tiles = tiles._replace(start=order, length=np.ones_like(order))
+    in_tiles = np.logical_or.reduceat(asked[:, order], tiles.start, axis=1)
+    query = occluders.grid.query(tiles.middle, tiles.radius, tiles.owner, in_tiles)
+    for light, tile, occluder in query:
+        for shape in occluders.view.shapes:
+            kind = indices(shape.holds(occluder))
+            length = tiles.length[tile[kind]]
+            for batch in batches(length):
+                part, place = expand(length[batch], tiles.start[tile[kind[batch]]])
+                some, packet = kind[batch][part], order[place]
+                lit = indices(entries(asked, light[some], packet))
+                some, found = some[lit], packets.take(packet[lit])
+                yield _narrowed(occluders, hits, shape, found, light[some], occluder[some])
+
+
+def _narrowed(
+    occluders: Occluders,
+    hits: Hits,
+    shape: Shape,
+    packets: Packets,
+    light: Ints,
+    occluder: Ints,
+) -> tuple[Bools, _Pairs]:
+    """Cut packets (m,) that may be shaded by objects of a shape into short ones, and into points.
+
+    Returns what `_candidates` yields.
+    """
+    umbra = np.zeros((len(occluders.lights), hits.p.shape[1]), dtype=np.bool_)
+    for short in (False, True) if packets.length.max(initial=0) > _SHORT else (False,):
+        if short:
+            packets, parent = cut(hits, occluders.slack, packets, _SHORT)
+            light, occluder = light[parent], occluder[parent]
+        end = columns(occluders.lights, light)
+        meets, cuts = shape.capsules(occluder, packets.middle, end, packets.radius)
+        start, length = packets.start[cuts], packets.length[cuts]
+        put(umbra, light[cuts].repeat(length), ranges(start, length), True)
+        # A packet is in umbra as a whole, so its first point tells.
+        near = indices(meets & ~entries(umbra, light, packets.start))
+        packets, light, occluder = packets.take(near), light[near], occluder[near]
+    length = packets.length
+    closely = _closely(occluders, shape, packets.middle, packets.radius, light, occluder)
+    return umbra, _Pairs(
+        shape=shape,
+        point=ranges(packets.start, length),
+        light=light.repeat(length),
+        occluder=occluder.repeat(length),
+        closely=closely.repeat(length),
+    )
+
+
+def _closely(
+    occluders: Occluders, shape: Shape, middle: Triple, radius: Floats, light: Ints, occluder: Ints
+) -> Bools:
+    """Whether objects need to be looked at closely from balls, or from lights."""
+    touches = shape.touches(occluder, middle, radius + occluders.slack[occluder])
+    touches |= entries(occluders.near_light, light, occluder)
+    return touches
+
+
+class NearbyShadows(NamedTuple):
+    """What may shade samples near points around which shadows have been sought.
+
+    Attributes
+    ----------
+    edges : ShadowEdges
+        What was found there.
+    point : (samples,)
+        The point that each sample is near: an index into these, or -1 for none.
+    """
+
+    edges: ShadowEdges
+    point: Ints
+
+    def at(self, place: Ints) -> NearbyShadows:
+        """For other samples, each near the point of the sample at this place."""
+        return self._replace(point=self.point[place])
+
+    def candidates(
+        self, occluders: Occluders, hits: Hits, frontlit: Bools, footprint: Floats | None
+    ) -> tuple[Bools, Bools, list[_Pairs]]:
+        """Pairs to be tested where shadows are known, by kind, and points (lights, n) in umbra.
+
+        First returned: `frontlit` where they are not known.
         """
-        dark = np.zeros(facing.shape, dtype=np.bool_)
-        blocked = np.zeros(facing.shape, dtype=np.bool_)
-        for candidates in self.finder.candidates(hits, facing, dark):
-            pairs = candidates.pairs()
-            block = pairs.take(indices(self._blocks(hits, candidates, pairs)))
-            put(blocked, block.light, block.point, True)
-        return blocked | dark
-
-    def edges(self, hits: Hits, facing: Bools, footprint: Floats) -> tuple[Bools, ShadowEdges]:
-        """`blocked`, and where it may change within a distance `footprint` (n,) of a point.
-
-        Listed are the objects whose shadow's edge may be as near as that.  They block as they are,
-        or when grown by the footprint, or have the light within it of their surface; and they do
-        not block when shrunk by it.  Where any object does even then, all that is near is dark.
-        """
-        blocked, dark, solid = np.zeros((3, *facing.shape), dtype=np.bool_)
-        own, none = hits.own, np.zeros(0, dtype=np.intp)
-        found = [Pairs(none, none, none)]
-        for candidates in self.finder.candidates(hits, facing, dark, footprint):
-            pairs = candidates.pairs()
-            reach = footprint[pairs.point]
-            grown = self._blocks(hits, candidates, pairs, reach)
-            gap = self._gap_to_light(candidates)
-            near = indices(grown | (gap <= reach))
-            if not near.size:
-                continue
-            pairs, reach, grown, gap = pairs.take(near), reach[near], grown[near], gap[near]
-            single = point_candidates(
-                self.occluders, own, hits.points(pairs.point), pairs, footprint
-            )
-            itself = self._blocks(hits, single, pairs)
-            # A point on a sphere's inner side is outside the shrunk one: the answer of that alone
-            # says nothing.
-            shrunk = itself & self._blocks(hits, single, pairs, -reach)
-            # Nor does that of a sphere with the light on its surface.
-            shrunk &= entries(self.occluders.side, pairs.light, pairs.occluder) != ON
-            put(blocked, pairs.light[itself], pairs.point[itself], True)
-            put(solid, pairs.light[shrunk], pairs.point[shrunk], True)
-            changes = grown | itself | (np.abs(gap) <= reach)
-            edge = ~shrunk & changes & entries(facing, pairs.light, pairs.point)
-            found.append(pairs.take(indices(edge)))
-        every = Pairs(*(np.concatenate(m) for m in zip(*found, strict=True)))
-        blocked |= dark
-        dark |= solid
-        edges = every.take(indices(~entries(dark, every.light, every.point)))
-        return blocked, ShadowEdges(hits, own, footprint, facing, dark, *edges)
-
-    @property
-    def caches(self) -> bool:
-        """Whether it pays to cache shadow edges: not for stretches, which take points together."""
-        return not isinstance(self.finder, StretchFinder)
-
-    def cached(self, found: ShadowEdges) -> Callable[[Ints], Shadows]:
-        """A function from the point near each sample to `Shadows` that use what is known there.
-
-        `found`: the points' shadow edges.  A point is a place among these, or -1 for none.
-        """
-        from tracer.shadow.shadow_cache import ShadowCache
-
-        known = ShadowCache.of(self.finder, found)
-        return lambda near: self._replace(finder=known._replace(near=near))
-
-    def _blocks(
-        self,
-        hits: Hits,
-        candidates: Candidates,
-        pairs: Pairs,
-        larger: Floats | None = None,
-    ) -> Bools:
-        """Whether objects keep lights from points: the exact test of `candidates`, pair by pair.
-
-        `pairs` (n,): those of the candidates; `larger` (n,) grows objects on all sides.
-        """
-        occluders, balls = self.occluders, candidates.balls
-        # A ball around one point is centred on it.
-        p = balls.middle if candidates.single else hits.points(pairs.point)
-        end = each(candidates.spread, columns(occluders.lights, candidates.light))
-        shape = self._shape(candidates)
-        # Ends that may be on a surface are looked at more closely.
-        reach = balls.radius + occluders.slack[candidates.occluder]
-        closely = shape.touches(candidates.occluder, balls.middle, reach)
-        closely |= entries(occluders.near_light, candidates.light, candidates.occluder)
-        eye, closely = occluders.view.raster.eye, candidates.spread(closely)
-        return shape.occludes(eye, pairs.occluder, p, end, closely, larger)
-
-    def _shape(self, candidates: Candidates) -> Shape:
-        """The shape of the objects."""
-        return self.occluders.view.shape_of(candidates.occluder[0])
-
-    def _gap_to_light(self, candidates: Candidates) -> Floats:
-        """How far objects must grow to reach their light, for each point; negative with it inside.
-
-        An object grown by more holds the light.  It may then hold the whole of a segment, and
-        block nothing, where the object itself blocks it.
-        """
-        light = columns(self.occluders.lights, candidates.light)
-        return candidates.spread(self._shape(candidates).gap(candidates.occluder, light))
-
-
-def shadows_of(occluders: Occluders, raster: Raster, split: bool) -> Shadows:
-    """Prepare the shadows in a picture; `split`: whether its pixels may be split."""
-    pixels_each = _SPLIT_EACH if split else _PIXELS_EACH
-    # Stretches lie along rows: more pixels across make them longer, more rows only more numerous.
-    pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
-    if len(occluders.surfaces) <= max(_FEW, min(pixels / pixels_each, _MOST)):
-        return Shadows(occluders, stretch_finder(occluders))
-    from tracer.shadow.grid import light_buffer_finder
-
-    return Shadows(occluders, light_buffer_finder(occluders))
+        edges, own, place = self.edges, hits.own, self.point[hits.sample]
+        # Of points on the same object and within the footprint of the point that they are near.
+        at = indices(place >= 0)
+        near = place[at]
+        away = each(np.subtract, pick(hits.p, at), pick(edges.p, near))
+        reach = edges.footprint[near]
+        if footprint is not None:
+            reach = np.maximum(reach - footprint[at], 0)
+        inside = indices((dot(away, away) <= reach * reach) & (own[at] == edges.own[near]))
+        at, near = at[inside], near[inside]
+        known, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
+        known[:, at] = frontlit[:, at] & edges.frontlit[:, near]
+        umbra[:, at] = known[:, at] & edges.umbra[:, near]
+        light, point = np.nonzero(known & ~umbra)
+        key = light * edges.own.size + place[point]
+        count = np.bincount(edges.light * edges.own.size + edges.point, minlength=edges.umbra.size)
+        part, listed = expand(count[key], (count.cumsum() - count)[key])
+        light, point, occluder = light[part], point[part], edges.occluder[listed]
+        pairs = []
+        for shape in occluders.view.shapes:
+            at = indices(shape.holds(occluder))
+            to, which, other = light[at], point[at], occluder[at]
+            radius = occluders.slack[own[which]]
+            if footprint is not None:
+                radius = radius + footprint[which]
+            closely = _closely(occluders, shape, hits.points(which), radius, to, other)
+            pairs.append(_Pairs(shape, which, to, other, closely))
+        return frontlit & ~known, umbra, pairs

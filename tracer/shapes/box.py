@@ -188,6 +188,10 @@ class Boxes:
 
     # What blocks light.
 
+    def holds(self, owner: Ints) -> Bools:
+        """See `Spheres.holds`."""
+        return owner >= self.first
+
     def corners(self, owner: Ints) -> tuple[Triple, Triple]:
         """Lower and upper corners of some boxes."""
         box = owner - self.first

@@ -287,6 +287,10 @@ class Spheres:
 
     # What blocks light.
 
+    def holds(self, owner: Ints) -> Bools:
+        """Which objects are of this shape."""
+        return owner < self.count
+
     def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
         return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
