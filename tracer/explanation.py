@@ -17,9 +17,8 @@ from tracer.picture.png import to_codes
 from tracer.scene.model import Scene
 from tracer.scene.objects import unit
 from tracer.view.camera import raster_of
-from tracer.view.first_hits import Hits as FirstHits
-from tracer.view.first_hits import first_hits
-from tracer.view.hits import Hits
+from tracer.view.first_hits import Hits, first_hits
+from tracer.view.hits import Visible
 from tracer.view.view import view_of
 from tracer.view.visibility import visible
 
@@ -200,7 +199,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     )
 
 
-def _parts(scene: Scene, lighting: Lighting, hits: Hits, hit: FirstHits) -> Iterator[LightPart]:
+def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterator[LightPart]:
     """Each light's part at the one point that is hit."""
     owner, materials = int(hits.own[0]), lighting.materials
     shader = lighting.shader[owner]

@@ -20,7 +20,7 @@ from tracer.arrays import Floats
 from tracer.light import lighting
 from tracer.picture import bands
 from tracer.view.camera import raster_of
-from tracer.view.hits import Hits
+from tracer.view.hits import Visible
 from tracer.view.samples import Samples, Scattered
 from tracer.view.view import View, view_of
 
@@ -210,7 +210,7 @@ def test_many_plates_behind_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
     most, visible = 0, lighting.visible
 
-    def counted(view: View, samples: Samples) -> Hits:
+    def counted(view: View, samples: Samples) -> Visible:
         nonlocal most
         most = max(most, samples.size)
         return visible(view, samples)

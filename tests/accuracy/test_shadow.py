@@ -22,7 +22,7 @@ from tracer.shadow.occlusion import occlusion, shadow_edges
 from tracer.shapes.rounding import INSIDE, ON
 from tracer.shapes.sphere import Spheres
 from tracer.view.camera import raster_of
-from tracer.view.hits import Hits
+from tracer.view.hits import Visible
 from tracer.view.samples import Scattered
 from tracer.view.view import view_of
 from tracer.view.visibility import visible
@@ -30,7 +30,7 @@ from tracer.view.visibility import visible
 PACKETS = (1, 4, 24)
 
 
-def prepared(scene: Scene, scattered: bool) -> tuple[Occluders, Hits]:
+def prepared(scene: Scene, scattered: bool) -> tuple[Occluders, Visible]:
     """Occluders of a scene, and what its pixels' centres see."""
     view = view_of(raster_of(scene.camera, scene.width, scene.height), scene.surfaces)
     lights = np.array([light.position for light in scene.lights]).reshape(-1, 3)
@@ -40,7 +40,7 @@ def prepared(scene: Scene, scattered: bool) -> tuple[Occluders, Hits]:
     return occluders_of(view, lights), visible(view, samples)
 
 
-def all_pairs(hits: Hits, light: Floats, grown: Floats | None = None) -> tuple[Bools, Ints]:
+def all_pairs(hits: Visible, light: Floats, grown: Floats | None = None) -> tuple[Bools, Ints]:
     """Whether objects (points, n) block light, by the shapes' own exact tests; and the points."""
     view, count = hits.view, hits.p.shape[1]
     answers = []
@@ -59,7 +59,7 @@ def all_pairs(hits: Hits, light: Floats, grown: Floats | None = None) -> tuple[B
     return np.concatenate(answers, axis=1) & others, others
 
 
-def a_footprint(hits: Hits, seed: int) -> Floats:
+def a_footprint(hits: Visible, seed: int) -> Floats:
     """Random distances (n,), some of which are 0, in proportion to that of the point."""
     rng = np.random.default_rng(seed)
     return np.asarray(rng.choice([0, 1e-4, 1e-2, 0.3], hits.p.shape[1]) * hits.p[2])
@@ -120,7 +120,9 @@ def test_edges_of_shadows_are_found(kind: str, scattered: bool) -> None:
                 assert not shades_nearby(hits, light, reach, point, occluder).any()
 
 
-def shades_nearby(hits: Hits, light: Floats, reach: Floats, point: Ints, occluder: Ints) -> Bools:
+def shades_nearby(
+    hits: Visible, light: Floats, reach: Floats, point: Ints, occluder: Ints
+) -> Bools:
     """Whether occluders (m,) block light from any of some places within `reach` of points (m,)."""
     rng = np.random.default_rng(0)
     result = np.zeros(point.size, dtype=np.bool_)
@@ -141,7 +143,7 @@ def shades_nearby(hits: Hits, light: Floats, reach: Floats, point: Ints, occlude
 def test_what_is_known_nearby_changes_no_shadow(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     known = 0
 
-    def compared(occluders: Occluders, hits: Hits, frontlit: Bools, nearby: Any) -> Bools:
+    def compared(occluders: Occluders, hits: Visible, frontlit: Bools, nearby: Any) -> Bools:
         nonlocal known
         blocked, afresh = (occlusion(occluders, hits, frontlit, m) for m in (nearby, None))
         assert np.array_equal(blocked[frontlit], afresh[frontlit])
@@ -149,7 +151,7 @@ def test_what_is_known_nearby_changes_no_shadow(kind: str, monkeypatch: pytest.M
         return blocked
 
     def compared_edges(
-        occluders: Occluders, hits: Hits, frontlit: Bools, reach: Floats, nearby: Any
+        occluders: Occluders, hits: Visible, frontlit: Bools, reach: Floats, nearby: Any
     ) -> Any:
         blocked, found = shadow_edges(occluders, hits, frontlit, reach, nearby)
         afresh, _ = shadow_edges(occluders, hits, frontlit, reach)
@@ -276,7 +278,7 @@ def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere() -> None:
     )
     asked = tried = 0
 
-    def edges(occluders: Occluders, hits: Hits, *rest: Any) -> Any:
+    def edges(occluders: Occluders, hits: Visible, *rest: Any) -> Any:
         nonlocal asked, tried
         asked += hits.p.shape[1]
         occludes = Spheres.occludes

@@ -26,7 +26,7 @@ from tracer.shadow.occlusion import ShadowEdges
 from tracer.shapes.rounding import INSIDE
 from tracer.shapes.silhouette import box_corners, silhouette_planes
 from tracer.view.camera import Raster
-from tracer.view.hits import Group, Hits
+from tracer.view.hits import Group, Visible
 from tracer.view.view import View
 
 __all__ = ["Views", "footprints_of", "silhouettes"]
@@ -40,7 +40,7 @@ def _half_angle(raster: Raster, size: float) -> float:
     return 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
 
 
-def footprints_of(hits: Hits, radius: Floats, size: float) -> Floats:
+def footprints_of(hits: Visible, radius: Floats, size: float) -> Floats:
     """Footprints (n,): radii, around all points, of what cells of a size see.
 
     `radius`: of all spheres.
@@ -118,7 +118,7 @@ class Views(NamedTuple):
     """
 
     lighting: Lighting
-    hits: Hits
+    hits: Visible
     sheets: Sheets
     cell: Ints
     footprint: Floats
@@ -140,7 +140,7 @@ class Views(NamedTuple):
         d = rays(raster, s, g, self.size)
         return d, self.sheets.take(at).inverse(d)
 
-    def intersections(self, behind: Hits) -> list[Margins]:
+    def intersections(self, behind: Visible) -> list[Margins]:
         """Where surfaces meet those close `behind`."""
         if not behind.groups:
             return []

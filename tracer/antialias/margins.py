@@ -25,7 +25,7 @@ import numpy as np
 from tracer.antialias.lines import Kind, Lines
 from tracer.arrays import Floats, Ints, Triple, cross, dot, each, indices, pick
 from tracer.view.camera import Raster
-from tracer.view.hits import Hits
+from tracer.view.hits import Visible
 
 __all__ = [
     "Margins",
@@ -168,7 +168,7 @@ class Sheets(NamedTuple):
         return linear
 
 
-def sheets(hits: Hits) -> Sheets:
+def sheets(hits: Visible) -> Sheets:
     """The surfaces (n,) that all hits are on."""
     spheres = hits.view.spheres
     k, w = np.empty(hits.p.shape), np.zeros(hits.p.shape[1])

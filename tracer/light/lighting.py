@@ -25,7 +25,7 @@ from tracer.scene.model import Scene
 from tracer.shadow.occluders import Occluders, occluders_of
 from tracer.shadow.occlusion import NearbyShadows, occlusion
 from tracer.shapes.rounding import INSIDE
-from tracer.view.hits import Group, Hits
+from tracer.view.hits import Group, Visible
 from tracer.view.samples import Samples
 from tracer.view.view import View
 from tracer.view.visibility import visible
@@ -90,14 +90,14 @@ class Highlights(NamedTuple):
     ----------
     lighting : Lighting
     p : (3, n)
-        See `Hits`.
+        See `Visible`.
     group : Group
     present : bool
         Whether there are any.
     glossy, exponent
         Numbers, or (n,).
     distance, n_dot_v : (n,)
-        See `Hits.distance_and_cosine`; empty without highlights.
+        See `Visible.distance_and_cosine`; empty without highlights.
     """
 
     lighting: Lighting
@@ -110,7 +110,7 @@ class Highlights(NamedTuple):
     n_dot_v: Floats
 
     @classmethod
-    def of(cls, lighting: Lighting, hits: Hits, group: Group) -> Highlights:
+    def of(cls, lighting: Lighting, hits: Visible, group: Group) -> Highlights:
         """Gather what is needed."""
         p, shader = hits.p[:, group.part], lighting.shader[group.owner]
         glossy, exponent = lighting.materials.glossy[shader], lighting.materials.exponent[shader]
@@ -189,7 +189,7 @@ def key_of(group: Group, lit: Bools) -> Ints:
     return key
 
 
-def incoming_at(lighting: Lighting, hits: Hits) -> Incoming:
+def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
     """The light that comes in at all hits."""
     occluders = lighting.occluders
     result = Incoming(*np.empty((2, len(lighting.local), hits.p.shape[1])))

@@ -35,7 +35,7 @@ from tracer.arrays import (
 from tracer.shadow.occluders import LONGEST, Occluders
 from tracer.shadow.packets import Packets, cut, packets_of, tiles_of
 from tracer.shapes.rounding import ON
-from tracer.view.hits import Hits
+from tracer.view.hits import Visible
 from tracer.view.view import Shape
 
 __all__ = ["NearbyShadows", "ShadowEdges", "occlusion", "shadow_edges"]
@@ -52,7 +52,7 @@ class ShadowEdges(NamedTuple):
     sample, own : (n,)
         The sample that sees each point, and the object that it is on.
     p : (3, n)
-        The points, as in `Hits`.
+        The points, as in `Visible`.
     footprint : (n,)
         Within which distance of each point is near.
     frontlit, umbra : (lights, n)
@@ -100,7 +100,7 @@ class _Pairs(NamedTuple):
 
 
 def occlusion(
-    occluders: Occluders, hits: Hits, frontlit: Bools, nearby: NearbyShadows | None = None
+    occluders: Occluders, hits: Visible, frontlit: Bools, nearby: NearbyShadows | None = None
 ) -> Bools:
     """Whether other objects than their own keep lights from points.
 
@@ -117,7 +117,7 @@ def occlusion(
 
 def shadow_edges(
     occluders: Occluders,
-    hits: Hits,
+    hits: Visible,
     frontlit: Bools,
     footprint: Floats,
     nearby: NearbyShadows | None = None,
@@ -171,7 +171,9 @@ def shadow_edges(
     return blocked | umbra, found
 
 
-def _blocks(occluders: Occluders, hits: Hits, pairs: _Pairs, grown: Floats | None = None) -> Bools:
+def _blocks(
+    occluders: Occluders, hits: Visible, pairs: _Pairs, grown: Floats | None = None
+) -> Bools:
     """The exact test of pairs; `grown` (m,): by how much objects grow on all sides."""
     end = columns(occluders.lights, pairs.light)
     eye, p = occluders.view.raster.eye, hits.points(pairs.point)
@@ -180,7 +182,7 @@ def _blocks(occluders: Occluders, hits: Hits, pairs: _Pairs, grown: Floats | Non
 
 def _candidates(
     occluders: Occluders,
-    hits: Hits,
+    hits: Visible,
     frontlit: Bools,
     nearby: NearbyShadows | None,
     footprint: Floats | None = None,
@@ -223,7 +225,7 @@ def _candidates(
 
 def _narrowed(
     occluders: Occluders,
-    hits: Hits,
+    hits: Visible,
     shape: Shape,
     packets: Packets,
     light: Ints,
@@ -284,7 +286,7 @@ class NearbyShadows(NamedTuple):
         return self._replace(point=self.point[place])
 
     def candidates(
-        self, occluders: Occluders, hits: Hits, frontlit: Bools, footprint: Floats | None
+        self, occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None
     ) -> tuple[Bools, Bools, list[_Pairs]]:
         """Pairs to be tested where shadows are known, by kind, and points (lights, n) in umbra.
 

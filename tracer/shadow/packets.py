@@ -23,7 +23,7 @@ from tracer.arrays import (
     pick,
 )
 from tracer.shadow.grid import SLACK
-from tracer.view.hits import Hits
+from tracer.view.hits import Visible
 
 __all__ = ["Packets", "cut", "packets_of", "tiles_of"]
 
@@ -64,13 +64,13 @@ class Packets(NamedTuple):
 
 
 def packets_of(
-    hits: Hits, slack: Floats, longest: int, footprint: Floats | None
+    hits: Visible, slack: Floats, longest: int, footprint: Floats | None
 ) -> tuple[Packets, Ints]:
     """Cut the runs of hits into packets of at most `longest` points; and the run of each.
 
     Parameters
     ----------
-    hits : Hits
+    hits : Visible
     slack : (objects,)
         By how much points on each object may be off.
     longest : int
@@ -88,7 +88,7 @@ def packets_of(
     return Packets(owner, start, length, middle, radius + slack[owner] + margin, margin), run
 
 
-def cut(hits: Hits, slack: Floats, packets: Packets, longest: int) -> tuple[Packets, Ints]:
+def cut(hits: Visible, slack: Floats, packets: Packets, longest: int) -> tuple[Packets, Ints]:
     """Cut packets, of points in rows, into packets of at most `longest`; and the parent of each."""
     parent, start, length = _pieces(packets.start, packets.length, longest)
     owner, footprint = packets.owner[parent], packets.footprint[parent]
@@ -98,7 +98,7 @@ def cut(hits: Hits, slack: Floats, packets: Packets, longest: int) -> tuple[Pack
     ), parent
 
 
-def tiles_of(hits: Hits, packets: Packets, run: Ints, side: int) -> tuple[Packets, Ints]:
+def tiles_of(hits: Visible, packets: Packets, run: Ints, side: int) -> tuple[Packets, Ints]:
     """Gather packets of one object that begin in one tile of the picture, `side` pixels square.
 
     `run`: the run of each packet.  Returns the tiles, and the packets in the order that `start` and
@@ -128,7 +128,7 @@ def _pieces(start: Ints, count: Ints, longest: int) -> tuple[Ints, Ints, Ints]:
     return run, start[run] + offset, np.minimum(count[run] - offset, longest)
 
 
-def _around_chords(hits: Hits, owner: Ints, start: Ints, count: Ints) -> tuple[Triple, Floats]:
+def _around_chords(hits: Visible, owner: Ints, start: Ints, count: Ints) -> tuple[Triple, Floats]:
     """Bounding spheres, middles and radii, of points in rows."""
     # Points of a row lie on a line, or on an arc of less than half a circle: the sphere on the
     # chord between the ends holds them.
@@ -149,7 +149,7 @@ def _around_chords(hits: Hits, owner: Ints, start: Ints, count: Ints) -> tuple[T
     return middle, radius
 
 
-def _around_points(hits: Hits, start: Ints) -> tuple[Triple, Floats]:
+def _around_points(hits: Visible, start: Ints) -> tuple[Triple, Floats]:
     """Bounding spheres, middles and radii, of all points, cut at `start`."""
     low, high = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
     half = 0.5 * (high - low)

@@ -108,12 +108,6 @@ class Boxes:
         size: Floats = np.maximum(np.abs(self.min_pt), np.abs(self.max_pt)).sum(axis=1)
         return size
 
-    @property
-    def balls(self) -> tuple[Floats, Floats]:
-        """See `Spheres.balls`."""
-        diagonal = self.max_pt - self.min_pt
-        return 0.5 * (self.min_pt + self.max_pt), 0.5 * np.sqrt((diagonal**2).sum(axis=1))
-
     # What the eye sees.
 
     def spans(self, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:

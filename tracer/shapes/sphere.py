@@ -130,11 +130,6 @@ class Spheres:
         size: Floats = np.abs(self.center).sum(axis=1) + self.radius
         return size
 
-    @property
-    def balls(self) -> tuple[Floats, Floats]:
-        """Balls around the objects: centres (n, 3) and radii (n,)."""
-        return self.center, self.radius
-
     # What the eye sees.
 
     def spans(self, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:

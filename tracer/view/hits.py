@@ -1,4 +1,4 @@
-"""Hits: the points of surfaces that samples see."""
+"""Visible: the points of surfaces that samples see."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Group(NamedTuple):
             dot(self.n, vector, out)
 
 
-class Hits(NamedTuple):
+class Visible(NamedTuple):
     """The points that samples see, group by group.
 
     Attributes

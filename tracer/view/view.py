@@ -52,10 +52,6 @@ class View(NamedTuple):
         both: tuple[Shape, ...] = self.spheres, self.boxes
         return tuple(shape for shape in both if shape.count)
 
-    def shape_of(self, owner: int) -> Shape:
-        """The shape of an object."""
-        return self.spheres if owner < self.boxes.first else self.boxes
-
     def at_once(self, samples: int) -> int:
         """Number of samples to take at a time: fewer where many objects lie behind each other."""
         return max(1, int(samples * min(1.0, _LAYERS / max(self.layers, 1.0))))

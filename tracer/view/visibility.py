@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Index, Ints, changes, indices, select, spread
 from tracer.shapes.sphere import LEAST_SLOPE
-from tracer.view.hits import Group, Hits
+from tracer.view.hits import Group, Visible
 from tracer.view.samples import Covered, Samples, Scattered
 from tracer.view.view import Shape, View
 
@@ -25,13 +25,13 @@ _GAP = 4.0
 _LARGE = 16384
 
 
-def visible(view: View, samples: Samples) -> Hits:
+def visible(view: View, samples: Samples) -> Visible:
     """The nearest surface at each sample; at exactly equal distances, the first in the file."""
     groups = _fragments(view, samples)
     return _hits(view, samples, _seen(view, groups, _nearest(samples, groups)))
 
 
-def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Hits, Hits]:
+def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Visible, Visible]:
     """The `visible` surfaces, and those so close behind that the two may cross nearby.
 
     Nearby is within the cell of the sample, a square of `size` pixels around it.
@@ -203,8 +203,8 @@ def _by_face(group: _Fragments) -> Iterator[tuple[_Fragments, Any]]:
             yield part, face
 
 
-def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
-    """Hits of fragments that are seen, in groups, face by face."""
+def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
+    """Visible of fragments that are seen, in groups, face by face."""
     raster, g = view.raster, view.raster.down(samples.y)
     parts = [part for group in fragments if group.t.size for part in _by_face(group)]
     ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
@@ -218,7 +218,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
         groups.append(Group(part.shape, slice(start, end), part.sample, owner, counts, *surface))
     first, owner, begin = _runs(view, samples, groups, p[2])
     x, y = samples.at(begin)
-    return Hits(
+    return Visible(
         view=view,
         p=p,
         groups=groups,
@@ -233,7 +233,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Hits:
 def _runs(
     view: View, samples: Samples, groups: list[Group], ahead: Floats
 ) -> tuple[Ints, Ints, Ints]:
-    """Runs of hits, as in `Hits.first`: the first hit, the object, and the first sample of each.
+    """Runs of hits, as in `Visible.first`: the first hit, the object, and the first sample of each.
 
     `ahead` (n,): how far ahead of the eye hits are.
     """
