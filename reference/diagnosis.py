@@ -1,108 +1,120 @@
-"""Which kind of difference lies between two pictures, in words.
+"""Name the kinds of difference between two pictures, in words: geometry first, shading next.
 
-Each kind that can be predicted from the right picture is a hypothesis: for
-every pixel and channel an interval of 8-bit codes in which the other picture's
-would lie.  The hypothesis that leaves the fewest pixels unexplained is the
-diagnosis, if it leaves few enough.  All other kinds are told apart by where the
-difference lies, which sign it has, and whether it ends sharply or fades.
+Geometry: B is turned over, moved or stretched until A is like it, whatever curve maps the levels of
+one to the other's, so that a wrong gamma hides nothing.  Levels: a curve that explains nearly all
+of them is named.  What is still unexplained is told by where it lies, which sign it has, and how it
+ends.  Two faults are told one after the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import permutations
-from typing import TypeAlias
+from itertools import permutations, product
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tracer.arrays import Bools, Floats
+from PIL import Image
+from scipy import ndimage, optimize
+from skimage.registration import phase_cross_correlation
 
 __all__ = ["GAMMA", "Diagnosis", "diagnose", "linear"]
 
-Codes: TypeAlias = NDArray[np.int16]
+Codes: TypeAlias = NDArray[np.uint8]
+Floats: TypeAlias = NDArray[np.float64]
+Bools: TypeAlias = NDArray[np.bool_]
+T = TypeVar("T")
 
 GAMMA = 2.2
 
-# A hypothesis may leave this part of the differing pixels unexplained.
-_EXACT, _SUBPIXEL = 0.02, 0.1
-# Levels up to this far apart, in codes, count as equal.
-_NOISE = 2
+# Larger pictures are judged by every second, third ... row and column; some questions need fewer.
+_PIXELS, _FEWER = 100_000, 12_000
 # Neighbours further apart than this, in codes, have an edge between them.
 _EDGE = 8
 # What holds for this part of the differing pixels counts as true of all.
-_NEARLY_ALL = 0.95
-# Of so small a part of the picture no kind is told.
-_FEW = 0.001
+_NEARLY_ALL = 0.9
+# A lossy format changes levels by up to so many, but for a few per cent of them.
+_LOSSY = 6
 # A difference ends sharply if, where it ends, it is larger than this part of its maximum.
 _SHARP = 0.22
-# The outline is another if more than this part of the differing pixels is black in one picture.
-_OUTLINE = 0.05
+# Longer side of the pictures in which a zoom is looked for, and made precise.
+_SMALL, _FINE = 64, 256
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """The kind of a difference.
+class Diagnosis(NamedTuple):
+    """The kind of a difference: a keyword, such as ``"gamma"``, and a sentence on A, B being right.
 
-    Attributes
-    ----------
-    kind : str
-        A keyword, such as ``"gamma"``.
-    text : str
-        A sentence about A, taking B as the right one.
+    Of several faults, keywords are joined by `` + ``, and sentences follow one another.
     """
 
     kind: str
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Hypothesis:
-    """What A would be like: codes between `low` and `high`, (h, w, 3)."""
-
-    kind: str
-    text: str
-    low: NDArray[np.floating]
-    high: NDArray[np.floating]
-
-
 def linear(codes: NDArray[np.generic]) -> Floats:
     """Linear light of 8-bit codes: the inverse of the format's gamma of 2.2."""
-    light: Floats = (np.asarray(codes, dtype=np.float64) / 255) ** GAMMA
-    return light
+    light: Floats = (np.arange(256) / 255) ** GAMMA
+    return light[codes]
 
 
-def diagnose(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Diagnosis:
-    """Tell which kind of difference lies between A and the right picture, B.
+def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
+    """Tell which kinds of difference lie between A and the right picture, B.
 
     Parameters
     ----------
     a, b : (h, w, 3) uint8
         Their sizes may differ.
+    lossy : bool
+        Whether the format of a picture changes levels, as JPEG does.
     """
     if a.shape != b.shape:
         return _sizes(a.shape, b.shape)
-    x, y = a.astype(np.int16), b.astype(np.int16)
-    difference = np.abs(x - y)
+    noise = _LOSSY if lossy else 1
+    difference = np.maximum(a, b) - np.minimum(a, b)
     if not difference.any():
         return Diagnosis("identical", "The pictures are identical.")
     if difference.max() == 1:
-        return _rounding(x, y)
-    if not a.any():
-        return Diagnosis("black", "A is black.")
-    if not b.any():
-        return Diagnosis("black", "B is black, and A is not.")
-    if not np.ptp(x, axis=(0, 1)).any():
-        return Diagnosis("flat", "A has one colour everywhere.")
-    differing = int(np.count_nonzero((difference > 1).any(axis=2)))
-    best = min(_exact(x, y), key=lambda guess: _unexplained(x, guess))
-    if _unexplained(x, best) <= _EXACT * differing:
-        return Diagnosis(best.kind, best.text)
-    moved = _moved(x, y)
-    if moved is not None and _unexplained(x, moved) <= _SUBPIXEL * differing:
-        return Diagnosis(moved.kind, moved.text)
-    return _regional(x, y)
+        return _rounding(a, b)
+    for name, image, other in (("A", a, "B"), ("B", b, "A")):
+        if image.max() < noise:
+            return Diagnosis("black", f"{name} is black, and {other} is not.")
+        if np.ptp(image, axis=(0, 1)).max() < noise:
+            return Diagnosis("flat", f"{name} has one colour everywhere.")
+    count = int(np.count_nonzero((difference > noise).any(axis=2)))
+    if not count:
+        return Diagnosis("noise", f"No level is off by more than {noise}: noise of the format.")
+    if lossy:
+        a, b = (_halved(image) for image in (a, b))
+    found: list[Diagnosis] = []
+
+    def keep(result: tuple[T, Diagnosis | None]) -> T:
+        if result[1] is not None:
+            found.append(result[1])
+        return result[0]
+
+    a = keep(_background(a, b, noise))
+    a = keep(_turned(a, b))
+    a = keep(_reordered(a, b))
+    pair = keep(_moved(a, b, noise))
+    pair = keep(_encoded(pair))
+    left = pair.misfit(_SAME, _SAME)
+    # At edges the amount of a shift is never quite known.
+    if left.sum() > ((0.03 if found else 0) + (0.03 if lossy else 0)) * pair.shown.sum() or (
+        not found and not lossy
+    ):
+        keep((pair, _shading(pair, left, count)))
+    if not found:
+        text = f"{_differ(count)}, as the format of one of the pictures may make them."
+        return Diagnosis("noise", text)
+    return Diagnosis(" + ".join(f.kind for f in found), " ".join(f.text for f in found))
+
+
+def _halved(image: Codes) -> Codes:
+    """A picture of half the size, without most of what compression does to it."""
+    height, width = (size - size % 2 for size in image.shape[:2])
+    quarters = image[:height, :width].reshape(height // 2, 2, width // 2, 2, 3)
+    return np.asarray(np.round(quarters.mean(axis=(1, 3))), dtype=np.uint8)
 
 
 def _sizes(a: tuple[int, ...], b: tuple[int, ...]) -> Diagnosis:
@@ -116,93 +128,423 @@ def _sizes(a: tuple[int, ...], b: tuple[int, ...]) -> Diagnosis:
 
 def _rounding(a: Codes, b: Codes) -> Diagnosis:
     """At most one level apart."""
-    changed = (a != b).any(axis=2)
-    count, lit = int(np.count_nonzero(changed)), int(np.count_nonzero(b.any(axis=2)))
+    count, lit = (int(np.count_nonzero(x.any(axis=2))) for x in (a != b, b))
     if count < 0.01 * lit:
-        text = f"{_differ(count)} by one level: rounding, nothing to worry about."
-        return Diagnosis("rounding", text)
+        return Diagnosis(
+            "rounding", f"{_differ(count)} by one level: rounding, nothing to worry about."
+        )
     if (a <= b).all():
-        return Diagnosis(
-            "cut off", "One level of rounding: A is cut off where it should be rounded."
-        )
-    if (a >= b).all():
-        return Diagnosis(
-            "cut off",
-            "One level of rounding, only upwards: B is cut off, or A is rounded up, or A's factor"
-            " is more than 255.",
-        )
-    return Diagnosis(
-        "rounding", "One level of rounding, up and down: 255 is not the factor, or noise was added."
-    )
+        text = "One level of rounding: A is cut off where it should be rounded."
+    elif (a >= b).all():
+        text = "One level of rounding, only upwards: A's factor is more than 255, or B is cut off."
+    else:
+        text = "One level of rounding, up and down: the factor is not 255."
+    return Diagnosis("cut off", text)
 
 
 def _differ(count: int) -> str:
     return "One pixel differs" if count == 1 else f"{count} pixels differ"
 
 
-def _unexplained(a: Codes, guess: _Hypothesis) -> int:
-    outside = (a < guess.low) | (a > guess.high)
-    return int(np.count_nonzero(outside.any(axis=2)))
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """A and B at some places, B moved to where A shows it.
+
+    Attributes
+    ----------
+    a : (h, w, 3) uint8
+    low, high : (h, w, 3) uint8
+        B's levels lie between these: a shift by half a pixel, say, leaves them undecided.
+    known : (h, w) bool
+        Whether B shows what is there.
+    noise : int
+        Levels this far apart count as equal.
+    """
+
+    a: Codes
+    low: Codes
+    high: Codes
+    known: Bools
+    noise: int
+
+    @property
+    def shown(self) -> Bools:
+        """Places (h, w) where something is seen, in A or in B."""
+        dark = np.maximum(self.a, self.high).max(axis=2) <= self.noise
+        shown: Bools = self.known & ~dark
+        return shown
+
+    def curve(self) -> Floats:
+        """Level of A (256,) for each of B: the median where B has no edge."""
+        sure = self.known & ((self.high - self.low).max(axis=2) <= _EDGE)
+        levels = 256 * ((self.low[sure].astype(np.intp) + self.high[sure]) // 2) + self.a[sure]
+        counts = np.bincount(levels.ravel(), minlength=65536).reshape(256, 256).cumsum(axis=1)
+        if not levels.size:
+            return _SAME
+        there = np.flatnonzero(counts[:, -1])
+        median = (2 * counts[there] < counts[there, -1:]).sum(axis=1)
+        return np.interp(np.arange(256), there, median)
+
+    def misfit(self, low: Floats, high: Floats) -> Bools:
+        """Places (h, w) where A is not what B's levels are mapped to, from `low` to `high`."""
+        ends = low[self.low], high[self.high]
+        least, most = np.minimum(*ends) - self.noise, np.maximum(*ends) + self.noise
+        wrong: Bools = ((self.a < least) | (self.a > most)).any(axis=2) & self.shown
+        if self.noise > 1:  # what a format does to levels is worst along edges
+            wrong = ndimage.binary_opening(wrong, np.ones((3, 3)))
+        return wrong
+
+    def unexplained(self) -> float:
+        """Part of what is shown that no curve explains, or that a curve of no effect does not."""
+        curves = self.curve(), _SAME
+        left = min(int(self.misfit(curve, curve).sum()) for curve in curves)
+        return left / max(1, int(self.shown.sum())) if self.known.any() else 1.0
 
 
-def _exact(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
-    """Hypotheses that move whole pixels, or map levels to other levels."""
-    for kind, text, image in (
-        ("mirrored", "A is mirrored: left and right are swapped.", b[:, ::-1]),
-        ("flipped", "A is upside down: row 0 should be the top.", b[::-1]),
-        ("turned", "A is turned by 180 degrees.", b[::-1, ::-1]),
-        ("inverted", "A is the negative of B.", 255 - b),
-    ):
-        yield _Hypothesis(kind, text, image - 1.0, image + 1.0)
-    if b.shape[0] == b.shape[1]:
-        text = "A is transposed: its rows are B's columns, as where x and y are swapped."
-        image = b.transpose(1, 0, 2)
-        yield _Hypothesis("transposed", text, image - 1.0, image + 1.0)
-    for order in list(permutations(range(3)))[1:]:  # the first is the right one
-        names = ", ".join(("red", "green", "blue")[channel] for channel in order)
-        text = f"A's channels are in another order: {names}."
-        yield _Hypothesis("channels", text, b[:, :, order] - 1.0, b[:, :, order] + 1.0)
-    steps, (height, width) = (-2, -1, 0, 1, 2), b.shape[:2]
-    for right in steps:
-        for down in steps:
-            # What comes in from beyond the border may be anything.
-            known = 2 * abs(right) < width and 2 * abs(down) < height
-            if known and (right or down):
-                text = f"A is shifted by {_way(right, down)}."
-                yield _Hypothesis("shifted", text, *_around(b, [(right, down)]))
-    yield from _tones(a, b)
-    if not np.ptp(a, axis=2).any():
-        text = "A is grey, as where one channel stands for all; B has colours."
-        low, high = b.min(axis=2, keepdims=True), b.max(axis=2, keepdims=True)
-        yield _Hypothesis("grey", text, low - 1.0, high + 1.0)
-    full = b == 255
-    text = "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap round."
-    yield _Hypothesis("unclipped", text, np.where(full, 0, b - 1.0), np.where(full, 255, b + 1.0))
+_SAME = np.arange(256.0)
 
 
-def _tones(a: Codes, b: Codes) -> Iterator[_Hypothesis]:
-    """Hypotheses that map levels to other levels."""
-    # B's light is known to within the half level by which it was rounded, unless it is clipped.
-    low = linear(np.maximum(b - 0.5, 0))
-    high = np.where(b < 255, linear(b + 0.5), np.inf)
+class _Motion(NamedTuple):
+    """B as A shows it: (x, y), from the centre, is B's matrix (x, y) - shift, within `slack`."""
 
-    def tone(kind: str, text: str, curve: Callable[[Floats], Floats]) -> _Hypothesis:
-        levels = [np.round(255 * np.clip(curve(light), 0, 1)) for light in (low, high)]
-        return _Hypothesis(kind, text, levels[0] - 1, levels[1] + 1)
+    kind: str
+    text: str
+    matrix: Floats
+    shift: Floats
+    slack: float
 
-    yield tone("gamma", "A lacks gamma: its levels are linear in light.", lambda light: light)
-    yield tone("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.", _srgb)
-    middle = (b > 20) & (b < 240) & (a > 8) & (a < 248)
-    if not middle.any():
+    def back(self) -> _Motion:
+        return self._replace(matrix=np.linalg.inv(self.matrix), shift=-self.shift)
+
+    def pair(self, a: Codes, b: Codes, noise: int) -> _Pair:
+        height, width = a.shape[:2]
+        step, middle = _step(a), np.array([width - 1, height - 1]) / 2
+        x = np.arange(0, width, step) - middle[0]
+        y = np.arange(0, height, step)[:, None] - middle[1]
+        places = [
+            np.round(m[0] * x + m[1] * y - shift + half, 6)
+            for m, shift, half in zip(self.matrix, self.shift, middle, strict=True)
+        ]
+        ends = [(np.floor(p - self.slack), np.ceil(p + self.slack)) for p in places]
+        columns, rows = ([end.astype(np.intp) for end in both] for both in ends)
+        if not self.slack and all((low == high).all() for low, high in ends):
+            columns, rows = columns[:1], rows[:1]
+        there, known = [], np.ones((), dtype=np.bool_)
+        for column, row in product(columns, rows):
+            known = known & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            there.append(b[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
+        low, high = np.minimum.reduce(there), np.maximum.reduce(there)
+        return _Pair(a[::step, ::step], low, high, known, noise)
+
+
+def _step(image: Codes, most: int = _PIXELS) -> int:
+    """Every so many rows and columns of a picture are about so many pixels, at most."""
+    return max(1, round((image.shape[0] * image.shape[1] / most) ** 0.5))
+
+
+def _background(a: Codes, b: Codes, noise: int) -> tuple[Codes, Diagnosis | None]:
+    """A with a black background."""
+    step = _step(b)
+    black = b.max(axis=2) <= noise
+    behind = a[::step, ::step][black[::step, ::step]].astype(np.intp) @ [65536, 256, 1]
+    if not behind.size:
+        return a, None
+    common = int(np.bincount(np.unique(behind, return_inverse=True)[1].ravel()).argmax())
+    colour = np.array([(np.unique(behind)[common] >> k) & 255 for k in (16, 8, 0)])
+    empty = (np.abs(a.astype(np.int16) - colour) <= noise).all(axis=2)
+    if colour.max() <= 2 * noise or min(empty[black].mean(), black[empty].mean()) < 0.8:
+        return a, None
+    text = f"A's background is not black: it has the levels {', '.join(map(str, colour))}."
+    return np.where(empty[:, :, None], np.uint8(0), a), Diagnosis("background", text)
+
+
+_ORDERS = list(permutations(range(3)))
+
+
+def _unlike(a: Codes, b: Codes) -> Floats:
+    """How badly B's levels tell A's, for each order of A's channels: 1 - correlation ratio."""
+    step = _step(b, _FEWER)
+    a, b = a[::step, ::step], b[::step, ::step]
+    shown = a.any(axis=2) | b.any(axis=2)
+    values, levels = a[shown].astype(np.float64), b[shown] >> 2
+    count = np.maximum(np.bincount(levels.ravel(), minlength=64), 1)
+    sums = [[np.bincount(y, x, 64) for x in values.T] for y in levels.T]
+    whole = max(values.var() * values.size, 1e-6)
+    mean = values.sum() ** 2 / max(1, values.size)
+    between = [(sum(sums[k][order[k]] for k in range(3)) ** 2 / count).sum() for order in _ORDERS]
+    return 1 - (np.array(between) - mean) / whole
+
+
+_TURNS: dict[str, tuple[str, Callable[[NDArray[np.generic]], NDArray[np.generic]]]] = {
+    "mirrored": ("A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
+    "flipped": ("A is upside down: row 0 should be the top.", lambda a: a[::-1]),
+    "turned": ("A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
+    "transposed": ("A is transposed: x and y are swapped.", lambda a: a.swapaxes(0, 1)),
+}
+
+
+def _turned(a: Codes, b: Codes) -> tuple[Codes, Diagnosis | None]:
+    """A as it would be if it were not turned over."""
+    step = _step(b)
+    edges, right = _edges(a[::step, ::step]), _edges(b[::step, ::step])
+    levels, lines = _unlike(a, b).min(), max(_shared(edges, right))
+    found: list[tuple[float, Codes, Diagnosis]] = []
+    for kind, (text, turn) in _TURNS.items():
+        if (image := turn(a)).shape == b.shape:
+            unlike = _unlike(image, b).min()
+            by_edges = unlike < levels and lines < 0.9 and max(_shared(turn(edges), right)) > 0.95
+            if unlike < min(0.15, 0.4 * levels) or by_edges:
+                found.append((unlike, image, Diagnosis(kind, text)))
+    return min(found, key=lambda one: one[0])[1:] if found else (a, None)
+
+
+def _reordered(a: Codes, b: Codes) -> tuple[Codes, Diagnosis | None]:
+    """A with its channels in B's order."""
+    unlike = _unlike(a, b)
+    best = int(unlike.argmin())
+    if not unlike[best] < min(0.15, 0.5 * unlike[0] - 1e-3):
+        return a, None
+    order = list(_ORDERS[best])
+    names = ", ".join(("red", "green", "blue")[order.index(channel)] for channel in range(3))
+    text = f"A's channels are in another order: {names}."
+    return a[:, :, order], Diagnosis("channels", text)
+
+
+_STILL = _Motion("", "", np.eye(2), np.zeros(2), 0)
+
+
+def _moved(a: Codes, b: Codes, noise: int) -> tuple[_Pair, Diagnosis | None]:
+    """Both at the same places: B shifted, stretched or turned as A is."""
+    still = _STILL.pair(a, b, noise)
+    before = still.unexplained()
+    if before > 0.002:
+        for motions in (_slid, _far):
+            for motion in motions(a, b, still):
+                moved, opposite = (m.pair(a, b, noise) for m in (motion, motion.back()))
+                after = moved.unexplained()
+                # The leeway that a motion brings would explain something the other way as well.
+                if after < min(0.3 * before, 0.5 * opposite.unexplained()):
+                    return moved, Diagnosis(motion.kind, motion.text)
+    return still, None
+
+
+def _slid(a: Codes, b: Codes, still: _Pair) -> Iterator[_Motion]:
+    """A shift by half pixels, or a stretch by one, estimated from gradients.
+
+    Along each axis the shift is modelled as c + s x, x from -1/2 at one border to 1/2 at the
+    other: least squares of A - B = -(c + s x) dI/dx (B. Lucas and T. Kanade, An iterative image
+    registration technique, IJCAI 1981).
+    """
+    height, width = b.shape[:2]
+    if min(height, width) < 4:
         return
-    factor = float(np.median(linear(a[middle]) / linear(b[middle])))
-    word = "brighter" if factor > 1 else "darker"
-    text = f"A is {word} by a factor of {factor:.3g} in linear light."
-    # What is displayed is the light to the power of 1 / 2.2.
-    yield tone("brightness", text, lambda light: (factor * light) ** (1 / GAMMA))
-    power = float(np.median(np.log(a[middle] / 255) / np.log(linear(b[middle]))))
-    text = f"A is encoded with a gamma of about {1 / power:.2f} in place of 2.2."
-    yield tone("gamma", text, lambda light: light**power)
+    step, curve = _step(b), still.curve()
+
+    def at(down: int, right: int) -> tuple[Floats, Floats]:
+        place = slice(1 + down, height - 1 + down, step), slice(1 + right, width - 1 + right, step)
+        return a[place].astype(np.float64), curve[b[place]]
+
+    (here, there), right, left, lower, upper = at(0, 0), at(0, 1), at(0, -1), at(1, 0), at(-1, 0)
+    across, down = ((sum(p) - sum(q)) / 4 for p, q in ((right, left), (lower, upper)))
+    x = ((np.arange(1, width - 1, step) + 0.5) / width - 0.5)[:, None]
+    y = ((np.arange(1, height - 1, step) + 0.5) / height - 0.5)[:, None, None]
+    columns = [across, across * x, down, down * y]
+    matrix = np.array([[float(np.vdot(p, q)) for q in columns] for p in columns])
+    target = np.array([float(np.vdot(p, there - here)) for p in columns])
+    fit = np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
+    shift, stretch = np.round(2 * fit[::2]) / 2, np.round(fit[1::2])
+    if shift.any() and np.abs(shift).max() <= 2:
+        half = ": samples belong at the pixels' centres" if (shift % 1).any() else ""
+        text = f"A is shifted by {_way(*shift.tolist())}{half}."
+        yield _Motion("shifted", text, np.eye(2), shift, 0)
+    elif np.abs(stretch).max() == 1 and not shift.any():
+        word = "smaller" if stretch.sum() < 0 else "larger"
+        text = (
+            f"A is a pixel {word} than it should be, about its centre: pixel centres lie at"
+            " (column + 1/2) / width, not at column / (width - 1)."
+        )
+        matrix = np.diag(1 - stretch / (width, height))
+        yield _Motion("stretched", text, matrix, np.zeros(2), 0)
+
+
+def _way(right: float, down: float) -> str:
+    """A shift in words: "half a pixel to the right and 2 pixels down"."""
+    names = {0.5: "half a pixel", 1: "one pixel", 1.5: "one and a half pixels"}
+    parts = [
+        f"{names.get(abs(size), f'{abs(size):.0f} pixels')} {ways[size < 0]}"
+        for size, ways in ((right, ("to the right", "to the left")), (down, ("down", "up")))
+        if size
+    ]
+    return " and ".join(parts)
+
+
+def _far(a: Codes, b: Codes, still: _Pair) -> Iterator[_Motion]:
+    """A zoom or stretch about the centre, a turn about it, or a shift by many pixels.
+
+    Each is searched for in small pictures, and the one that makes B most like A made precise.
+    """
+    if max(_shared(_edges(still.a), _edges(still.low))) > 0.85:
+        return
+    small, fine = (
+        [ndimage.gaussian_filter(_thumbnail(image, size), 1) for image in (a, b)]
+        for size in (_SMALL, _FINE)
+    )
+    scale = max(1, max(a.shape) / _FINE)
+
+    def zoom(across: float, down: float) -> _Motion:
+        text = "A shows everything {} as large as B, about its centre: check the window's size and"
+        text = f"{text.format(_times(across))} distance."
+        if abs(across / down - 1) > 0.02:
+            sides = [("width", "viewWidth", across), ("height", "viewHeight", down)]
+            sides = [side for side in sides if abs(side[2] - 1) > 0.01]
+            to = " and ".join(f"{_times(by)} B's {name}" for name, _, by in sides)
+            check = " and ".join(name for _, name, _ in sides)
+            text = f"A is stretched about its centre, to {to}: check {check}."
+        return _Motion("zoomed", text, np.diag([1 / across, 1 / down]), np.zeros(2), 0.5)
+
+    def roll(angle: float) -> _Motion:
+        c, s = np.cos(angle), np.sin(angle)
+        way = "clockwise" if angle < 0 else "anticlockwise"
+        text = f"A is turned by {abs(np.degrees(angle)):.0f} degrees {way}: check viewUp."
+        return _Motion("rolled", text, np.array([[c, -s], [s, c]]), np.zeros(2), 0.5)
+
+    def move(right: float, down: float) -> _Motion:
+        shift = np.round(np.array([right, down]) * scale)
+        text = f"A is shifted by {_way(*shift.tolist())}: check viewDir." if shift.any() else ""
+        return _Motion("shifted", text, np.eye(2), shift, 1)
+
+    def likeness(motion: _Motion, images: list[Floats], scale: float = 1) -> float:
+        matrix, middle = motion.matrix[::-1, ::-1], (np.array(images[1].shape) - 1) / 2
+        offset = middle - matrix @ middle - motion.shift[::-1] / scale
+        moved = ndimage.affine_transform(images[1], matrix, offset, order=1, cval=np.nan)
+        return _correlation(images[0], moved)
+
+    turns = np.linspace(-np.pi, np.pi, 60, endpoint=False)
+    shift = phase_cross_correlation(*fine, normalization=None)[0][::-1]
+    across, down, alike = _best_zoom(*small)
+    tried = [
+        (alike, zoom, (across, down)),
+        *((likeness(roll(angle), small), roll, (angle,)) for angle in turns if angle),
+        (likeness(move(*shift), fine, scale), move, tuple(shift)),
+    ]
+    _, kind, start = max(tried, key=lambda one: one[0])
+    if kind is not move:
+        found = optimize.minimize(
+            lambda by: -likeness(kind(*by), fine), start, method="Nelder-Mead",
+            options={"maxfev": 80, "xatol": 1e-4},
+        )  # fmt: skip
+        start = tuple(found.x)
+    motion = kind(*start)
+    if kind is not zoom or 0.01 < np.abs(np.log(start)).max() < 3:
+        yield motion
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.2f} times"
+
+
+def _thumbnail(image: Codes, size: int) -> Floats:
+    """A picture's grey levels, as large as `size` at most."""
+    grey = Image.fromarray(np.ascontiguousarray(image)).convert("L")
+    grey.thumbnail((size, size), Image.Resampling.BOX)
+    return np.asarray(grey, dtype=np.float64)
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    """How alike two pictures are, where the second is known; -1 if that is next to nowhere."""
+    known = ~np.isnan(b)
+    x, y = a[known], b[known]
+    if x.size < 0.02 * a.size or min(x.std(), y.std()) < 1:
+        return -1.0
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y / np.sqrt((x @ x) * (y @ y)))
+
+
+def _best_zoom(a: Floats, b: Floats) -> tuple[float, float, float]:
+    """Factors across and down that make B most like A, and how alike they are then."""
+    factors = np.exp(np.linspace(-2, 2, 33))
+    sides = []
+    for size in a.shape:
+        middle = (size - 1) / 2
+        at = np.round(middle + (np.arange(size) - middle) / factors[:, None]).astype(np.intp)
+        inside = [(p >= 0) & (p < size) for p in at]
+        sides.append([(np.flatnonzero(k), p[k]) for p, k in zip(at, inside, strict=True)])
+    best = (1.0, 1.0, -1.0)
+    for (rows, from_rows), down in zip(sides[0], factors, strict=True):
+        strip, b_strip = a[rows], b[from_rows]
+        for (columns, from_columns), across in zip(sides[1], factors, strict=True):
+            alike = _correlation(strip[:, columns], b_strip[:, from_columns])
+            if alike > best[2] and rows.size * columns.size > 0.02 * a.size:
+                best = (float(across), float(down), alike)
+    return best
+
+
+def _encoded(pair: _Pair) -> tuple[_Pair, Diagnosis | None]:
+    """The same, B's levels mapped as A's are."""
+    shown = max(1, int(pair.shown.sum()))
+    before = int(pair.misfit(_SAME, _SAME).sum()) / shown
+    tried = [(int(pair.misfit(t.low, t.high).sum()) / shown, t) for t in _tones(pair)]
+    named = [one for one in tried if one[1].kind != "curve"]
+    left, tone = min(named, key=lambda one: one[0])
+    if left > 0.03:
+        left, tone = min(tried, key=lambda one: one[0])
+    # A curve without a parameter may leave half to other faults.
+    if not (
+        left <= min(0.03, 0.3 * before) < before - (0.05 if pair.noise > 1 else 0)
+        or (tone.fixed and left < 0.5 < 0.8 < before)
+    ):
+        return pair, None
+    ends = tone.low[pair.low], tone.high[pair.high]
+    low, high = (f(*ends).astype(np.uint8) for f in (np.minimum, np.maximum))
+    mapped = _Pair(pair.a, low, high, pair.known, pair.noise)
+    return mapped, Diagnosis(tone.kind, tone.text)
+
+
+class _Tone(NamedTuple):
+    """A curve of levels: for each of B (256,) the least and the largest level of A."""
+
+    kind: str
+    text: str
+    low: Floats
+    high: Floats
+    fixed: bool = True
+
+
+def _tones(pair: _Pair) -> Iterator[_Tone]:
+    # B's light is known to within the half level by which it was rounded, unless it is clipped.
+    lights = [(np.maximum(_SAME - 0.5, 0) / 255) ** GAMMA, ((_SAME + 0.5) / 255) ** GAMMA]
+    lights[1][255] = np.inf
+
+    def tone(kind: str, text: str, curve: Callable[[Floats], Floats], fixed: bool = True) -> _Tone:
+        ends = (np.round(255 * np.clip(curve(light), 0, 1)) for light in lights)
+        return _Tone(kind, text, *ends, fixed)
+
+    yield tone("gamma", "A lacks gamma: its levels are linear in light.", lambda x: x)
+    text = "A has gamma twice: the power 1 / 2.2 is to be taken once."
+    yield tone("gamma", text, lambda x: x ** (1 / GAMMA**2))
+    text = "A has gamma the wrong way round: the power 2.2 in place of 1 / 2.2."
+    yield tone("gamma", text, lambda x: x**GAMMA)
+    yield tone("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.", _srgb)
+    yield _Tone("inverted", "A is the negative of B.", 255 - _SAME, 255 - _SAME)
+    text = "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap round."
+    full = np.where(_SAME == 255, 0, _SAME)
+    yield _Tone("unclipped", text, full, _SAME)
+    a, b = pair.a, pair.low
+    sure = pair.known[:, :, None] & (pair.high - b <= pair.noise)
+    sure = sure & (b > 20) & (b < 240) & (a > 8) & (a < 248)
+    if sure.sum() > 50:
+        x, y = linear(a[sure]), linear(b[sure])
+        by = float(np.median(x / y))
+        text = f"A is {'brighter' if by > 1 else 'darker'} by a factor of {by:.3g} in linear light."
+        yield tone("brightness", text, lambda light: (by * light) ** (1 / GAMMA), False)
+        power = float(np.median(np.log(x) / np.log(y))) / GAMMA
+        text = f"A is encoded with a gamma of about {1 / power:.2f} in place of 2.2."
+        yield tone("gamma", text, lambda light: light**power, False)
+        curve = pair.curve()
+    if sure.sum() > 50 and np.ptp(curve) > 32 and _palette(b[sure.any(axis=2)]) > 16:
+        sample = ", ".join(f"{k} to {curve[k]:.0f}" for k in (64, 128, 192))
+        text = f"A's levels are those of B through another curve, which takes {sample}."
+        yield _Tone("curve", text, curve, curve, False)
 
 
 def _srgb(light: Floats) -> Floats:
@@ -211,186 +553,152 @@ def _srgb(light: Floats) -> Floats:
     return np.where(light <= 0.0031308, 12.92 * light, root)
 
 
-def _around(b: Codes, moves: list[tuple[int, int]]) -> tuple[Floats, Floats]:
-    """Range of the codes at several whole-pixel shifts of B; unknown beyond its border."""
-    height, width = b.shape[:2]
-    low, high = np.full(b.shape, np.inf), np.full(b.shape, -np.inf)
-    inside = np.ones((height, width), dtype=np.bool_)
-    for right, down in moves:
-        rows, columns = np.arange(height) - down, np.arange(width) - right
-        inside &= ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
-        image = b[np.clip(rows, 0, height - 1)][:, np.clip(columns, 0, width - 1)]
-        low, high = np.minimum(low, image), np.maximum(high, image)
-    low[~inside], high[~inside] = -np.inf, np.inf
-    return low - 1, high + 1
-
-
-def _way(right: float, down: float) -> str:
-    """A shift in words: "half a pixel to the right and a whole one down"."""
-    names = {0.5: "half a pixel", 1: "one pixel", 1.5: "one and a half pixels", 2: "two pixels"}
-    parts = [
-        f"{names[abs(size)]} {ways[size < 0]}"
-        for size, ways in ((right, ("to the right", "to the left")), (down, ("down", "up")))
-        if size
-    ]
-    return " and ".join(parts)
-
-
-def _moved(a: Codes, b: Codes) -> _Hypothesis | None:
-    """A shift by half pixels, or a stretch by one, estimated from gradients.
-
-    Along each axis the shift is modelled as c + s x, x from -1/2 at one border
-    to 1/2 at the other: least squares of A - B = -(c + s x) dI/dx (B. Lucas and
-    T. Kanade, An iterative image registration technique, IJCAI 1981).
-    """
-    height, width = b.shape[:2]
-    if min(height, width) < 4:
-        return None
-    mean = (a + b) / 2.0
-    change = (a - b).astype(np.float64)[1:-1, 1:-1]
-    across = (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
-    down = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2
-    x = ((np.arange(1, width - 1) + 0.5) / width - 0.5)[:, None]
-    y = ((np.arange(1, height - 1) + 0.5) / height - 0.5)[:, None, None]
-    columns = [across, across * x, down, down * y]
-    matrix = np.array([[float(np.sum(p * q)) for q in columns] for p in columns])
-    target = np.array([-float(np.sum(p * change)) for p in columns])
-    fit = np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
-    shift_x, stretch_x, shift_y, stretch_y = (np.round(2 * fit) / 2).tolist()
-    if max(abs(shift_x), abs(shift_y)) > 1.5:
-        return None
-    if not shift_x and not shift_y and max(abs(stretch_x), abs(stretch_y)) >= 1:
-        word = "smaller" if stretch_x + stretch_y < 0 else "larger"
-        return _Hypothesis(
-            "stretched",
-            f"A is a pixel {word} than it should be, about its centre: pixel centres lie at"
-            " (column + 1/2) / width, not at column / (width - 1).",
-            *_stretched(b, stretch_x, stretch_y),
-        )
-    if not shift_x and not shift_y:
-        return None
-    moves = [(i, j) for i in _between(shift_x) for j in _between(shift_y)]
-    text = f"A is shifted by {_way(shift_x, shift_y)}"
-    if 0.5 in (abs(shift_x), abs(shift_y)):
-        text += ": samples belong at the pixels' centres"
-    return _Hypothesis("shifted", text + ".", *_around(b, moves))
-
-
-def _stretched(b: Codes, stretch_x: float, stretch_y: float) -> tuple[Floats, Floats]:
-    """Range of the codes if B's left half moves to one side and its right half to the other."""
-    low, high = np.empty(b.shape), np.empty(b.shape)
-    rows, columns = (np.array_split(np.arange(size), 2) for size in b.shape[:2])
-    for down, part in zip((-stretch_y, stretch_y), rows, strict=True):
-        for right, half in zip((-stretch_x, stretch_x), columns, strict=True):
-            moves = [(i, j) for i in {0, int(np.sign(right))} for j in {0, int(np.sign(down))}]
-            place = np.ix_(part, half)
-            low[place], high[place] = (bound[place] for bound in _around(b, moves))
-    return low, high
-
-
-def _between(shift: float) -> set[int]:
-    """The whole shifts on both sides of one by half pixels."""
-    return {int(np.floor(shift)), int(np.ceil(shift))}
-
-
-def _regional(a: Codes, b: Codes) -> Diagnosis:
-    """Diagnosis by where the difference lies, its sign, and how it ends."""
-    change = a - b
-    differs: Bools = np.abs(change).max(axis=2) > _NOISE
-    if not differs.any():
-        return Diagnosis("rounding", "Two levels at most: rounding, or noise.")
-    empty: Bools = b.max(axis=2) == 0
-    count, share = int(np.count_nonzero(differs)), float(differs.mean())
-    behind = differs & empty
-    if np.count_nonzero(behind) > max(0.9 * count, 0.5 * np.count_nonzero(empty)) and (
-        np.ptp(a[behind], axis=0).max() <= _NOISE
-    ):
-        return Diagnosis("background", "A's background is not black.")
-    # In every channel: of another colour, one may be brighter and another darker.
-    brighter = bool((change[differs] >= -_NOISE).all(axis=1).mean() > _NEARLY_ALL)
-    darker = bool((change[differs] <= _NOISE).all(axis=1).mean() > _NEARLY_ALL)
-    few = share < _FEW
-    at_edges = (_edges(a) & _edges(b))[differs].mean() > _NEARLY_ALL
-    if at_edges and (few or not (brighter or darker)):
-        return Diagnosis(
-            "edges",
-            "Only edges differ: A or B is anti-aliased, samples lie elsewhere in the pixel, or"
-            " shadows are moved, by an offset or by a light that is elsewhere.",
-        )
-    if few:
-        return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
-    same_outline = np.mean(a.any(axis=2) == b.any(axis=2)) > 0.99
-    # An ambient term lights what is black as well.
-    if (same_outline or brighter or darker) and differs[~empty].mean() > 0.97:
-        if brighter:
-            return Diagnosis(
-                "brightness",
-                "A is brighter everywhere, not by one factor: an ambient term, or other lights.",
-            )
-        return Diagnosis(
-            "brightness",
-            "Everything is lit otherwise, not by one factor: lights that fall off with distance,"
-            " an ambient term that A lacks, or other colours.",
-        )
-    if brighter or darker:
-        return _one_sided(a, b, differs, brighter=brighter)
-    return Diagnosis(
-        "other",
-        f"{share:.1%} of the pixels differ by more than {_NOISE} levels, in none of the ways"
-        " known here: look at the geometry, the camera and the shaders.",
-    )
-
-
-def _one_sided(a: Codes, b: Codes, differs: Bools, *, brighter: bool) -> Diagnosis:
-    """Diagnosis of a part of A that is brighter than in B, or darker, by how it ends."""
-    word, lights = ("larger", "has a light too many") if brighter else ("smaller", "lacks a light")
-    of_size = f"are {word} in A: look at radii, the eye and the window"
-    outline = (a.any(axis=2) != b.any(axis=2))[differs].mean() > _OUTLINE
-    size = np.abs(linear(a) - linear(b)).mean(axis=2)
-    if _sharpness(a, b, differs, size) > _SHARP:
-        if brighter:
-            kind = "missing shadows"
-            text = (
-                f"Shadows are missing in A ({differs.mean():.1%} of its pixels), or it has a light"
-                " or an object too many, or much wider highlights."
-            )
-        else:
-            kind = "extra shadows"
-            text = (
-                "A has shadows that B has not, as where surfaces shadow themselves, or it lacks a"
-                " light, an object or a part of its highlights."
-            )
-        # A single light's shadows are as black as what is behind all objects.
-        return Diagnosis(kind, f"{text} Or objects {of_size}." if outline else text)
-    if outline:
-        return Diagnosis("outline", f"Objects {of_size}; or it {lights}.")
-    if brighter:
-        return Diagnosis("highlights", f"Highlights are stronger or larger in A, or it {lights}.")
-    return Diagnosis(
-        "missing highlight", f"Highlights are missing, or weaker, in A, or it {lights}."
-    )
-
-
 def _edges(image: Codes) -> Bools:
     """Pixels (h, w) with an edge between them and one of their eight neighbours."""
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
-    edges: Bools = (np.ptp(windows, axis=(3, 4)) > _EDGE).any(axis=2)
+    low, high = (f(image, (3, 3, 1)) for f in (ndimage.minimum_filter, ndimage.maximum_filter))
+    edges: Bools = (high - low > _EDGE).any(axis=2)
     return edges
 
 
-def _sharpness(a: Codes, b: Codes, differs: Bools, size: Floats) -> float:
+def _shared(a: Bools, b: Bools) -> tuple[float, float]:
+    """Part of A's edges that B has, and of B's that A has, within a pixel."""
+    wide = [ndimage.binary_dilation(edges, np.ones((3, 3))) for edges in (a, b)]
+    pairs = ((a, wide[1]), (b, wide[0]))
+    return tuple(float((edges & other).sum() / max(1, edges.sum())) for edges, other in pairs)
+
+
+def _shading(pair: _Pair, wrong: Bools, count: int) -> Diagnosis:
+    """Tell what is left by where it lies, its sign, and how it ends."""
+    a, low, high, noise = pair.a, pair.low.astype(int), pair.high.astype(int), pair.noise
+    b = ((low + high) // 2).astype(np.uint8)
+    shown = pair.shown
+    if not wrong.any():
+        return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
+    change = (a - np.clip(a, low, high))[wrong]
+    part = float(wrong.sum() / shown.sum())
+    brighter, darker = (
+        (s * change >= -2 * noise).all(axis=1).mean() > _NEARLY_ALL for s in (1, -1)
+    )
+    edges = _edges(a), _edges(b)
+    kept, shared = _shared(*edges)
+    at_edges = (edges[0] & edges[1])[wrong].mean() > 0.95
+    if at_edges and (count < 0.001 * shown.size or not (brighter or darker)):
+        text = "Only edges differ: A's samples lie elsewhere in the pixel, or are several a pixel."
+        return Diagnosis("edges", text)
+    if count < 0.001 * wrong.size:
+        return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
+    colours = [_palette(image[shown]) for image in (a, b)]
+    black = float((a[wrong].max(axis=1) <= noise).mean())
+    full = float((a[wrong].max(axis=1) == 255).mean())
+    if part > 0.9 and np.isin(a[shown], (0, 255)).all() and colours[1] > 8:
+        text = "A's levels are 0 and 255 alone: light is a whole number before it is encoded."
+        return Diagnosis("whole numbers", text)
+    if part > 0.9 and black > 0.7 and darker and kept > 0.5:
+        text = f"A is black in {black:.0%} of what B shows: n.l is negative, as of normals inwards."
+        return Diagnosis("normals", text)
+    if part > 0.8 and colours[0] == 1 < colours[1]:
+        text = "A shows silhouettes in one colour: nothing is shaded."
+        return Diagnosis("unshaded", text)
+    if (
+        part > 0.8
+        and colours[0] <= 16
+        and 4 * colours[0] < colours[1]
+        and full < 0.8 < a.max() / 80
+    ):
+        text = f"A has no more than {colours[0]} colours: objects are drawn, but not shaded."
+        return Diagnosis("unshaded", text)
+    if max(kept, shared) < (0.8 if noise == 1 else 0.6):
+        text = f"The geometry differs: of B's edges, A has {shared:.0%}. Check the camera first."
+        return Diagnosis("geometry", text)
+    share = f"in {part:.1%} of what is shown"
+    light, right = linear(a).sum(axis=2), linear(b).sum(axis=2)
+    both = wrong & (b.max(axis=2) > 20) & (b.max(axis=2) < 250) & (a.max(axis=2) < 250)
+    both &= a.max(axis=2) > 4
+    least, most, rise, tint = 0.0, np.inf, 0.0, 0.0
+    if both.sum() > 20:
+        least, most = np.percentile(light[both] / right[both], [5, 95])
+        dim, bright = (
+            np.median((light - right)[both & f(right, np.percentile(right[both], q))])
+            for f, q in ((np.less_equal, 25), (np.greater_equal, 75))
+        )
+        rise = float(bright / dim) if dim else 0.0
+        hue = [linear(x[both]) / linear(x[both]).sum(axis=1, keepdims=True) for x in (a, b)]
+        tint = float(np.abs(hue[0] - hue[1]).max(axis=1).mean())
+    if brighter and part > 0.5 and full > 0.8:
+        text = f"A is overexposed {share}: a vector in the shading is not of length 1."
+        return Diagnosis("overexposed", text)
+    if part > 0.9 and brighter and tint > 0.025:
+        text = "Everything is brighter, and of another hue: diffuseColor is not used as it should."
+        return Diagnosis("colours", text)
+    if part > 0.9 and 0.5 < rise < 2 and (brighter and least < 1.25 or darker and most > 0.8):
+        text = "{} by the same light everywhere: an ambient term {}."
+        words = ("A is brighter", "too many") if brighter else ("A is darker", "that A lacks")
+        return Diagnosis("ambient", text.format(*words))
+    if part > 0.9 and (brighter or darker):
+        text = f"A's light is {least:.2g} to {most:.2g} times B's, by place."
+        if most < 0.3:
+            text = f"{text[:-1]}: light is not to fall off with distance."
+        return Diagnosis("uneven", text)
+    sharp = _sharpness(a, b, wrong) > (_SHARP if noise == 1 else 0.12)
+    speckled = 1 - ndimage.binary_opening(wrong, np.ones((3, 3))).sum() / wrong.sum()
+    if darker and speckled > 0.4 and part > 0.02 and noise == 1:
+        text = f"A is speckled with dark dots, {share}: surfaces shadow themselves."
+        return Diagnosis("speckled", text)
+    if darker and part > 0.5:
+        return Diagnosis(
+            "missing light", f"A is darker {share}, and the same elsewhere: it lacks a light."
+        )
+    if darker and (sharp and kept < 0.97 or black > 0.8):
+        return Diagnosis(
+            "extra shadows", f"A is darker {share}, within sharp borders: shadows that B has not."
+        )
+    if brighter and sharp and shared < 0.95:
+        if part > 0.6:
+            return Diagnosis(
+                "extra light", f"A is brighter {share}, and the same elsewhere: a light too many."
+            )
+        return Diagnosis(
+            "missing shadows",
+            f"Shadows are missing in A: it is brighter {share}, within sharp borders.",
+        )
+    if (brighter or darker) and not sharp and rise > 2.2:
+        if brighter:
+            return Diagnosis("highlights", f"Highlights are stronger or larger in A, {share}.")
+        return Diagnosis("missing highlight", f"Highlights are missing, or weaker, in A, {share}.")
+    unlit = brighter and (high[wrong].max(axis=1) <= noise).mean() > 0.9
+    if unlit or ((brighter or darker) and not sharp and rise < 1):
+        word = "brighter" if brighter else "darker"
+        text = f"A is {word} {share}, where surfaces turn away from a light: n.l below 0 is 0."
+        return Diagnosis("facing", text)
+    if not (brighter or darker) and sharp and tint > 0.2:
+        text = f"Another surface is seen {share}: the nearest hit is the one to show."
+        return Diagnosis("nearest", text)
+    rows, columns = (
+        axis.mean() / size for axis, size in zip(np.nonzero(wrong), wrong.shape, strict=True)
+    )
+    place = f"{('upper', 'middle', 'lower')[int(3 * rows)]} {('left', 'centre', 'right')[int(3 * columns)]}"
+    levels = float(np.percentile(np.abs(change).max(axis=1), 95))
+    word = "brighter" if brighter else "darker" if darker else "brighter or darker"
+    text = f"The geometry agrees, the shading differs: A is {word} {share}, by up to {levels:.0f} levels, around the {place}."
+    return Diagnosis("other", text)
+
+
+def _palette(colours: Codes) -> int:
+    """How many colours 95 % of these (n, 3) have, told apart by steps of 4 levels."""
+    _, count = np.unique((colours >> 2).astype(np.intp) @ [65536, 256, 1], return_counts=True)
+    return int(np.searchsorted(np.sort(count)[::-1].cumsum(), 0.95 * count.sum())) + 1
+
+
+def _sharpness(a: Codes, b: Codes, differs: Bools) -> float:
     """How large the difference is where it ends, relative to what it is at most.
 
     Ends at a silhouette, where both pictures have an edge, do not count.
     """
-    inner = []
+    size, values = np.abs(linear(a) - linear(b)).mean(axis=2), []
     for axis in (0, 1):
-        step = [np.abs(np.diff(image, axis=axis)).max(axis=2) <= _EDGE for image in (a, b)]
-        ends = np.diff(differs, axis=axis) & (step[0] | step[1])
+        steps = [np.abs(np.diff(image.astype(np.int16), axis=axis)).max(axis=2) for image in (a, b)]
+        ends = np.diff(differs, axis=axis) & (np.minimum(*steps) <= _EDGE)
         pairs = np.lib.stride_tricks.sliding_window_view(size, 2, axis=axis)
-        inner.append(pairs.max(axis=2)[ends])
-    values = np.concatenate(inner)
-    if not values.size:
-        return 1.0
-    return float(np.median(values) / np.percentile(size[differs], 90))
+        values.append(pairs.max(axis=2)[ends])
+    found = np.concatenate(values)
+    return float(np.median(found) / np.percentile(size[differs], 90)) if found.size else 1.0
