@@ -87,14 +87,18 @@ def parser(
     return made
 
 
-def spare_inputs(used: argparse.ArgumentParser, output: Path, inputs: Iterable[Path]) -> None:
-    """End with wrong usage where the result would replace what it is made from."""
+def spare_inputs(
+    used: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
+) -> None:
+    """End with wrong usage where a result would replace what one is made from."""
     try:
-        replaces = os.path.realpath(output) in map(os.path.realpath, inputs)
+        sources = set(map(os.path.realpath, inputs))
+        for output in outputs:
+            if os.path.realpath(output) in sources:
+                wrong = f"{output}: this would replace an input; choose another with -o"
+                used.error(printable(wrong))
     except OSError as error:
         used.exit(2, no_working_folder(error) + "\n")
-    if replaces:
-        used.error(printable(f"{output}: this would replace an input; choose another with -o"))
 
 
 def run(main: Callable[[], int | None]) -> NoReturn:

@@ -1,18 +1,25 @@
-"""Compare two pictures: figures, a three-part picture, and the kind of difference.
+"""Compare pictures with the right ones: figures, a three-part picture, the kind of difference.
 
-``python -m reference.compare A.png B.png`` compares A with B, the right one.
+``python -m reference.compare A.png B.png`` compares A with B, the right one, and
+``python -m reference.compare HAND-INS/ RIGHT/`` all of a class.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
+import json
+import os
 import re
 import stat
 import sys
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +27,9 @@ from PIL import Image, ImageDraw, ImageFont
 from skimage.metrics import structural_similarity
 
 from reference.command import run, spare_inputs
-from reference.diagnosis import GAMMA, diagnose, linear
-from tracer.arrays import Bools, Floats
+from reference.diagnosis import GAMMA, Bools, Floats, diagnose, linear
+from tracer import SceneFileError, load_scene, render, to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
-from tracer.picture.png import PNG, to_codes
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -35,6 +41,8 @@ _OVER = 1e-3
 _PANEL = 300
 # Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
+_LOSSY = ("JPEG", "WEBP")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
 _MARGIN, _LABEL = 8, 24
 _PAPER, _INK = (250, 250, 250), (30, 30, 30)
 # Colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008).
@@ -101,7 +109,10 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     rows, columns = (max(_WINDOW - size, 0) for size in a.shape[:2])
     missing = (0, rows), (0, columns), (0, 0)
     # What a screen is given, in 0 ... 1.
-    shown = [np.pad(np.clip(image, 0, 1) ** (1 / GAMMA), missing, mode="edge") for image in (a, b)]
+    shown = [
+        np.pad(np.clip(image, 0, 1).astype(np.float32) ** (1 / GAMMA), missing, mode="edge")
+        for image in (a, b)
+    ]
     ssim = structural_similarity(*shown, win_size=_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixels = difference.max(axis=1)
@@ -165,7 +176,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     if gain:
         legend = "orange: the left is brighter, blue: it is darker"
         write(left, _MARGIN + _LABEL + panel_height + 4, legend)
-    with atomic_file(path, PNG) as file:
+    with atomic_file(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
 
@@ -193,42 +204,49 @@ def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
     return bright * _BRIGHTER + dark * _DARKER, gain
 
 
-def read_picture(path: str | Path) -> NDArray[np.uint8]:
-    """Read a picture of 8 bits a channel as codes (h, w, 3).
+class Picture(NamedTuple):
+    """A picture's codes (h, w, 3), and a note on what its format may have done to them, or ""."""
 
-    What is transparent in it is black, as where a scene has nothing.
+    codes: NDArray[np.uint8]
+    note: str
+
+
+def read_picture(path: Path) -> Picture:
+    """Read a picture, or render a scene file with one sample a pixel.
+
+    What is transparent in a picture is black, as where a scene has nothing.
 
     Raises
     ------
     OSError, SyntaxError, ValueError
-        If it cannot be read, or has more than 8 bits a channel.
+        If it cannot be read, is no scene, or has colours of more than 8 bits a channel.
     """
-    if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe or a device may block
+    if not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
+    if path.suffix.lower() == ".xml":
+        return Picture(to_codes(render(load_scene(path))), "")
     try:
         opened = Image.open(path, formats=_FORMATS)
     except Image.DecompressionBombError as error:
         raise ValueError(str(error)) from error
     with opened as image:
+        if image.mode.startswith("I"):  # grey of 16 bits
+            grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
+            return Picture(np.repeat(grey[:, :, None], 3, axis=2), "")
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
         if any(_deep(codec, coding) for codec, _, _, coding in image.tile):
             raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
+        note = ""
+        if image.format in _LOSSY:
+            note = f"is a {image.format}, which changes levels: save it as PNG."
+        elif image.mode in ("P", "PA"):
+            note = "has a palette, of 256 colours at most: save it as RGB."
+        elif rgba.getchannel("A").getextrema() != (255, 255):
+            note = "is transparent in places, which counts as black: save it as RGB."
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
-    return np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
-
-
-def _note(name: str, path: Path) -> str:
-    """What a file's format may have done to the levels of its picture; empty if nothing."""
-    with Image.open(path, formats=_FORMATS) as image:
-        if image.format in ("JPEG", "WEBP"):
-            return f"{name} is a {image.format}, which may change levels: save it as PNG."
-        if image.mode in ("P", "PA"):
-            return f"{name} has a palette, of 256 colours at most: save it as RGB."
-        if image.convert("RGBA").getchannel("A").getextrema() != (255, 255):
-            return f"{name} is transparent in places, which counts as black: save it as RGB."
-        return ""
+    return Picture(np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note)
 
 
 def _deep(codec: str, coding: Any) -> bool:
@@ -238,6 +256,31 @@ def _deep(codec: str, coding: Any) -> bool:
         return bool(largest > 255)
     # The raw mode, alone or first of several: 16 bits a channel in whichever byte order.
     return re.search(r";16[BLN]", str(coding)) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """What is found of a picture; the fields, but for the last, are those of `--json`."""
+
+    picture: str
+    right: str | None = None
+    agrees: bool = False
+    ssim: float | None = None
+    max: float | None = None
+    diagnosis: str | None = None
+    error: str | None = None
+    lines: tuple[str, ...] = ()
+
+    def row(self) -> dict[str, object]:
+        return {field.name: getattr(self, field.name) for field in fields(self)[:-1]}
+
+    def __str__(self) -> str:
+        """A line for a list of many."""
+        if self.error:
+            return f"unread   {printable(self.picture)}: {self.error}"
+        found = "" if self.ssim is None else f"SSIM {self.ssim:.4f}  max {self.max:.2e}  "
+        word = "agrees " if self.agrees else "differs"
+        return f"{word}  {found}{printable(self.picture)}: {self.diagnosis}"
 
 
 def tolerance(text: str) -> float:
@@ -251,13 +294,16 @@ def tolerance(text: str) -> float:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m reference.compare",
-        description="Compare picture A with B, the right one: figures in linear light, the kind"
-        " of difference, and a picture of A, B and the difference.",
-        epilog="Exit status: 0 within the tolerances, 1 beyond them, 2 wrong usage or a picture"
-        " that cannot be read.  Without a tolerance, any difference exits with 1.",
+        description="Compare picture A with B, the right one, or all pictures in a folder A, and in"
+        " its folders, with B or with those of the same names in a folder B: figures in linear"
+        " light, the kind of difference, and a picture of A, B and the difference.",
+        epilog="Exit status: 0 if all are within the tolerances, 1 if some are not, 2 for wrong"
+        " usage, 3 if some cannot be read.  Without a tolerance, no difference is tolerated.",
     )
-    parser.add_argument("a", metavar="A.png", type=Path, help="the picture in question")
-    parser.add_argument("b", metavar="B.png", type=Path, help="the right one")
+    parser.add_argument("a", metavar="A", type=Path, help="the picture in question, or a folder")
+    parser.add_argument(
+        "b", metavar="B", type=Path, help="the right picture, a scene file, or a folder of these"
+    )
     parser.add_argument("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
     parser.add_argument(
         "--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated"
@@ -267,8 +313,11 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         type=file_name,
         metavar="PATH",
-        help="the comparison, or a folder for it that is there (A.compare.png)",
+        help="the comparison (A.compare.png), or a folder, for which PATH may end in /",
     )
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print a list with an object a picture")
+    form.add_argument("--csv", action="store_true", help="print the same as a table")
     return parser
 
 
@@ -276,51 +325,151 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    output = options.a.parent / f"{options.a.stem}.compare.png"
-    if options.output is not None:
-        output = Path(options.output, output.name if is_folder(options.output) else "")
-    spare_inputs(parser, output, (options.a, options.b))
-    try:
-        return _compare(options, output)
-    except MemoryError:
-        print_line(
-            sys.stderr, printable(f"{options.a}: not enough memory to compare it; compare a part")
-        )
-        return 2
+    many = options.a.is_dir()
+    pictures = [options.a]
+    if many:
+        pictures = sorted(path for path in options.a.rglob("*") if _is_hand_in(path))
+        if not pictures:
+            parser.error(printable(f"{options.a}: holds no pictures"))
+        if options.output is not None and not is_folder(options.output):
+            wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
+            parser.error(printable(wrong))
+    elif options.b.is_dir():
+        many = False
+    rights = _rights(options.b)
+    pairs = {picture: rights.get(_key(picture)) for picture in pictures}
+    if not options.b.is_dir():
+        pairs = dict.fromkeys(pictures, options.b)
+    outputs = _outputs(options, pictures, many)
+    spare_inputs(parser, outputs, (*pictures, *filter(None, pairs.values())))
+    results = []
+    for (picture, right), output in zip(pairs.items(), outputs, strict=True):
+        results.append(_result(picture, right, output, options, many=many))
+        if many and not (options.json or options.csv):
+            print_line(sys.stdout, str(results[-1]))
+    agree, unread = (
+        sum(map(bool, found)) for found in ([r.agrees for r in results], [r.error for r in results])
+    )
+    if options.json:
+        print_line(sys.stdout, json.dumps([r.row() for r in results], indent=1))
+    elif options.csv:
+        table = io.StringIO()
+        writer = csv.DictWriter(table, results[0].row(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(result.row() for result in results)
+        print_line(sys.stdout, table.getvalue().removesuffix("\n"))
+    elif many:
+        differ = len(results) - agree - unread
+        summary = f"{len(results)} pictures: {agree} agree, {differ} differ"
+        print_line(sys.stdout, summary + (f", {unread} cannot be compared" if unread else ""))
+    else:
+        for line in results[0].lines:
+            print_line(sys.stdout, line)
+        if results[0].error:
+            print_line(sys.stderr, results[0].error)
+    return 3 if unread else int(agree < len(results))
 
 
-def _compare(options: argparse.Namespace, output: Path) -> int:
-    codes = []
-    for path in (options.a, options.b):
+def _key(path: Path) -> str:
+    """What a picture and the right one have in common: the name, without `.png` and `.xml`."""
+    return path.name.removesuffix(path.suffix).removesuffix(".xml").lower()
+
+
+def _is_hand_in(path: Path) -> bool:
+    name = path.name.lower()
+    return name.endswith(_SUFFIXES) and not name.endswith(".compare.png") and path.is_file()
+
+
+def _rights(folder: Path) -> dict[str, Path]:
+    """The right pictures in a folder, or the scenes of which there is none."""
+    if not folder.is_dir():
+        return {}
+    found = {_key(path): path for path in sorted(folder.glob("*.xml"))}
+    return found | {_key(path): path for path in sorted(folder.iterdir()) if _is_hand_in(path)}
+
+
+def _outputs(options: argparse.Namespace, pictures: list[Path], many: bool) -> list[Path]:
+    """Where the comparison of each picture goes; none to another's place."""
+    beside = [path.with_name(f"{path.stem}.compare.png") for path in pictures]
+    taken = Counter(beside)  # a.png and a.jpg
+    named = [
+        path if taken[path] == 1 else picture.with_name(f"{picture.name}.compare.png")
+        for path, picture in zip(beside, pictures, strict=True)
+    ]
+    if options.output is None:
+        return named
+    if not many and not is_folder(options.output):
+        return [Path(options.output)]
+    above = options.a if many else options.a.parent
+    return [Path(options.output, path.relative_to(above)) for path in named]
+
+
+_read_right = lru_cache(maxsize=8)(read_picture)
+
+
+def _result(
+    picture: Path, right: Path | None, output: Path, options: argparse.Namespace, *, many: bool
+) -> _Result:
+    """Compare one picture."""
+    fail = partial(_Result, str(picture), None if right is None else str(right))
+    if right is None:
+        return fail(error=printable(f"{picture}: {options.b} has no picture of this name"))
+    found = []
+    for path, read in ((picture, read_picture), (right, _read_right)):
         try:
-            codes.append(read_picture(path))
+            found.append(read(path))
+        except SceneFileError as error:
+            return fail(error=str(error))
+        except MemoryError:
+            return fail(error=printable(f"{path}: not enough memory to read it"))
         except (OSError, SyntaxError, ValueError) as error:  # the second is Pillow's, of a PNG
             reason = getattr(error, "strerror", None) or error
-            print_line(sys.stderr, printable(f"{path}: cannot be read: {reason}"))
-            return 2
-    diagnosis = diagnose(*codes)
-    if codes[0].shape != codes[1].shape:
-        print_line(sys.stdout, diagnosis.text)
-        return 1
-    a, b = (linear(picture) for picture in codes)
-    result = figures(a, b)
+            return fail(error=printable(f"{path}: cannot be read: {reason}"))
     try:
-        write_comparison(output, a, b, (printable(options.a.name), printable(options.b.name)))
+        return _compared(fail, found, output, options, always=not many)
+    except MemoryError:
+        wrong = f"{picture}: not enough memory to compare it; compare a part"
+        return fail(error=printable(wrong))
     except OSError as error:
-        print_line(sys.stderr, printable(f"{output}: cannot be written: {error.strerror or error}"))
-        return 2
-    named_files = (("A", options.a), ("B", options.b)) if diagnosis.kind != "identical" else ()
-    notes = [note for name, path in named_files if (note := _note(name, path))]
-    if not notes or diagnosis.kind != "other":  # or else the format may be to blame, not the scene
-        notes.append(diagnosis.text)
-    for line in (str(result), *notes, printable(str(output))):
-        print_line(sys.stdout, line)
-    if options.ssim is None and options.max is None:
-        return int(diagnosis.kind != "identical")
-    within = (options.ssim is None or result.ssim >= options.ssim) and (
-        options.max is None or result.max <= options.max
+        return fail(error=printable(f"{output}: cannot be written: {error.strerror or error}"))
+
+
+def _compared(
+    result: partial[_Result],
+    pictures: list[Picture],
+    output: Path,
+    options: argparse.Namespace,
+    *,
+    always: bool,
+) -> _Result:
+    """Compare two pictures that are read; `always`: write the comparison even if they agree."""
+    lossy = any(
+        "changes levels" in picture.note or "palette" in picture.note for picture in pictures
     )
-    return int(not within)
+    diagnosis = diagnose(pictures[0].codes, pictures[1].codes, lossy=lossy)
+    same = diagnosis.kind == "identical"
+    notes = [] if same else [f"{n} {p.note}" for n, p in zip("AB", pictures, strict=True) if p.note]
+    words = (*notes, diagnosis.text)
+    if diagnosis.kind == "size":
+        return result(diagnosis=" ".join(words), lines=words)
+    a, b = (linear(picture.codes) for picture in pictures)
+    measured = figures(a, b)
+    agrees = same
+    if options.ssim is not None or options.max is not None:
+        agrees = (options.ssim is None or measured.ssim >= options.ssim) and (
+            options.max is None or measured.max <= options.max
+        )
+    if always or not agrees:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        left, right = (printable(Path(name).name) for name in result.args)
+        write_comparison(output, a, b, (left, right))
+    return result(
+        agrees=agrees,
+        ssim=measured.ssim,
+        max=measured.max,
+        diagnosis=" ".join(words),
+        lines=(str(measured), *words, printable(str(output))),
+    )
 
 
 if __name__ == "__main__":

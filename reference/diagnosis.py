@@ -8,10 +8,11 @@ ends.  Two faults are told one after the other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import permutations, product
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class Diagnosis(NamedTuple):
 def linear(codes: NDArray[np.generic]) -> Floats:
     """Linear light of 8-bit codes: the inverse of the format's gamma of 2.2."""
     light: Floats = (np.arange(256) / 255) ** GAMMA
-    return light[codes]
+    return np.asarray(light[codes])
 
 
 def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
@@ -81,6 +82,8 @@ def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
             return Diagnosis("black", f"{name} is black, and {other} is not.")
         if np.ptp(image, axis=(0, 1)).max() < noise:
             return Diagnosis("flat", f"{name} has one colour everywhere.")
+    if (np.abs(255 - b.astype(np.int16) - a) <= noise).mean() > 0.98:
+        return Diagnosis("inverted", "A is the negative of B.")
     count = int(np.count_nonzero((difference > noise).any(axis=2)))
     if not count:
         return Diagnosis("noise", f"No level is off by more than {noise}: noise of the format.")
@@ -183,7 +186,7 @@ class _Pair:
             return _SAME
         there = np.flatnonzero(counts[:, -1])
         median = (2 * counts[there] < counts[there, -1:]).sum(axis=1)
-        return np.interp(np.arange(256), there, median)
+        return np.asarray(np.interp(_SAME, there, median))
 
     def misfit(self, low: Floats, high: Floats) -> Bools:
         """Places (h, w) where A is not what B's levels are mapped to, from `low` to `high`."""
@@ -214,7 +217,8 @@ class _Motion(NamedTuple):
     slack: float
 
     def back(self) -> _Motion:
-        return self._replace(matrix=np.linalg.inv(self.matrix), shift=-self.shift)
+        inverse = np.linalg.inv(self.matrix).astype(np.float64)
+        return self._replace(matrix=inverse, shift=-self.shift)
 
     def pair(self, a: Codes, b: Codes, noise: int) -> _Pair:
         height, width = a.shape[:2]
@@ -239,7 +243,7 @@ class _Motion(NamedTuple):
 
 def _step(image: Codes, most: int = _PIXELS) -> int:
     """Every so many rows and columns of a picture are about so many pixels, at most."""
-    return max(1, round((image.shape[0] * image.shape[1] / most) ** 0.5))
+    return max(1, round(math.sqrt(image.shape[0] * image.shape[1] / most)))
 
 
 def _background(a: Codes, b: Codes, noise: int) -> tuple[Codes, Diagnosis | None]:
@@ -272,10 +276,10 @@ def _unlike(a: Codes, b: Codes) -> Floats:
     whole = max(values.var() * values.size, 1e-6)
     mean = values.sum() ** 2 / max(1, values.size)
     between = [(sum(sums[k][order[k]] for k in range(3)) ** 2 / count).sum() for order in _ORDERS]
-    return 1 - (np.array(between) - mean) / whole
+    return np.asarray(1 - (np.array(between) - mean) / whole)
 
 
-_TURNS: dict[str, tuple[str, Callable[[NDArray[np.generic]], NDArray[np.generic]]]] = {
+_TURNS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "mirrored": ("A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
     "flipped": ("A is upside down: row 0 should be the top.", lambda a: a[::-1]),
     "turned": ("A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
@@ -383,12 +387,16 @@ def _far(a: Codes, b: Codes, still: _Pair) -> Iterator[_Motion]:
 
     Each is searched for in small pictures, and the one that makes B most like A made precise.
     """
-    if max(_shared(_edges(still.a), _edges(still.low))) > 0.85:
+    silhouettes = [image.max(axis=2) > still.noise for image in (still.a, still.low)]
+    agree = (silhouettes[0] == silhouettes[1]).mean() > 0.995
+    if agree and max(_shared(_edges(still.a), _edges(still.low))) > 0.85:
         return
     small, fine = (
         [ndimage.gaussian_filter(_thumbnail(image, size), 1) for image in (a, b)]
         for size in (_SMALL, _FINE)
     )
+    if min(image.std() for image in (*small, *fine)) < 1:
+        return
     scale = max(1, max(a.shape) / _FINE)
 
     def zoom(across: float, down: float) -> _Motion:
@@ -420,23 +428,22 @@ def _far(a: Codes, b: Codes, still: _Pair) -> Iterator[_Motion]:
         return _correlation(images[0], moved)
 
     turns = np.linspace(-np.pi, np.pi, 60, endpoint=False)
-    shift = phase_cross_correlation(*fine, normalization=None)[0][::-1]
-    across, down, alike = _best_zoom(*small)
-    tried = [
-        (alike, zoom, (across, down)),
-        *((likeness(roll(angle), small), roll, (angle,)) for angle in turns if angle),
-        (likeness(move(*shift), fine, scale), move, tuple(shift)),
-    ]
-    _, kind, start = max(tried, key=lambda one: one[0])
-    if kind is not move:
+    shift = phase_cross_correlation(*fine, normalization=None, upsample_factor=10)[0][::-1]
+    angle = max(turns, key=lambda angle: likeness(roll(angle), small))
+    starts: tuple[tuple[Callable[..., _Motion], list[float]], ...] = (
+        (zoom, list(_best_zoom(*small))),
+        (roll, [angle]),
+    )
+    motions = [move(*shift)]
+    for kind, start in starts:
         found = optimize.minimize(
-            lambda by: -likeness(kind(*by), fine), start, method="Nelder-Mead",
-            options={"maxfev": 80, "xatol": 1e-4},
+            lambda by, kind=kind: -likeness(kind(*by), fine), start, method="Nelder-Mead",
+            options={"maxfev": 60, "xatol": 1e-4},
         )  # fmt: skip
-        start = tuple(found.x)
-    motion = kind(*start)
-    if kind is not zoom or 0.01 < np.abs(np.log(start)).max() < 3:
-        yield motion
+        motions.append(kind(*found.x))
+    best = max(motions, key=lambda motion: likeness(motion, fine, scale))
+    if best.shift.any() or 0.01 < np.abs(best.matrix - np.eye(2)).max() < 20:
+        yield best
 
 
 def _times(factor: float) -> str:
@@ -460,8 +467,8 @@ def _correlation(a: Floats, b: Floats) -> float:
     return float(x @ y / np.sqrt((x @ x) * (y @ y)))
 
 
-def _best_zoom(a: Floats, b: Floats) -> tuple[float, float, float]:
-    """Factors across and down that make B most like A, and how alike they are then."""
+def _best_zoom(a: Floats, b: Floats) -> tuple[float, float]:
+    """Factors across and down that make B most like A."""
     factors = np.exp(np.linspace(-2, 2, 33))
     sides = []
     for size in a.shape:
@@ -476,7 +483,7 @@ def _best_zoom(a: Floats, b: Floats) -> tuple[float, float, float]:
             alike = _correlation(strip[:, columns], b_strip[:, from_columns])
             if alike > best[2] and rows.size * columns.size > 0.02 * a.size:
                 best = (float(across), float(down), alike)
-    return best
+    return best[:2]
 
 
 def _encoded(pair: _Pair) -> tuple[_Pair, Diagnosis | None]:
@@ -516,8 +523,8 @@ def _tones(pair: _Pair) -> Iterator[_Tone]:
     lights[1][255] = np.inf
 
     def tone(kind: str, text: str, curve: Callable[[Floats], Floats], fixed: bool = True) -> _Tone:
-        ends = (np.round(255 * np.clip(curve(light), 0, 1)) for light in lights)
-        return _Tone(kind, text, *ends, fixed)
+        low, high = (np.round(255 * np.clip(curve(light), 0, 1)) for light in lights)
+        return _Tone(kind, text, low, high, fixed)
 
     yield tone("gamma", "A lacks gamma: its levels are linear in light.", lambda x: x)
     text = "A has gamma twice: the power 1 / 2.2 is to be taken once."
@@ -525,7 +532,6 @@ def _tones(pair: _Pair) -> Iterator[_Tone]:
     text = "A has gamma the wrong way round: the power 2.2 in place of 1 / 2.2."
     yield tone("gamma", text, lambda x: x**GAMMA)
     yield tone("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.", _srgb)
-    yield _Tone("inverted", "A is the negative of B.", 255 - _SAME, 255 - _SAME)
     text = "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap round."
     full = np.where(_SAME == 255, 0, _SAME)
     yield _Tone("unclipped", text, full, _SAME)
@@ -563,124 +569,105 @@ def _edges(image: Codes) -> Bools:
 def _shared(a: Bools, b: Bools) -> tuple[float, float]:
     """Part of A's edges that B has, and of B's that A has, within a pixel."""
     wide = [ndimage.binary_dilation(edges, np.ones((3, 3))) for edges in (a, b)]
-    pairs = ((a, wide[1]), (b, wide[0]))
-    return tuple(float((edges & other).sum() / max(1, edges.sum())) for edges, other in pairs)
+    first, second = (a & wide[1]).sum() / max(1, a.sum()), (b & wide[0]).sum() / max(1, b.sum())
+    return float(first), float(second)
 
 
 def _shading(pair: _Pair, wrong: Bools, count: int) -> Diagnosis:
-    """Tell what is left by where it lies, its sign, and how it ends."""
-    a, low, high, noise = pair.a, pair.low.astype(int), pair.high.astype(int), pair.noise
-    b = ((low + high) // 2).astype(np.uint8)
-    shown = pair.shown
+    """Tell what is left by where it lies, its sign, and how it ends: the first rule that holds."""
+    a, low, high, noise = pair.a, pair.low, pair.high, pair.noise
     if not wrong.any():
         return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
-    change = (a - np.clip(a, low, high))[wrong]
-    part = float(wrong.sum() / shown.sum())
+    b = np.asarray((low.astype(np.int16) + high) // 2, dtype=np.uint8)
+    shown, part = pair.shown, float(wrong.sum() / pair.shown.sum())
+    change = (a.astype(np.int16) - np.clip(a, low, high))[wrong]
     brighter, darker = (
-        (s * change >= -2 * noise).all(axis=1).mean() > _NEARLY_ALL for s in (1, -1)
+        bool((sign * change >= -2 * noise).all(axis=1).mean() > _NEARLY_ALL) for sign in (1, -1)
     )
     edges = _edges(a), _edges(b)
     kept, shared = _shared(*edges)
-    at_edges = (edges[0] & edges[1])[wrong].mean() > 0.95
-    if at_edges and (count < 0.001 * shown.size or not (brighter or darker)):
-        text = "Only edges differ: A's samples lie elsewhere in the pixel, or are several a pixel."
-        return Diagnosis("edges", text)
-    if count < 0.001 * wrong.size:
-        return Diagnosis("few", f"{_differ(count)}: too few to tell why.")
-    colours = [_palette(image[shown]) for image in (a, b)]
-    black = float((a[wrong].max(axis=1) <= noise).mean())
-    full = float((a[wrong].max(axis=1) == 255).mean())
-    if part > 0.9 and np.isin(a[shown], (0, 255)).all() and colours[1] > 8:
-        text = "A's levels are 0 and 255 alone: light is a whole number before it is encoded."
-        return Diagnosis("whole numbers", text)
-    if part > 0.9 and black > 0.7 and darker and kept > 0.5:
-        text = f"A is black in {black:.0%} of what B shows: n.l is negative, as of normals inwards."
-        return Diagnosis("normals", text)
-    if part > 0.8 and colours[0] == 1 < colours[1]:
-        text = "A shows silhouettes in one colour: nothing is shaded."
-        return Diagnosis("unshaded", text)
-    if (
-        part > 0.8
-        and colours[0] <= 16
-        and 4 * colours[0] < colours[1]
-        and full < 0.8 < a.max() / 80
-    ):
-        text = f"A has no more than {colours[0]} colours: objects are drawn, but not shaded."
-        return Diagnosis("unshaded", text)
-    if max(kept, shared) < (0.8 if noise == 1 else 0.6):
-        text = f"The geometry differs: of B's edges, A has {shared:.0%}. Check the camera first."
-        return Diagnosis("geometry", text)
-    share = f"in {part:.1%} of what is shown"
-    light, right = linear(a).sum(axis=2), linear(b).sum(axis=2)
-    both = wrong & (b.max(axis=2) > 20) & (b.max(axis=2) < 250) & (a.max(axis=2) < 250)
-    both &= a.max(axis=2) > 4
+    peak, right_peak = a.max(axis=2), b.max(axis=2)
+    black, full = (float(found[wrong].mean()) for found in (peak <= noise, peak == 255))
+    colours, right_colours = (_palette(image[shown]) for image in (a, b))
+    # How A's light differs from B's: by which factors, how much more where B is bright, in hue.
     least, most, rise, tint = 0.0, np.inf, 0.0, 0.0
-    if both.sum() > 20:
-        least, most = np.percentile(light[both] / right[both], [5, 95])
-        dim, bright = (
-            np.median((light - right)[both & f(right, np.percentile(right[both], q))])
-            for f, q in ((np.less_equal, 25), (np.greater_equal, 75))
+    middle = wrong & (right_peak > 20) & (right_peak < 250) & (peak < 250) & (peak > 4)
+    if middle.sum() > 20:
+        mine, right = linear(a[middle]), linear(b[middle])
+        light, right_light = mine.sum(axis=1), right.sum(axis=1)
+        least, most = np.percentile(light / right_light, [5, 95])
+        ends = np.percentile(right_light, [25, 75])
+        places = right_light <= ends[0], right_light >= ends[1]
+        dim, bright = (float(np.median((light - right_light)[place])) for place in places)
+        rise = bright / dim if dim else 0.0
+        tint = float(
+            np.abs(mine / light[:, None] - right / right_light[:, None]).max(axis=1).mean()
         )
-        rise = float(bright / dim) if dim else 0.0
-        hue = [linear(x[both]) / linear(x[both]).sum(axis=1, keepdims=True) for x in (a, b)]
-        tint = float(np.abs(hue[0] - hue[1]).max(axis=1).mean())
-    if brighter and part > 0.5 and full > 0.8:
-        text = f"A is overexposed {share}: a vector in the shading is not of length 1."
-        return Diagnosis("overexposed", text)
-    if part > 0.9 and brighter and tint > 0.025:
-        text = "Everything is brighter, and of another hue: diffuseColor is not used as it should."
-        return Diagnosis("colours", text)
-    if part > 0.9 and 0.5 < rise < 2 and (brighter and least < 1.25 or darker and most > 0.8):
-        text = "{} by the same light everywhere: an ambient term {}."
-        words = ("A is brighter", "too many") if brighter else ("A is darker", "that A lacks")
-        return Diagnosis("ambient", text.format(*words))
-    if part > 0.9 and (brighter or darker):
-        text = f"A's light is {least:.2g} to {most:.2g} times B's, by place."
-        if most < 0.3:
-            text = f"{text[:-1]}: light is not to fall off with distance."
-        return Diagnosis("uneven", text)
-    sharp = _sharpness(a, b, wrong) > (_SHARP if noise == 1 else 0.12)
-    speckled = 1 - ndimage.binary_opening(wrong, np.ones((3, 3))).sum() / wrong.sum()
-    if darker and speckled > 0.4 and part > 0.02 and noise == 1:
-        text = f"A is speckled with dark dots, {share}: surfaces shadow themselves."
-        return Diagnosis("speckled", text)
-    if darker and part > 0.5:
-        return Diagnosis(
-            "missing light", f"A is darker {share}, and the same elsewhere: it lacks a light."
-        )
-    if darker and (sharp and kept < 0.97 or black > 0.8):
-        return Diagnosis(
-            "extra shadows", f"A is darker {share}, within sharp borders: shadows that B has not."
-        )
-    if brighter and sharp and shared < 0.95:
-        if part > 0.6:
-            return Diagnosis(
-                "extra light", f"A is brighter {share}, and the same elsewhere: a light too many."
-            )
-        return Diagnosis(
-            "missing shadows",
-            f"Shadows are missing in A: it is brighter {share}, within sharp borders.",
-        )
-    if (brighter or darker) and not sharp and rise > 2.2:
-        if brighter:
-            return Diagnosis("highlights", f"Highlights are stronger or larger in A, {share}.")
-        return Diagnosis("missing highlight", f"Highlights are missing, or weaker, in A, {share}.")
-    unlit = brighter and (high[wrong].max(axis=1) <= noise).mean() > 0.9
-    if unlit or ((brighter or darker) and not sharp and rise < 1):
-        word = "brighter" if brighter else "darker"
-        text = f"A is {word} {share}, where surfaces turn away from a light: n.l below 0 is 0."
-        return Diagnosis("facing", text)
-    if not (brighter or darker) and sharp and tint > 0.2:
-        text = f"Another surface is seen {share}: the nearest hit is the one to show."
-        return Diagnosis("nearest", text)
-    rows, columns = (
-        axis.mean() / size for axis, size in zip(np.nonzero(wrong), wrong.shape, strict=True)
-    )
-    place = f"{('upper', 'middle', 'lower')[int(3 * rows)]} {('left', 'centre', 'right')[int(3 * columns)]}"
-    levels = float(np.percentile(np.abs(change).max(axis=1), 95))
+    clean = noise == 1
+    sharp = _sharpness(a, b, wrong) > (_SHARP if clean else 0.12)
+    fades, all_over = (brighter or darker) and not sharp, part > _NEARLY_ALL
+    specks = 1 - ndimage.binary_opening(wrong, np.ones((3, 3))).sum() / wrong.sum()
+    unlit = brighter and high[wrong].max(axis=1).max() <= noise
+    at_edges = (edges[0] & edges[1])[wrong].mean() > 0.95
+    share = f"in {part:.1%} of what is shown"
     word = "brighter" if brighter else "darker" if darker else "brighter or darker"
-    text = f"The geometry agrees, the shading differs: A is {word} {share}, by up to {levels:.0f} levels, around the {place}."
-    return Diagnosis("other", text)
+    of_levels = np.percentile(np.abs(change).max(axis=1), 95)
+    rules = (
+        (at_edges and (count < 0.001 * wrong.size or not (brighter or darker)), "edges",
+         "Only edges differ: A's samples lie elsewhere in the pixel, or are several a pixel."),
+        (count < 0.001 * wrong.size, "few", f"{_differ(count)}: too few to tell why."),
+        (all_over and right_colours > 8 and np.isin(a[shown], (0, 255)).all(), "whole numbers",
+         "A's levels are 0 and 255 alone: light is made a whole number before it is encoded."),
+        (all_over and darker and black > 0.7 and kept > 0.5, "normals",
+         f"A is black in {black:.0%} of what B shows: n.l is negative, as of normals inwards."),
+        (part > 0.8 and colours == 1 < right_colours, "unshaded",
+         "A shows silhouettes in one colour: nothing is shaded."),
+        (part > 0.8 and colours <= 16 and 4 * colours < right_colours and full < 0.8
+         and a.max() > 64, "unshaded",
+         f"A has no more than {colours} colours: objects are drawn, but not shaded."),
+        (max(kept, shared) < (0.8 if clean else 0.6), "geometry",
+         f"The geometry differs: of B's edges, A has {shared:.0%}.  Check the camera first."),
+        (brighter and part > 0.5 and full > 0.8, "overexposed",
+         f"A is overexposed {share}: a vector in the shading is not of length 1."),
+        (brighter and all_over and tint > 0.025, "colours",
+         "Everything is brighter, and of another hue: diffuseColor is not used as it should be."),
+        (brighter and all_over and 0.5 < rise < 2 and least < 1.25, "ambient",
+         "A is brighter by the same light everywhere: an ambient term too many."),
+        (darker and all_over and 0.5 < rise < 2 and most > 0.8, "ambient",
+         "A is darker by the same light everywhere: it lacks an ambient term."),
+        (darker and all_over and most < 0.3, "falls off", "Everything is darker, by factors from"
+         f" {least:.2g} to {most:.2g}: light is not to fall off with distance."),
+        (all_over and (brighter or darker), "uneven",
+         f"Everything is {word}, by factors from {least:.2g} to {most:.2g} in linear light."),
+        (darker and specks > 0.4 and part > 0.02 and clean, "speckled",
+         f"A is speckled with dark dots, {share}: surfaces shadow themselves."),
+        (darker and part > 0.5, "missing light",
+         f"A is darker {share}, and the same elsewhere: it lacks a light."),
+        (darker and ((sharp and kept < 0.97) or black > 0.8), "extra shadows",
+         f"A is darker {share}, within sharp borders: it has shadows that B has not."),
+        (brighter and sharp and shared < 0.95 and part > 0.6, "extra light",
+         f"A is brighter {share}, and the same elsewhere: it has a light too many."),
+        (brighter and sharp and shared < 0.95, "missing shadows",
+         f"Shadows are missing in A: it is brighter {share}, within sharp borders."),
+        (brighter and fades and rise > 2.2, "highlights",
+         f"Highlights are stronger or larger in A, {share}."),
+        (darker and fades and rise > 2.2, "missing highlight",
+         f"Highlights are missing, or weaker, in A, {share}."),
+        (clean and (unlit or (fades and rise < 1)), "facing",
+         f"A is {word} {share}, where surfaces turn away from a light: n.l below 0 is 0."),
+        (sharp and not (brighter or darker) and tint > 0.2, "nearest",
+         f"Another surface is seen {share}: the nearest hit is the one to show."),
+        (True, "other", f"The geometry agrees, the shading differs: A is {word} {share}, mostly"
+         f" in the {_place(wrong)}, by up to {of_levels:.0f} levels."),
+    )  # fmt: skip
+    return next(Diagnosis(kind, text) for holds, kind, text in rules if holds)
+
+
+def _place(wrong: Bools) -> str:
+    """The ninth of the picture in which most of these pixels are, in words."""
+    thirds = [np.array_split(part, 3, axis=1) for part in np.array_split(wrong, 3)]
+    row, column = divmod(int(np.argmax([part.sum() for row in thirds for part in row])), 3)
+    return f"{('upper', 'middle', 'lower')[row]} {('left', 'centre', 'right')[column]}"
 
 
 def _palette(colours: Codes) -> int:
@@ -695,10 +682,10 @@ def _sharpness(a: Codes, b: Codes, differs: Bools) -> float:
     Ends at a silhouette, where both pictures have an edge, do not count.
     """
     size, values = np.abs(linear(a) - linear(b)).mean(axis=2), []
-    for axis in (0, 1):
+    for axis in (0, 1) if min(differs.shape) > 1 else ():
         steps = [np.abs(np.diff(image.astype(np.int16), axis=axis)).max(axis=2) for image in (a, b)]
         ends = np.diff(differs, axis=axis) & (np.minimum(*steps) <= _EDGE)
         pairs = np.lib.stride_tricks.sliding_window_view(size, 2, axis=axis)
         values.append(pairs.max(axis=2)[ends])
-    found = np.concatenate(values)
+    found = np.concatenate([*values, []])
     return float(np.median(found) / np.percentile(size[differs], 90)) if found.size else 1.0

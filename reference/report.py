@@ -259,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         need_scenes(parser)
     paths = sorted({*(options.scenes or own_scenes())})
     output = Path(options.output, _NAME if is_folder(options.output) else "")
-    spare_inputs(parser, output, (*paths, TEMPLATE, *CHARTS.values()))
+    spare_inputs(parser, (output,), (*paths, TEMPLATE, *CHARTS.values()))
     try:
         use(options.variant)
     except ImportError as error:

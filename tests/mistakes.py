@@ -143,7 +143,7 @@ def radiance(scene: Scene, *mistakes: str) -> Array:
             if isinstance(shader, Phong) and "no highlights" not in mistakes:
                 half = to_light + to_eye
                 mirror = 2 * (n * to_light).sum(-1)[:, None] * n - to_light
-                angle = (n * (half if "half vector not normalised" in mistakes else unit(half)))
+                angle = n * (half if "half vector not normalised" in mistakes else unit(half))
                 if "Phong" in mistakes:
                     angle = mirror * to_eye
                 exponent = 2 if "exponent ignored" in mistakes else shader.exponent

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
 import shutil
 import struct
@@ -15,27 +18,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scene_files import codes
 from skimage.metrics import structural_similarity
 
-import tracer
 from reference.command import SCENES
 from reference.compare import figures, main, read_picture, write_comparison
-from tracer.arrays import Floats
-from tracer.picture.png import PNG
+from tracer import load_scene, render, to_codes
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
+Floats = NDArray[np.float64]
+PNG = b"\x89PNG\r\n\x1a\n"
 Image8 = NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module")
 def light() -> Floats:
-    return tracer.render(tracer.load_scene(SCENES / "four-spheres.xml"))
+    return render(load_scene(SCENES / "four-spheres.xml"))
 
 
 @pytest.fixture(scope="module")
 def right(light: Floats) -> Image8:
-    return codes(light)
+    return to_codes(light)
 
 
 def save(path: Path, image: Image8) -> str:
@@ -72,9 +74,9 @@ def test_figures_by_hand() -> None:
     # 2 of 98 * 3 values are 0.5.
     assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)
     assert result.p999 == 0.5
-    assert figures(a, b).ssim == structural_similarity(
-        a ** (1 / 2.2), b ** (1 / 2.2), channel_axis=2, data_range=1.0
-    )
+    shown = a ** (1 / 2.2), b ** (1 / 2.2)
+    right = structural_similarity(*shown, channel_axis=2, data_range=1.0)
+    assert figures(a, b).ssim == pytest.approx(right, abs=1e-6)
 
 
 @pytest.mark.parametrize(("pixels", "p999"), [(1, 0.0), (4, 0.5)])
@@ -105,7 +107,7 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
     a[19, 150] += 0.4
     path = tmp_path / "out.png"
     write_comparison(path, a, b, ("A", "B"))
-    shown = read_picture(path) / 255
+    shown = read_picture(path).codes / 255
     assert shown.shape == (20 + 2 * 8 + 2 * 24, 3 * 300 + 4 * 8, 3)
     difference = shown[8 + 24 : 8 + 24 + 20, 3 * 8 + 2 * 300 : 3 * 8 + 3 * 300]
     # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
@@ -126,11 +128,11 @@ def test_comparisons_are_enlarged_by_their_longer_side(
     a = np.linspace(0, 1, width * height * 3).reshape(height, width, 3)
     path = tmp_path / "out.png"
     write_comparison(path, a, a[::-1, ::-1], ("A", "B"))
-    shown = read_picture(path)
+    shown = read_picture(path).codes
     column = max(300, zoom * width)  # the labels fit
     assert shown.shape == (zoom * height + 2 * 8 + 2 * 24, 3 * column + 4 * 8, 3)
     panel = shown[8 + 24 : 8 + 24 + zoom * height, 8 : 8 + zoom * width]
-    np.testing.assert_array_equal(panel[::zoom, ::zoom], codes(a))
+    np.testing.assert_array_equal(panel[::zoom, ::zoom], to_codes(a))
 
 
 @pytest.mark.parametrize(
@@ -147,7 +149,7 @@ def test_comparisons_are_enlarged_by_their_longer_side(
 def test_exit_status(
     tmp_path: Path, light: Floats, right: Image8, tolerances: list[str], status: int
 ) -> None:
-    a = save(tmp_path / "a.png", codes(1.05 * light))
+    a = save(tmp_path / "a.png", to_codes(1.05 * light))
     b = save(tmp_path / "b.png", right)
     assert main([a, b, *tolerances]) == status
 
@@ -177,38 +179,29 @@ def test_a_missing_package_does_not_pass_for_a_difference(
 
 
 @pytest.mark.parametrize(
-    ("suffix", "mode", "note"),
+    ("name", "mode", "note"),
     [
-        ("jpg", "RGB", "A is a JPEG, which may change levels: save it as PNG."),
-        ("gif", "P", "A has a palette, of 256 colours at most: save it as RGB."),
-        ("png", "P", "A has a palette, of 256 colours at most: save it as RGB."),
-        ("png", "RGB", None),
+        ("a.jpg", "RGB", "A is a JPEG, which changes levels: save it as PNG."),
+        ("a.gif", "P", "A has a palette, of 256 colours at most: save it as RGB."),
+        ("a.png", "RGB", None),
     ],
 )
-def test_formats_that_change_levels(
+def test_a_format_is_noted_and_hides_nothing(
     tmp_path: Path,
     right: Image8,
-    suffix: str,
+    name: str,
     mode: str,
     note: str | None,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path = tmp_path / f"a.{suffix}"
-    Image.fromarray(right // 2).convert(mode).save(path)
+    path = tmp_path / name
+    Image.fromarray(np.ascontiguousarray(right[::-1])).convert(mode).save(path)
     assert main([str(path), save(tmp_path / "b.png", right), "-o", f"{tmp_path}"]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1:-2] == [*filter(None, [note])]
-    assert lines[-1] == str(tmp_path / "a.compare.png")
-
-
-def test_a_format_to_blame_comes_before_the_scene(
-    tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "a.jpg"
-    Image.fromarray(right).save(path, quality=30)
-    noted = ["A is a JPEG, which may change levels: save it as PNG."]
-    assert main([str(path), save(tmp_path / "b.png", right), "-o", f"{tmp_path}"]) == 1
-    assert capsys.readouterr().out.splitlines()[1:-1] == noted
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        *filter(None, [note]),
+        "A is upside down: row 0 should be the top.",
+        str(tmp_path / "a.compare.png"),
+    ]
 
 
 def test_transparency_that_was_not_meant(
@@ -219,7 +212,7 @@ def test_transparency_that_was_not_meant(
     assert main([clear, save(tmp_path / "b.png", right)]) == 1
     assert capsys.readouterr().out.splitlines()[1:-1] == [
         "A is transparent in places, which counts as black: save it as RGB.",
-        "A is black.",
+        "A is black, and B is not.",
     ]
 
 
@@ -282,7 +275,7 @@ def test_unreadable(
             "wrong length of a chunk": before[:-4] + b"\0\0\0\5IDAT" + after,
         }
         bad.write_bytes(contents[what])
-    assert main([str(bad), good]) == 2
+    assert main([str(bad), good]) == 3
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith(f"{bad}: cannot be read: ")
@@ -295,7 +288,7 @@ def test_what_is_no_regular_file_is_not_read(tmp_path: Path, black: str) -> None
     os.mkfifo(pipe)
     done = run(black, str(pipe))
     told = f"{pipe}: cannot be read: not a regular file\n"
-    assert (done.returncode, done.stderr) == (2, told)
+    assert (done.returncode, done.stderr) == (3, told)
 
 
 def test_too_little_memory_is_told(
@@ -305,16 +298,15 @@ def test_too_little_memory_is_told(
         raise MemoryError
 
     monkeypatch.setattr("reference.compare.figures", fail)
-    assert main([black, black]) == 2
+    assert main([black, black]) == 3
     told = f"{black}: not enough memory to compare it; compare a part\n"
     assert capsys.readouterr().err == told
 
 
-def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
+def test_grey_of_sixteen_bits_is_read(tmp_path: Path) -> None:
     path = tmp_path / "deep.png"
-    Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(path)
-    with pytest.raises(ValueError, match="8-bit RGB is needed"):
-        read_picture(path)
+    Image.fromarray(np.array([[0, 257, 65535, 30000]], dtype=np.uint16)).save(path)
+    assert read_picture(path).codes[0].tolist() == [[k] * 3 for k in (0, 1, 255, 117)]
 
 
 def deep_png(colour_type: int, channels: int) -> bytes:
@@ -369,19 +361,91 @@ def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> 
 @pytest.mark.parametrize("suffix", ["bmp", "gif", "png", "ppm", "tga", "tif"])
 def test_eight_bits_are_read(tmp_path: Path, suffix: str) -> None:
     picture = np.array([[(1, 2, 3), (200, 100, 50)]], dtype=np.uint8)
-    assert (read_picture(save(tmp_path / f"a.{suffix}", picture)) == picture).all()
+    assert (read_picture(Path(save(tmp_path / f"a.{suffix}", picture))).codes == picture).all()
 
 
 def test_transparency_is_black(tmp_path: Path) -> None:
     path = tmp_path / "clear.png"
     Image.new("RGBA", (2, 2), (200, 100, 50, 0)).save(path)
-    assert not read_picture(path).any()
+    assert not read_picture(path).codes.any()
 
 
-def test_unwritable(tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "nowhere" / "out.png"
-    assert main([black, black, "-o", str(output)]) == 2
-    assert capsys.readouterr().err == f"{output}: cannot be written: No such file or directory\n"
+def test_a_new_folder_is_made(tmp_path: Path, black: str) -> None:
+    assert main([black, black, "-o", f"{tmp_path}/new/folder/"]) == 0
+    assert (tmp_path / "new" / "folder" / "a.compare.png").exists()
+
+
+@pytest.fixture
+def hand_ins(tmp_path: Path, right: Image8) -> tuple[Path, Path]:
+    """Hand-ins of three, in folders of their own, and the right picture as picture and scene."""
+    others, rights = tmp_path / "class", tmp_path / "right"
+    for name in ("ada", "bob", "cy"):
+        (others / name).mkdir(parents=True)
+    rights.mkdir()
+    save(others / "ada" / "four-spheres.png", right)
+    save(others / "bob" / "four-spheres.xml.png", right[::-1])
+    save(others / "bob" / "four-spheres.jpg", right[:, ::-1])
+    (others / "cy" / "four-spheres.png").write_bytes(b"no picture")
+    save(others / "cy" / "other.png", right)
+    save(rights / "four-spheres.png", right)
+    return others, rights
+
+
+@pytest.mark.parametrize("scene", [False, True])
+def test_a_class(
+    hand_ins: tuple[Path, Path], capsys: pytest.CaptureFixture[str], *, scene: bool
+) -> None:
+    others, rights = hand_ins
+    if scene:
+        (rights / "four-spheres.png").unlink()
+        shutil.copy(SCENES / "four-spheres.xml", rights)
+    assert main([str(others), str(rights)]) == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[:-1]] == [
+        "agrees", "differs", "differs", "unread", "unread",
+    ]  # fmt: skip
+    assert "A is mirrored" in lines[1]
+    assert "A is upside down" in lines[2]
+    assert "has no picture of this name" in lines[4]
+    assert lines[5] == "5 pictures: 1 agree, 2 differ, 2 cannot be compared"
+    written = sorted(str(path.relative_to(others)) for path in others.rglob("*.compare.png"))
+    assert written == ["bob/four-spheres.compare.png", "bob/four-spheres.xml.compare.png"]
+    assert main([str(others), str(rights)]) == 3  # comparisons are no hand-ins
+    assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+def test_results_for_scripts(
+    hand_ins: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    others, scene = hand_ins[0] / "bob", SCENES / "four-spheres.xml"
+    save(others / "four-spheres.gif", read_picture(others / "four-spheres.xml.png").codes)
+    assert main([str(others), str(scene), "--json", "-o", f"{tmp_path}/new/"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [list(one) for one in found] == 3 * [
+        ["picture", "right", "agrees", "ssim", "max", "diagnosis", "error"]
+    ]
+    assert found[2]["diagnosis"] == "A is upside down: row 0 should be the top."
+    assert (found[2]["agrees"], found[2]["right"], found[2]["error"]) == (False, str(scene), None)
+    assert 0 < found[2]["ssim"] < 1
+    assert 0 < found[2]["max"] <= 1
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
+        "four-spheres.gif.compare.png",
+        "four-spheres.jpg.compare.png",
+        "four-spheres.xml.compare.png",
+    ]
+    assert main([str(others), str(scene), "--csv"]) == 1
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [row["picture"] for row in rows] == [one["picture"] for one in found]
+
+
+def test_a_scene_with_a_fault_is_told(
+    tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.xml").write_text("<scene/>")
+    assert main([black, str(tmp_path / "bad.xml")]) == 3
+    assert f"{tmp_path}/bad.xml:1" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main([str(tmp_path), black, "-o", f"{tmp_path}/no-folder.png"])
 
 
 @pytest.mark.parametrize(
@@ -427,7 +491,7 @@ def test_what_cannot_be_written_whole_leaves_what_was_there(
     output = tmp_path / "out.png"
     output.write_bytes(PNG + b"precious")
     monkeypatch.setattr(Image.Image, "save", fail)
-    assert main([black, black, "-o", str(output)]) == 2
+    assert main([black, black, "-o", str(output)]) == 3
     assert capsys.readouterr().err == f"{output}: cannot be written: the disk is full\n"
     assert output.read_bytes() == PNG + b"precious"
     assert len(list(tmp_path.iterdir())) == 2
@@ -438,7 +502,7 @@ def test_a_pipe_is_not_replaced(
 ) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    assert main([black, black, "-o", str(pipe)]) == 2
+    assert main([black, black, "-o", str(pipe)]) == 3
     assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
     assert pipe.is_fifo()
 

@@ -28,7 +28,7 @@ from reference.compare import figures
 from reference.diagnosis import linear
 from reference.report import main, page
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 8, 6
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
