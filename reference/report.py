@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import argparse
 import base64
-import html
 import io
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Environment
 from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
@@ -27,8 +27,8 @@ from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
 from reference.tables import measured_on
+from tracer import to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
-from tracer.picture.png import to_codes
 
 __all__ = ["main", "page"]
 
@@ -47,7 +47,7 @@ _MASKED = 0.3
 
 def page(
     results: Sequence[CheckResult],
-    comments: dict[str, str],
+    comments: Mapping[str, str],
     charts: Iterable[tuple[str, bytes]] = (),
     unread: Sequence[str] = (),
 ) -> str:
@@ -64,165 +64,47 @@ def page(
     unread : sequence of str
         What is wrong with each scene that could not be compared.
     """
-    template = TEMPLATE.read_text(encoding="utf-8")
-    parts = {
-        "<!-- summary -->": _summary(results, unread),
-        "<!-- table -->": _table(results),
-        "<!-- scenes -->": "\n".join(
-            _scene(r, number, comments.get(r.name, "")) for number, r in enumerate(results)
-        ),
-        "<!-- charts -->": "\n".join(_chart(title, svg) for title, svg in charts),
+    environment = Environment(autoescape=True, trim_blocks=True)
+    environment.filters |= {
+        "codes": to_codes,
+        "data": _data,
+        "difference": _difference,
+        "png": _png,
+        "time": _time,
     }
-    for marker, part in parts.items():
-        template = template.replace(marker, part)
-    return template
-
-
-def _summary(results: Sequence[CheckResult], unread: Sequence[str]) -> str:
-    agree = sum(not result.faults for result in results)
-    variants = ", ".join(sorted({result.variant for result in results}))
-    verdict = (
-        '<strong class="good">All agree.</strong>'
-        if agree == len(results) > 0 and not unread
-        else f'<strong class="bad">{agree} agree.</strong>'
-    )
-    scenes = f"{len(results)} scene{'s' * (len(results) != 1)}"
-    lines = [
-        f"<p>{scenes}, sampled at the pixels' centres by both renderers and compared"
-        " in linear light: away from edges they may differ by at most"
-        f" {MAX_DIFFERENCE:g}. {verdict}</p>",
-        *(f'<p class="bad">Not compared: {_lines(fault)}</p>' for fault in unread),
-        f'<p class="soft">Mitsuba {html.escape(variants)}; {html.escape(measured_on())}</p>',
-    ]
-    return "\n".join(lines)
-
-
-def _table(results: Sequence[CheckResult]) -> str:
-    head = "".join(
-        f'<th scope="col">{title}</th>'
-        for title in (
-            "scene",
-            "verdict",
-            "SSIM",
-            "largest difference",
-            "masked",
-            "tracer\u2019s time",
-            "Mitsuba\u2019s",
-        )
-    )
-    rows = "\n".join(
-        f'<tr><td><a href="#scene-{number}">{_name(r)}</a></td><td>{_verdict(r)}</td>'
-        f"<td>{r.figures.ssim:.6f}</td><td>{r.figures.max:.1e}</td>"
-        f"<td>{r.mask.mean():.2%}</td><td>{_time(r.tracer_seconds)}</td>"
-        f"<td>{_time(r.mitsuba_seconds)}</td></tr>"
-        for number, r in enumerate(results)
-    )
-    return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n'
-        f"<tbody>\n{rows}\n</tbody></table></div>"
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        results=results,
+        comments=comments,
+        charts=charts,
+        unread=unread,
+        tolerance=f"{MAX_DIFFERENCE:g}",
+        machine=measured_on(),
     )
 
 
-def _scene(result: CheckResult, number: int, comment: str) -> str:
-    """One row: the two pictures, their difference, the controls and the figures."""
-    height, width = result.mask.shape
-    name, f = _name(result), result.figures
-    difference, gain = _difference(result)
-    values = {
-        "SSIM": f"{f.ssim:.6f}",
-        "largest difference": f"{f.max:.2e}",
-        "99.9th percentile": f"{f.p999:.2e}",
-        "RMSE": f"{f.rmse:.2e}",
-        "median": f"{f.median:.2e}",
-        "pixels over 1e-3": f"{f.over}",
-        "masked pixels": f"{f.masked}",
-        "tracer\u2019s time": _time(result.tracer_seconds),
-        f"Mitsuba\u2019s ({result.variant})": _time(result.mitsuba_seconds),
-    }
-    notes = [("bad", f"Out of tolerance: {fault}.") for fault in result.faults]
-    if result.remark:
-        notes.append(("soft", f"{result.remark[0].upper()}{result.remark[1:]}."))
-    shown = f"difference × {gain:,.10g}" if gain else "no difference"
-    return f"""
-<section class="scene" id="scene-{number}" data-width="{width}" data-height="{height}">
-<div class="head"><h2>{name}</h2><span>{_verdict(result)}</span>
-<span class="soft">{width} × {height}</span></div>
-<p class="soft">{html.escape(comment)}</p>
-<div class="pictures">
-<figure>
-<div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
- aria-label="{name}: tracer and Mitsuba" aria-keyshortcuts="+ - 0 F">
-<div class="layer tracer">{_image(result.tracer, f"{result.name} by the tracer")}</div>
-<div class="layer mitsuba">{_image(result.mitsuba, f"{result.name} by Mitsuba")}</div>
-<div class="seam"></div>
-</div>
-<figcaption><span>tracer</span><span>Mitsuba</span></figcaption>
-</figure>
-<figure>
-<div class="panel" tabindex="0" role="group" style="aspect-ratio: {width} / {height}"
- aria-label="{name}: {shown}" aria-keyshortcuts="+ - 0 F">
-<div class="layer">{_picture(difference, f"{result.name}: {shown}")}</div>
-</div>
-<figcaption><span>{shown}</span></figcaption>
-</figure>
-</div>
-<div class="controls">
-<label>tracer <input type="range" min="0" max="100" value="50" aria-label="{name}: how much is the\
- tracer's"> Mitsuba</label>
-<button type="button" class="flicker" aria-pressed="false">Flicker</button>
-<span><button type="button" class="out" aria-label="Zoom out">−</button>
-<button type="button" class="in" aria-label="Zoom in">+</button>
-<button type="button" class="all">All</button> <span class="scale">1×</span></span>
-<span class="readout" role="status"></span>
-</div>
-<dl>{"".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in values.items())}</dl>
-{"".join(f'<p class="{look}">{html.escape(note)}</p>' for look, note in notes)}
-</section>"""
-
-
-def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], float]:
-    """The difference as 8-bit codes, amplified; masked pixels in grey."""
+def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], str]:
+    """The difference as 8-bit codes, masked pixels in grey; and how it is amplified."""
     kept = np.where(result.mask[:, :, None], result.tracer, result.reference)
     image, gain = amplified(result.tracer, kept)
     image[result.mask] = _MASKED
-    return np.round(255 * image).astype(np.uint8), gain
-
-
-def _chart(title: str, svg: bytes) -> str:
-    source = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
-    title = html.escape(title)
-    return f'<section class="chart"><h2>{title}</h2><img src="{source}" alt="{title}"></section>'
-
-
-def _name(result: CheckResult) -> str:
-    return html.escape(result.name, quote=True)
-
-
-def _verdict(result: CheckResult) -> str:
-    return (
-        '<span class="bad">✗ differs</span>'
-        if result.faults
-        else '<span class="good">✓ agrees</span>'
-    )
+    shown = f"difference × {gain:,.10g}" if gain else "no difference"
+    return np.round(255 * image).astype(np.uint8), shown
 
 
 def _time(seconds: float) -> str:
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
-def _image(light: NDArray[np.float64], alt: str) -> str:
-    return _picture(to_codes(light), alt)
-
-
-def _picture(codes: NDArray[np.uint8], alt: str) -> str:
+def _png(codes: NDArray[np.uint8]) -> str:
     data = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(codes)).save(data, format="PNG", optimize=True)
-    source = f"data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"
-    return f'<img src="{source}" alt="{html.escape(alt, quote=True)}" draggable="false">'
+    return _data(data.getvalue(), "png")
 
 
-def _lines(text: str) -> str:
-    return html.escape(text).replace("\n", "<br>")
+def _data(content: bytes, kind: str) -> str:
+    """A picture as an address that holds it."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def _comment(path: Path) -> str:

@@ -541,12 +541,13 @@ def test_drag_moves(opened: Browser) -> None:
 @in_browser
 def test_all_is_reached_by_tab(opened: Browser) -> None:
     reached = []
-    for _ in range(8):
+    for _ in range(9):
         opened.key("Tab", 9)
         reached.append(
             opened.evaluate("(e => e.ariaLabel || e.textContent.trim())(document.activeElement)")
         )
     assert reached == [
+        "All scenes",
         "pair",
         "pair: tracer and Mitsuba",
         "pair: difference × 1",
@@ -556,3 +557,39 @@ def test_all_is_reached_by_tab(opened: Browser) -> None:
         "Zoom in",
         "All",
     ]
+
+
+@in_browser
+def test_the_seam_can_be_dragged(opened: Browser) -> None:
+    """From the middle to a quarter, and the slider with it; the picture stays where it is."""
+    left, top, width, height = opened.box(".panel")
+    y = top + height / 4
+    opened.mouse("mousePressed", left + width / 2 + 9, y, button="left", buttons=1, clickCount=1)
+    for part in (0.4, 0.25):
+        opened.mouse("mouseMoved", left + part * width, y, button="left", buttons=1)
+    opened.mouse("mouseReleased", left + width / 4, y, button="left", clickCount=1)
+    shown = opened.shot()
+    np.testing.assert_array_equal(shown[:, :2], TRACER[:, :2])
+    np.testing.assert_array_equal(shown[:, 2:], MITSUBA[:, 2:])
+    assert opened.evaluate("document.querySelector('input').value") == "25"
+    assert opened.text(".scale") == "1×"
+
+
+@in_browser
+def test_on_a_phone(opened: Browser) -> None:
+    """The table scrolls in its own box, the page does not, and fingers meet the controls."""
+    phone = {"width": 375, "height": 700, "deviceScaleFactor": 2, "mobile": True}
+    opened.call("Emulation.setDeviceMetricsOverride", **phone)
+    try:
+        assert opened.evaluate("document.documentElement.scrollWidth") == 375
+        assert opened.evaluate(
+            "(e => e.scrollWidth > e.clientWidth)(document.querySelector('.scroll'))"
+        )
+        sizes = opened.evaluate(
+            "[...document.querySelectorAll('button, input, .seam')]"
+            ".map(e => e.getBoundingClientRect()).map(r => Math.min(r.width, r.height))"
+        )
+        assert len(sizes) == 6
+        assert min(sizes) >= 44
+    finally:
+        opened.call("Emulation.clearDeviceMetricsOverride")
