@@ -50,13 +50,8 @@ def window_of(camera: Camera) -> Window:
     ahead = normal if normal @ direction > 0 else -normal
     right = _unit(np.cross(ahead, _unit(camera.view_up)))
     axes = np.array([right, np.cross(ahead, right), ahead])
-    return Window(
-        eye=np.array(camera.view_point),
-        axes=axes,
-        center=axes @ direction * camera.proj_distance,
-        width=camera.view_width,
-        height=camera.view_height,
-    )
+    center = axes @ direction * camera.proj_distance
+    return Window(np.array(camera.view_point), axes, center, camera.view_width, camera.view_height)
 
 
 def _unit(vector: Sequence[float] | Floats) -> Floats:

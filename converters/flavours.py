@@ -18,6 +18,9 @@ __all__ = ["SAMPLES", "convert", "exact", "gain", "normalisation", "squared", "s
 SAMPLES = {"stock": 64, "stock-lights": 256, "exact": 1}
 """The flavours, from what any Mitsuba draws to the same picture: samples a pixel, if not given."""
 
+# What overflows is an error when it is written.
+_QUIET = np.errstate(all="ignore")
+
 # Mitsuba's float32 is best off with scenes about this large, centred on the origin.
 _EXTENT = 10.0
 
@@ -32,11 +35,9 @@ _OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
 # of its size that a scene is given for that: shadow rays start 1e-4 above what may be small.
 _LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
 
-# Half thickness of flat boxes, relative to the largest coordinate.
-_THINNEST = 1e-6
-
-# Where the stock camera begins to see, relative to the farthest point of all surfaces.
-_NEAREST = 1e-6
+# Half thickness of flat boxes, relative to the largest coordinate; where the stock camera begins to
+# see, relative to the farthest point of all surfaces.
+_THINNEST = _NEAREST = 1e-6
 
 
 def convert(
@@ -67,10 +68,8 @@ class Normalisation:
 
     def __str__(self) -> str:
         center = ", ".join(f"{x:.6g}" for x in self.center)
-        return (
-            "The scene is moved and scaled so that float32 hurts least, which changes no picture:\n"
-            f"where the scene file has p, this one has {self.scale:.6g} (p - c), c = ({center}).\n"
-        )
+        here = f"where the scene file has p, this has {self.scale:.6g} (p - c), c = ({center}).\n"
+        return "It is moved and scaled, for float32, which changes no picture:\n" + here
 
 
 def normalisation(scene: Scene) -> Normalisation:
@@ -145,8 +144,7 @@ variant that ends in _rgb, and "import converters.plugins".
 {moved}"""
 
 
-# What overflows is an error when it is written.
-@np.errstate(all="ignore")
+@_QUIET
 def exact(scene: Scene, samples: int = 1) -> str:
     """By this project's plugins, the same picture: one sample takes the pixel's centre."""
     place = normalisation(scene)
@@ -232,8 +230,7 @@ a pixel, not {width} x {given}.
 """
 
 
-# What overflows is an error when it is written.
-@np.errstate(all="ignore")
+@_QUIET
 def stock(scene: Scene, samples: int = 64) -> str:
     """By stock plugins, a similar picture: point lights that fall off."""
     place, strength = _stock_place(scene), gain(scene.surfaces)
@@ -244,8 +241,7 @@ def stock(scene: Scene, samples: int = 64) -> str:
     return _stock_document(scene, samples, place, _POINTS, lights)
 
 
-# What overflows is an error when it is written.
-@np.errstate(all="ignore")
+@_QUIET
 def _stock_lights(scene: Scene, picture: str, samples: int) -> tuple[str, bytes]:
     """By stock plugins, with projectors that do not fall off, and the contents of `picture`."""
     place, strength = _stock_place(scene), gain(scene.surfaces)
@@ -268,13 +264,9 @@ def _stock_document(
         *_shapes(scene, place, names),
     ]
     film = _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
-    comment = _STOCK.format(
-        lights=note,
-        film=film if square.height != scene.height else "",
-        gain=strength,
-        moved="" if place.scale == 1 and not place.center.any() else place,
-    )
-    return document(comment, parts)
+    film = film if square.height != scene.height else ""
+    moved = "" if place.scale == 1 and not place.center.any() else place
+    return document(_STOCK.format(lights=note, film=film, gain=strength, moved=moved), parts)
 
 
 def _evenly(samples: int, lights: int) -> int:

@@ -30,11 +30,6 @@ def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
     return mi.Vector3d(value[0], value[1], value[2])
 
 
-def _name(self: object) -> str:
-    """What Mitsuba prints of a plugin."""
-    return f"{type(self).__name__}[]"
-
-
 class Window(mi.Sensor):
     """Rays from `eye` through a rectangle, started on a box around the scene, `low` to `high`.
 
@@ -64,8 +59,6 @@ class Window(mi.Sensor):
         """The same ray; no plugin here needs differentials."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
-
-    to_string = _name
 
     @staticmethod
     def _centered(x: mi.Float, size: int) -> mi.Float64:
@@ -106,8 +99,6 @@ class UnattenuatedPoint(mi.Emitter):
         """No ray meets a point."""
         return mi.Spectrum(0)
 
-    to_string = _name
-
 
 class BlinnPhong(mi.BSDF):
     """kd n.l + ks (n.h)^exponent on both sides (`diffuse`, `specular`, `exponent`)."""
@@ -130,8 +121,6 @@ class BlinnPhong(mi.BSDF):
         power = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
         value = self.diffuse * dr.abs(wo.z) + self.specular * power
         return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
-
-    to_string = _name
 
 
 def _exit(box: mi.ScalarBoundingBox3f, p: mi.Point3f, d: mi.Vector3f) -> mi.Float:
@@ -179,13 +168,15 @@ class EveryLight(mi.SamplingIntegrator):
             total += dr.select(lit, value * intensity, 0)
         return total, valid, []
 
-    to_string = _name
 
-
-mi.register_sensor("window", Window)
-mi.register_emitter("unattenuated_point", UnattenuatedPoint)
-mi.register_bsdf("blinn_phong", BlinnPhong)
-mi.register_integrator("every_light", EveryLight)
+for register, plugin, name in (
+    (mi.register_sensor, Window, "window"),
+    (mi.register_emitter, UnattenuatedPoint, "unattenuated_point"),
+    (mi.register_bsdf, BlinnPhong, "blinn_phong"),
+    (mi.register_integrator, EveryLight, "every_light"),
+):
+    plugin.to_string = lambda self: f"{type(self).__name__}[]"  # what Mitsuba prints of it
+    register(name, plugin)
 
 # The base classes belong to a variant: when another one is set, define everything again.
 if "_define_again" not in globals():

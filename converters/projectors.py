@@ -20,8 +20,11 @@ from tracer import Camera, Scene, first_hits
 
 __all__ = ["Projector", "projectors"]
 
-# Texels across a projector's part of the picture.
-_SIDE = 256
+# Texels across a projector's part of the picture, and at most across all of it.
+_SIDE, _LARGEST = 256, 3072
+
+# Least size of a part, in tangents: float32 knows places in it to a hundredth of a texel.
+_LEAST = 1 / 256
 
 # Directions to the middle of each face of a cube, and to its upper side.
 _FACES = [
@@ -36,16 +39,9 @@ _FACES = [
 
 
 class Projector(NamedTuple):
-    """A projector at a light, 90 degrees wide.
+    """A projector, 90 degrees wide, as a camera at a light; `brightest` is a texel of 1.
 
-    Attributes
-    ----------
-    camera : Camera
-        Its place and orientation.
-    brightest : float
-        What a texel of 1 stands for.
-    zoom, left, top : float
-        A place (x, y) of its square, 0 ... 1, is (zoom x + left, zoom y + top) of the picture.
+    A place (x, y) of its square, 0 ... 1, is (zoom x + left, zoom y + top) of the picture.
     """
 
     camera: Camera
@@ -57,9 +53,10 @@ class Projector(NamedTuple):
 
 def projectors(scene: Scene) -> tuple[list[Projector], bytes]:
     """Find the projectors for all lights, and their common picture, a PFM file."""
-    parts = list(_parts(scene))
+    texels = min(_SIDE, _LARGEST // ceil(sqrt(6 * len(scene.lights) or 1)))
+    parts = list(_parts(scene, texels))
     side = max(1, ceil(sqrt(len(parts))))
-    picture = np.zeros((side, _SIDE, side, _SIDE, 3), dtype="<f4")
+    picture = np.zeros((side, texels, side, texels, 3), dtype="<f4")
     found = []
     for number, (camera, size, (x, y), irradiance) in enumerate(parts):
         row, column = divmod(number, side)
@@ -69,16 +66,16 @@ def projectors(scene: Scene) -> tuple[list[Projector], bytes]:
         left, top = column / side - (x + 1) / 2 * zoom, row / side - (y + 1) / 2 * zoom
         found.append(Projector(camera, brightest, zoom, left, top))
     # From the last row to the first.
-    rows = picture.reshape(side * _SIDE, -1)[::-1]
-    return found, f"PF\n{side * _SIDE} {side * _SIDE}\n-1.0\n".encode() + rows.tobytes()
+    rows = picture.reshape(side * texels, -1)[::-1]
+    return found, f"PF\n{len(rows)} {len(rows)}\n-1.0\n".encode() + rows.tobytes()
 
 
 @np.errstate(all="ignore")
-def _parts(scene: Scene) -> Iterator[tuple[Camera, float, Floats, Floats]]:
+def _parts(scene: Scene, side: int) -> Iterator[tuple[Camera, float, Floats, Floats]]:
     """What each light shines on, of all that is in view, through each face of a cube around it.
 
     Yields a camera that looks at the face; size and corner (2,) of the part that matters, in
-    tangents of angles; z^2 cos a there, times the light's intensity (_SIDE, _SIDE, 3).
+    tangents of angles; z^2 cos a there, times the light's intensity (side, side, 3).
     """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     seen = first_hits(scene, x, y).point
@@ -86,19 +83,21 @@ def _parts(scene: Scene) -> Iterator[tuple[Camera, float, Floats, Floats]]:
         camera = Camera(view_point=light.position, view_dir=ahead, view_up=up)
         right, down, depth = window_of(camera).axes @ (seen - light.position).T
         ends = np.array([right, down]) / depth
-        ends = ends[:, (depth > 0) & (np.abs(ends) <= 1).all(axis=0)]
-        if not ends.size:
+        through = (depth > 0) & (np.abs(ends) <= 1).all(axis=0)
+        if not through.any():
             continue
+        ends = ends[:, through]
         low, high = ends.min(axis=1), ends.max(axis=1)
         # A few texels wider on all sides, as objects reach beyond the centres of pixels.
-        size = max(float((high - low).max()), 1 / _SIDE) * (1 + 8 / _SIDE)
+        size = max(float((high - low).max()), _LEAST) * (1 + 8 / side)
         corner = (low + high - size) / 2
-        texels = (np.arange(_SIDE) + 0.5) * (size / _SIDE) + corner[:, None]
+        texels = (np.arange(side) + 0.5) * (size / side) + corner[:, None]
         across, below = (plane.ravel() for plane in np.meshgrid(*texels))
         # The window is 1 x 1 at distance 1: in a picture of one pixel, its middle is at .5, .5.
         face = Scene(camera=camera, width=1, height=1, surfaces=scene.surfaces)
         distance = first_hits(face, across + 0.5, below + 0.5).distance
-        # z is the distance times cos a.
+        # z is the distance times cos a.  What no ray of a texel meets may still be in view.
+        usual = np.mean(depth[through] ** 2 / np.sqrt(1 + (ends**2).sum(axis=0)))
         secant = np.sqrt(1 + across**2 + below**2)
-        z2_cos = np.where(np.isfinite(distance), distance**2, 0) / secant**3
-        yield camera, size, corner, z2_cos.reshape(_SIDE, _SIDE, 1) * light.intensity
+        z2_cos = np.where(np.isfinite(distance), distance**2 / secant**3, usual)
+        yield camera, size, corner, z2_cos.reshape(side, side, 1) * light.intensity

@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -241,7 +242,10 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from reference.check import check
     from reference.compare import write_comparison
+    from tracer import SceneWarning
 
+    # Of a black picture the comparison says enough.
+    warnings.simplefilter("ignore", SceneWarning)
     result = check(path, options.variant, options.flavour)
     write_comparison(
         target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")

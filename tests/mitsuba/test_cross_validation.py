@@ -167,7 +167,7 @@ def table() -> dict[str, list[float]]:
     paths = (*HERE.glob("*.md"), HERE.parent / "README.md")
     pages = [path.read_text(encoding="utf-8") for path in paths]
     (text,) = (page for page in pages if "| scene | stock | stock-lights |" in page)
-    rows = re.findall(r"^\| ([-\w]+) \| (0\.\d+) \| (0\.\d+) \|$", text, re.M)
+    rows = re.findall(r"^\| ([-\w]+) \| ([\d.]+) \| ([\d.]+) \|$", text, re.M)
     assert [name for name, *_ in rows] == NAMES
     return {name: [*map(float, ssim)] for name, *ssim in rows}
 

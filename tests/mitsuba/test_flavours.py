@@ -175,6 +175,18 @@ def test_stock_highlight_has_the_right_height() -> None:
     assert approximate[50, 50, 0] == pytest.approx(0.6, rel=0.01)
 
 
+@pytest.mark.parametrize("distance", [1.0, 100.0, 3e8])
+def test_projectors_light_as_the_tracer_does_at_any_distance(distance: float) -> None:
+    scene = close_up(Sphere(radius=0.5), Box(min_pt=(-1, -1, -0.6), max_pt=(0.2, 1, -0.5)))
+    lights = PointLight(position=(0.1, 0.2, distance)), PointLight(position=(3, 1, distance))
+    scene = replace(scene, lights=lights)
+    image = render_mitsuba(scene, 256, None, "stock-lights")
+    assert figures(image, render(scene, samples=256)).rmse < 0.01
+    # Fall-off would leave more.
+    falling = render_mitsuba(scene, 256, None, "stock")
+    assert distance > 1 or figures(falling, render(scene, samples=256)).rmse > 0.05
+
+
 def test_boxes_keep_their_thickness_wherever_they_are() -> None:
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
