@@ -10,8 +10,9 @@ import colorsys
 import io
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from reference.command import SCENES, need_scenes, parser, run
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, Surfaces, save_scene
@@ -19,7 +20,12 @@ from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, Surfaces, save
 __all__ = ["main", "many_objects", "sunflower", "write"]
 
 
-def _rounded(*values: float) -> tuple[float, float, float]:
+Vector: TypeAlias = tuple[float, float, float]
+Lights: TypeAlias = Sequence[tuple[Vector, Vector]]
+"""Position and intensity of each."""
+
+
+def _rounded(*values: float) -> Vector:
     """Three numbers with three decimals; adding 0 makes a rounded -0 plain 0."""
     x, y, z = (round(value, 3) + 0 for value in values)
     return x, y, z
@@ -29,8 +35,10 @@ def _phong(color: Sequence[float], specular: float, exponent: float) -> Phong:
     return Phong(diffuse=_rounded(*color), specular=(specular,) * 3, exponent=exponent)
 
 
-def _light(position: tuple[int, int, int], intensity: tuple[float, float, float]) -> PointLight:
-    return PointLight(position=position, intensity=intensity)
+def _scene(camera: Camera, lights: Lights, surfaces: Iterable[Sphere | Box]) -> Scene:
+    points = tuple(PointLight(position=at, intensity=color) for at, color in lights)
+    shown = Surfaces.of(surfaces)
+    return Scene(camera=camera, width=320, height=180, lights=points, surfaces=shown)
 
 
 def many_objects(count: int = 500, seed: int = 1) -> Scene:
@@ -51,13 +59,9 @@ def many_objects(count: int = 500, seed: int = 1) -> Scene:
             a, b, c = (size * shuffled.uniform(0.5, 1.2) for _ in range(3))
             low, high = _rounded(x - a, y - b, z - c), _rounded(x + a, y + b, z + c)
             surfaces.append(Box(min_pt=low, max_pt=high, shader=shuffled.choice(palette)))
-    return Scene(
-        camera=Camera(view_point=(0, 0, 9), view_width=2.4, view_height=1.35),
-        width=320,
-        height=180,
-        lights=(_light((6, 9, 8), (0.75, 0.72, 0.66)), _light((-9, 2, 5), (0.2, 0.26, 0.36))),
-        surfaces=Surfaces.of(surfaces),
-    )
+    camera = Camera(view_point=(0, 0, 9), view_width=2.4, view_height=1.35)
+    lights: Lights = (((6, 9, 8), (0.75, 0.72, 0.66)), ((-9, 2, 5), (0.2, 0.26, 0.36)))
+    return _scene(camera, lights, surfaces)
 
 
 def sunflower(count: int = 233) -> Scene:
@@ -76,23 +80,19 @@ def sunflower(count: int = 233) -> Scene:
         center = _rounded(distance * math.cos(turn), radius, distance * math.sin(turn))
         shader = _phong(color, 0.45, 60)
         surfaces.append(Sphere(center=center, radius=round(radius, 3), shader=shader))
-    return Scene(
-        camera=Camera(
-            view_point=(0, 7.6, 11),
-            view_dir=(0, -8.25, -10.6),
-            proj_distance=3,
-            view_width=3.68,
-            view_height=2.07,
-        ),
-        width=320,
-        height=180,
-        lights=(
-            _light((9, 8, 3), (0.9, 0.76, 0.56)),
-            _light((-10, 6, 6), (0.14, 0.24, 0.5)),
-            _light((-4, 3, -14), (0.42, 0.28, 0.36)),
-        ),
-        surfaces=Surfaces.of(surfaces),
+    camera = Camera(
+        view_point=(0, 7.6, 11),
+        view_dir=(0, -8.25, -10.6),
+        proj_distance=3,
+        view_width=3.68,
+        view_height=2.07,
     )
+    lights: Lights = (
+        ((9, 8, 3), (0.9, 0.76, 0.56)),
+        ((-10, 6, 6), (0.14, 0.24, 0.5)),
+        ((-4, 3, -14), (0.42, 0.28, 0.36)),
+    )
+    return _scene(camera, lights, surfaces)
 
 
 _GENERATED = {

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from reference.command import parser, run
 from tracer import Phong, Scene, SceneFileError, Shader, Sphere, load_scene, write_png
+from tracer.commands import printable
 
 __all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "Seen", "render", "trace"]
 
@@ -39,9 +40,8 @@ _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMI
 
 
 def _decimal(values: ArrayLike) -> Array:
-    return np.asarray(
-        np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64)), dtype=object
-    )
+    exact = np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64))
+    return np.asarray(exact, dtype=object)
 
 
 ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Array], float]] = {
@@ -84,11 +84,7 @@ def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
-SPHERES = {
-    "closest": closest_approach,
-    "textbook": textbook,
-    "expanded": expanded,
-}
+SPHERES = {"closest": closest_approach, "textbook": textbook, "expanded": expanded}
 """From origin, direction, centre and radius to near and far t; NaN where the ray misses."""
 
 
@@ -113,7 +109,7 @@ The first needs neither: it leaves out the own object, which is exact, since all
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What n rays see: linear RGB, the surface's place in the file or -1, which lights reach it."""
+    """Views of n rays: linear RGB, the surface's place in the file or -1, lights that reach it."""
 
     radiance: NDArray[np.float64]
     surface: NDArray[np.intp]
@@ -153,7 +149,7 @@ class _Plain:
         return self.zeroed(gap, self.none)
 
     def slabs(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
-        """Where rays enter and leave a box along each axis (3, n); its faces may be `closed`."""
+        """Return t (3, n) at which rays enter and leave a box, closed or open, along each axis."""
         low, high = (self.zeroed(v - o, self.none) for v in self.shapes[i])
         between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
         along = np.where(between, self.cast(np.inf), self.cast(-np.inf))
@@ -169,7 +165,7 @@ class _Plain:
         return near.max(axis=0), far.min(axis=0)
 
     def rays(self, x: Array, y: Array) -> Array:
-        """Directions (3, n) from the eye to the window, for places in pixels."""
+        """Return directions (3, n) from the eye to the window, for places in pixels."""
         cast, camera = self.cast, self.scene.camera
         width, height = self.scene.width, self.scene.height
         ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
@@ -228,7 +224,7 @@ class _Plain:
         return p, n
 
     def reached(self, own: Array, p: Array, n: Array, light: Array) -> Array:
-        """Whether a light reaches points p with normals n on the objects `own`."""
+        """Tell whether a light reaches points p with normals n on the objects `own`."""
         lit = _dot(n, light - p) > self.none
         for i, inside in enumerate(self.inside):
             at = np.flatnonzero(lit)
@@ -243,7 +239,7 @@ class _Plain:
         return np.asarray(lit)
 
     def blocks(self, i: int, p: Array, light: Array, least: float) -> Array:
-        """Whether a surface has a root strictly between points and a light.
+        """Tell whether a surface has a root strictly between points and a light.
 
         A sphere that a point is on blocks what leaves the side that it is seen from.
         """
@@ -336,8 +332,8 @@ def main() -> None:
     try:
         write_png(output, render(load_scene(path), **options))
     except (OSError, SceneFileError) as error:
-        used.exit(1, f"{used.prog}: {error}\n")
-    print(output)
+        used.exit(1, printable(f"{used.prog}: {error}") + "\n")
+    print(printable(str(output)))
 
 
 if __name__ == "__main__":

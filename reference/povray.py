@@ -24,7 +24,7 @@ WHITE = 4.0
 
 
 def installed() -> bool:
-    """Whether there is a POV-Ray."""
+    """Tell whether there is a POV-Ray."""
     return shutil.which("povray") is not None
 
 

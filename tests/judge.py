@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reference.plain import Seen, trace
-from tracer import Scene, render
+from tracer import Scene, Sphere, render
 
-# Of a pixel: far more than the tracer's rounding, even from 10^8 times as far as things are large.
-_HAIR = 1e-3
+# Right and down, in pixels: far more than the tracer's rounding, even from 10^8 times as far as
+# things are large.  And of radii, which parts what nearly coincides, such as a ground and a floor.
+_HAIRS = ((1e-3, 0, 1e-12), (-5e-4, 9e-4, -1e-12), (-5e-4, -9e-4, 1e-12))
 
 
 class Judged(NamedTuple):
@@ -21,7 +23,7 @@ class Judged(NamedTuple):
     error: NDArray[np.float64]
     """(n,): the tracer's largest, among the three channels."""
     sure: NDArray[np.bool_]
-    """(n,): whether the same is seen, by the same lights, a hair to each side."""
+    """(n,): whether the same is seen, by the same lights, a hair to each side, and grown by one."""
 
     def wrong(self, tolerance: float) -> str:
         """Name the sure pixels in which the tracer errs by more; empty if there are none."""
@@ -35,8 +37,16 @@ def judge(scene: Scene, image: NDArray[np.float64] | None = None) -> Judged:
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     seen = trace(scene, x, y, arithmetic="decimal")
     sure = np.ones(x.size, dtype=bool)
-    for right, down in ((1, 0), (-0.5, 0.9), (-0.5, -0.9)):
-        near = trace(scene, x + right * _HAIR, y + down * _HAIR, arithmetic="decimal")
+    for right, down, more in _HAIRS:
+        near = trace(_grown(scene, 1 + more), x + right, y + down, arithmetic="decimal")
         sure &= (near.surface == seen.surface) & (near.lit == seen.lit).all(axis=0)
     error = np.abs(image.reshape(-1, 3) - seen.radiance).max(axis=1)
     return Judged(seen, error, sure)
+
+
+def _grown(scene: Scene, factor: float) -> Scene:
+    """The same scene with other radii."""
+    surfaces = [
+        replace(s, radius=s.radius * factor) if isinstance(s, Sphere) else s for s in scene.surfaces
+    ]
+    return replace(scene, surfaces=surfaces)

@@ -18,9 +18,9 @@ from reference.command import SCENES, own_scenes
 from reference.plain import Seen
 from tracer import Box, Camera, Lambertian, Phong, Sphere, load_scene, render, write_png
 
-# The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; an eye at
-# 10^-9 over a floor has its points further along it than that.
-RADIANCE = dict.fromkeys(KINDS, 1e-8) | {"grazing": 1e-4}
+# The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the
+# ground sees points rounded by 2^24 EPS; an eye at 10^-9 over a floor has its points further along.
+RADIANCE = dict.fromkeys(KINDS, 1e-8) | {"enormous": 1e-7, "grazing": 1e-4}
 
 
 def along(eye: Vector, direction: Vector, light: Vector, *surfaces: Surface) -> Seen:
@@ -125,6 +125,17 @@ def test_a_pixel_is_sure_unless_an_edge_is_a_hair_away(off: float) -> None:
     camera = Camera(view_point=(1 - off, 0, 5), proj_distance=4)
     scene = scene_of(CUBE, camera=camera, size=(1, 1), lights=(0, 0, 9))
     assert judge(scene).sure.tolist() == [off > 0.001]
+
+
+@pytest.mark.parametrize("eye", [0.0, 1.0])
+def test_a_pixel_is_sure_unless_surfaces_nearly_coincide(eye: float) -> None:
+    # A ground that touches the plane of the floor at x = 0, and is 8e-6 below it at x = 1.
+    ground = Sphere(center=(0, -1 - 2.0**16, 0), radius=2.0**16)
+    camera = Camera(
+        view_point=(eye + 1e-3, 1, 0), view_dir=DOWN, view_up=(1, 0, 0), view_width=1e-4
+    )
+    scene = scene_of(FLOOR, ground, camera=camera, size=(1, 1), lights=(0, 5, 0))
+    assert judge(scene).sure.tolist() == [eye > 0]
 
 
 def test_an_error_is_found() -> None:
