@@ -1,9 +1,10 @@
-"""The README keeps its word."""
+"""README and pages keep their word."""
 
 from __future__ import annotations
 
-import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,16 +14,21 @@ from reference import sheet
 from reference.command import own_scenes
 from tracer import SceneFileError, load_scene
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = ["README.md", ".github/CONTRIBUTING.md", *map(str, (ROOT / "reference").glob("*.md"))]
 
 
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
 
 
-def test_first_two_commands() -> None:
-    """One line each: what `.ci/run` takes from here and runs in a clean checkout."""
+def test_the_readme_is_one_page() -> None:
+    assert README.count("\n") <= 160
+
+
+def test_the_first_two_commands() -> None:
+    """One line each: `.ci/run` takes them from here, and runs them in a clean checkout."""
     render, test = (block.rstrip("\n") for block in blocks("sh")[:2])
     assert "\n" not in render + test
     assert render.endswith(" -m tracer scenes/one-sphere.xml")
@@ -31,13 +37,24 @@ def test_first_two_commands() -> None:
     assert "'.[test]'" in test
 
 
-def test_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_python_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
     for block in blocks("python"):
         exec(block, space)
     assert (tmp_path / "four-spheres.png").exists()
+    assert load_scene("ball.xml") == space["scene"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", [["mypy", "--strict"], ["pyright"]], ids=lambda c: c[0])
+def test_the_python_examples_are_typed(checker: list[str], tmp_path: Path) -> None:
+    example = tmp_path / "example.py"
+    example.write_text("\n".join(blocks("python")))
+    command = [sys.executable, "-m", *checker, str(example)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_scene_file_is_the_scene_in_python(
@@ -45,56 +62,49 @@ def test_the_scene_file_is_the_scene_in_python(
 ) -> None:
     (file,) = blocks("xml")
     space: dict[str, object] = {}
-    exec(blocks("python")[-1], space)
     monkeypatch.chdir(tmp_path)
+    exec(blocks("python")[-1], space)
     Path("good.xml").write_text(file)
     assert load_scene("good.xml") == space["scene"]
-    # And its fault is told as it says.
+    # And its fault is reported as it says.
     Path("bad.xml").write_text(file.replace("3 5 4", "3 five 4"))
-    with pytest.raises(SceneFileError) as told:
+    with pytest.raises(SceneFileError) as error:
         load_scene("bad.xml")
-    assert f"\n```\n{told.value}\n```\n" in README
+    assert f"\n```text\n{error.value}\n```\n" in README
 
 
-def heading(line: str) -> str:
-    """How a link calls a heading."""
+def anchor(line: str) -> str:
+    """The name by which a link refers to a heading."""
     return re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-")
 
 
-@pytest.mark.parametrize("page", ["README.md", "reference/README.md", "reference/benchmark.md"])
+@pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
     links = re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
-    local = [link.partition("#") for link in links if not link.startswith("https://")]
-    for name, _, part in local:
+    for name, _, part in (link.partition("#") for link in links if "://" not in link):
         target = path.parent / name if name else path
         assert target.exists(), name
-        headings = (
-            re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M) if part else []
-        )
-        assert not part or part in map(heading, headings), part
+        if part:
+            headings = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M)
+            assert part in map(anchor, headings), part
 
 
-def test_commands_exist() -> None:
-    modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", README))
+def test_the_commands_exist() -> None:
+    text = "\n".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
+    modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", text))
     assert len(modules) >= 5
     files = [ROOT / module.replace(".", "/") for module in modules]
     assert [file for file in files if not (file.with_suffix(".py").exists() or file.is_dir())] == []
 
 
-def test_layout_names_every_module_after_those_it_imports() -> None:
-    layout = README.partition("## What is where")[2].partition("converters/")[0]
-    order = re.findall(r"^    (\w+) ", layout, re.MULTILINE)
-    modules = {path.stem: path for path in (ROOT / "tracer").glob("*.py")}
-    assert set(order) == modules.keys() - {"__init__"}
-    for place, module in enumerate(order):
-        tree = ast.parse(modules[module].read_text(encoding="utf-8"))
-        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-        above = {f"tracer.{name}" for name in order[:place]}
-        assert {name for name in imported if f"{name}".startswith("tracer.")} <= above, module
+def test_the_map_names_every_module_of_the_tracer() -> None:
+    text = (ROOT / "reference/map.md").read_text(encoding="utf-8")
+    modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__"}
+    assert modules - set(re.findall(r"`(\w+)`", text)) == set()
 
 
-def test_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five square scenes and nine wide ones make a row and three."""
     monkeypatch.setattr(sheet, "_SAMPLES", 1)
     image = sheet.sheet(own_scenes())
