@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mistakes import no_highlights, no_shadows, visible
+from mistakes import no_highlights, no_shadows, radiance, visible
 from numpy.typing import NDArray
 
 import tracer.view.camera
@@ -29,7 +29,7 @@ from reference.check import (
 from reference.command import SCENES
 from reference.compare import figures
 from reference.regenerate import load_small, stored
-from tracer import Box, Scene, render
+from tracer import Box, PointLight, Scene, Sphere, render
 
 pytestmark = pytest.mark.cross_validation
 
@@ -101,7 +101,7 @@ def wrong_gamma(scene: Scene) -> Floats:
 
 def falling_off(scene: Scene) -> Floats:
     """Lights as strong as they should be at the middle distance, but falling off."""
-    points = visible(scene).point.reshape(scene.height, scene.width, 3)
+    points, _ = visible(scene)
     image = np.zeros((scene.height, scene.width, 3))
     for light in scene.lights:
         distance2 = ((points - light.position) ** 2).sum(axis=2)
@@ -163,3 +163,26 @@ def test_a_wrong_picture_is_caught(
 def test_even_a_strict_ssim_misses_what_is_a_little_brighter() -> None:
     scene = load_small(SCENES / "four-spheres.xml")
     assert figures(brighter(scene), stored("four-spheres")).ssim >= MIN_SSIM
+
+
+BEGINNERS = """
+absolute cosine, acne, ambient, background, corners, ends, exponent ignored, falls off,
+first light only, half vector not normalised, light not normalised, mirrored, no clamp,
+no highlights, no shading, no shadows, normals inwards, normals not normalised, one colour, Phong,
+projDistance ignored, shadows behind the light, upside down, viewDir not normalised, white,
+window ignored
+"""
+
+
+@pytest.mark.parametrize("mistake", BEGINNERS.strip().replace("\n", " ").split(", "))
+def test_mistakes_of_beginners_are_caught(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
+    scene = replace(load_small(SCENES / "four-spheres.xml"), width=48, height=48)
+    if mistake == "shadows behind the light":
+        # Of two balls, one is beyond the light.
+        balls = Sphere(center=(0, 0, -4)), Sphere(center=(0, 3, -4))
+        lights = (PointLight(position=(0, 1.5, -4)),)
+        scene = replace(scene, camera=tracer.Camera(), lights=lights, surfaces=balls)
+    assert np.allclose(radiance(scene), render(scene), atol=1e-9)
+    wrong = np.nan_to_num(radiance(scene, mistake))
+    monkeypatch.setattr("reference.check.render", lambda _scene, **_offset: wrong)
+    assert check_scene(scene, mistake).faults != ()
