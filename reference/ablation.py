@@ -23,15 +23,18 @@ from reference.timing import Task, Timing, interleaved
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
+from tracer.antialias import classify
 from tracer.antialias import refine as antialias
-from tracer.antialias.classify import Seen
+from tracer.antialias.classify import Classification
+from tracer.antialias.edges import Seen
 from tracer.antialias.lattice import Lattice
 from tracer.antialias.lines import Lines
-from tracer.antialias.regions import Points
+from tracer.antialias.regions import Points, stratified
 from tracer.arrays import Floats, Ints
 from tracer.light import shading
 from tracer.picture import bands
 from tracer.shadow import occluders, occlusion
+from tracer.shadow.occlusion import NearbyShadows
 from tracer.shapes.box import Boxes
 from tracer.shapes.sphere import Spheres
 from tracer.view import visibility
@@ -80,17 +83,19 @@ def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
     return np.zeros_like(radiance), np.zeros(key.size)
 
 
-def _alike(_: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Points, Ints]:
-    """All points in a cell have the same share, whatever lines lie between them."""
-    cell, shares = np.repeat(cells, x.size), np.full(cells.size * x.size, 1 / x.size)
-    return Points(cell, shares, np.tile(x, cells.size), np.tile(y, cells.size)), cell
+def _forgotten(found: Classification) -> NearbyShadows:
+    """What may shade samples is sought anew, whatever is known of their cells."""
+    return NearbyShadows(found.shadow_edges, np.full(found.id.size, -1))
 
 
-def _in_the_middle(lines: Lines) -> tuple[Floats, Floats, Floats]:
-    """One point within limbs, in the middle, in place of two: given twice, with half the share."""
-    share, x, y = lines._replace(a=-lines.a, b=-lines.b, c=-lines.c).areas_and_moments()
-    share, x, y = np.repeat([[share / 2, x, y]], 2, axis=0).swapaxes(0, 1)
-    return share, x / np.maximum(2 * share, 1e-9), y / np.maximum(2 * share, 1e-9)
+def _undivided(lines: Lines, count: int, x: Floats, y: Floats) -> Points:
+    """All points in a cell have the same weight, whatever lines lie between them."""
+    return stratified(lines.take(slice(0)), count, x, y)
+
+
+def _none(*_: Any) -> tuple[()]:
+    """No edges of a kind, or no places."""
+    return ()
 
 
 def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
@@ -112,15 +117,19 @@ ONE_SAMPLE = [
 """Parts without which a picture of one sample a pixel takes longer."""
 
 ANTIALIASING = [
-    Part("no looks: samples everywhere", [(antialias, "dense", lambda *_: True)]),
-    Part("no samples in the last cells: looks to the end", [(antialias, "_LAST", 1)]),
-    Part("samples in cells twice as large", [(antialias, "_LAST", 4)]),
-    Part("no second round: 25 samples in all the last cells", [(antialias, "_ROUNDS", (3,))]),
+    Part("samples everywhere", [(antialias, "dense", lambda *_: True)]),
+    Part("no quarters: samples in all pixels that are not smooth", [(antialias, "_LAST", _ALWAYS)]),
+    Part("quarters once more before samples", [(antialias, "_LAST", 1)]),
+    Part("no silhouettes", [(classify, "silhouettes", _none)]),
+    Part("no intersections", [(Seen, "intersections", _none)]),
+    Part("no edges of shadows", [(Seen, "shadows", _none)]),
+    Part("no terminators", [(Seen, "terminators", _none)]),
+    Part("no creases", [(Seen, "creases", _none)]),
+    Part("no narrow highlights", [(classify, "narrow_highlights", _none)]),
     Part(
-        "no regions: all samples in a cell weigh the same", [(antialias, "post_stratified", _alike)]
+        "no regions: all samples in a cell weigh the same", [(antialias, "stratified", _undivided)]
     ),
-    Part("one sample within limbs, not two", [(Lines, "gauss_points", _in_the_middle)]),
-    Part("no memory of looks: shadows sought anew", [(Seen, "nearby", lambda _: None)]),
+    Part("no memory of shadows: sought anew", [(Classification, "nearby", _forgotten)]),
     Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
     Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
 ]

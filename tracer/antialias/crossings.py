@@ -10,8 +10,6 @@ import numpy as np
 from tracer.arrays import Floats, Ints, expand
 from tracer.view.view import View
 
-__all__ = ["crossed"]
-
 # A line so near to the top or bottom of an object, in pixels, may touch it and no more.
 _TOUCHING = 1e-6
 

@@ -9,8 +9,6 @@ import numpy as np
 from tracer.arrays import Floats, Ints
 from tracer.view.samples import Rows
 
-__all__ = ["CENTRES", "Lattice"]
-
 # Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
 _GENERATORS = {5: 2, 13: 5, 25: 7}
 

@@ -1,41 +1,34 @@
-"""Antialiasing: samples on either side of an edge, weighted by their share of the pixel.
+"""Antialiasing: pixels are split where they hold more than one smooth surface.
 
-A *cell* is a pixel or a part of one.  A *look* at it takes the sample in its
-middle, and finds the straight *lines* that edges draw across it (see `looks`;
-outlines are found by `crossings`, whether a middle sees the object or not).
+A *cell* is a pixel or a part of one, classified by the sample in its middle (see `classify`).  Most
+cells see one smooth surface: there that sample, with a correction for curvature, is worth a whole
+grid of samples.  Other pixels are split into quarters, and these in turn, and so on (Whitted 1980).
+A smaller cell that straight lines divide gets samples on a lattice; those between the same lines
+stand for their exact area together.  Where these do not see the same, there is an edge that was not
+found: the cell is split as well, or in the end gets a finer lattice.
 
-Most cells see one smooth surface: there that sample, with a correction for
-curvature, is worth a whole grid of samples.  Where one line crosses a
-cell, a sample on either side is enough (two on a sphere within its limb, where
-light falls off).  A cell that holds more is *unresolved*: it is split into
-quarters, which are looked at in turn, and so on (Whitted 1980).  The last parts
-get samples on a lattice that is as good as the grid asked for; those between the
-same lines stand for their exact area together.  Where these do not see the same,
-there is an edge that was not found, and a finer lattice takes their place.
-
-What a look has found of shadows serves all samples in its cell.  In pictures full
-of edges there are no looks, and all pixels have the lattice.
+In pictures full of edges no cells are classified, and all pixels have the lattice.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from tracer.antialias.classify import Cells, Seen, look, look_at, radiance_in
+from tracer.antialias.classify import Cells, Classification, classify, radiance_in
 from tracer.antialias.crossings import crossed
 from tracer.antialias.curvature import curvature, extrapolated
-from tracer.antialias.edges import silhouettes
 from tracer.antialias.lattice import CENTRES, Lattice
-from tracer.antialias.lines import Kind, Lines, joined
-from tracer.antialias.regions import Points, mixed, post_stratified, sides_of
+from tracer.antialias.lines import Lines
+from tracer.antialias.regions import mixed, stratified
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
 from tracer.shadow.occlusion import NearbyShadows
+from tracer.view.samples import Scattered
 from tracer.view.view import View
 
-__all__ = ["antialiased", "dense", "splittings"]
-
-# Samples that are taken at a time in unresolved cells.
+# Samples that are taken at a time in cells that are not smooth.
 _CHUNK = 1 << 16
 
 # A cell is split where its correction for curvature may err by more than this, in radiance, over
@@ -43,16 +36,17 @@ _CHUNK = 1 << 16
 _CURVATURE = 1e-2
 
 # Cells in which the grid asked for has no more samples along each side than this are not split any
-# more, but sampled: looks would cost more than the samples they save.
+# more, but sampled: classification would cost more than the samples it saves.
 _LAST = 3
 
-# Looks cost so much that what has been split gets more samples than asked for: as many as for a
-# grid of so many along each side; then, where these miss an edge or the correction for curvature
-# may err by more than `_BENT` times the tolerance, as many as for the second.
-_ROUNDS, _BENT = (2, 4), 8.0
+# Lattices for cells with straight lines: in pixels that are not split, in cells that might be split
+# again, and in the last cells, unless the correction for curvature may err by more than `_BENT`
+# times the tolerance there.  The second lattice for the last cells is as good as such a grid.
+_IN_PIXELS, _IN_CELLS, _IN_LAST = Lattice(1, 5), Lattice(1, 25), Lattice(1, 13)
+_BENT, _FINER = 8.0, 4
 
-# With more pairs of outlines in a pixel than this, for each sample that is asked for, samples
-# everywhere cost less than looks.
+# With more pairs of silhouettes in a pixel than this, for each sample that is asked for, samples
+# everywhere cost less than classification.
 _DENSE = 0.006
 
 # Lines in a cell that differ by no more than this, times the tolerance, count as one.
@@ -63,15 +57,15 @@ _LINES = 4
 
 
 def dense(view: View, per_side: int) -> bool:
-    """Whether a picture is so full of outlines that samples everywhere cost less than looks.
+    """Whether samples everywhere cost less than classification, in a view full of silhouettes.
 
-    Either way it is to be as accurate as per_side x per_side samples in every pixel.
+    Either way they are to be as accurate as per_side x per_side samples in every pixel.
     """
     return view.frames.pairs_in_pixel(view.raster) > _DENSE * per_side**2
 
 
 def splittings(per_side: int) -> int:
-    """How many times over pixels are split into quarters and looked at, where they need it."""
+    """How many times over pixels are split into quarters, where they need it."""
     return 0 if per_side <= _LAST else 1 + splittings((per_side + 1) // 2)
 
 
@@ -92,185 +86,142 @@ def antialiased(
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     left, width = begin - 1, end + 2 - begin
-    # The finer the grid that is asked for, the less a sample may be off.
-    tolerance = _CURVATURE / per_side**1.5
     centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
     row, column, owner = crossed(view, rows, slice(begin, end))
     pixel = (row - top) * width + column - left
-    x, y = centres.positions()
-    outlines = silhouettes(view, pixel, owner, x[pixel], y[pixel], 1.0)
-    seen = look(lighting, centres, np.arange(centres.size), 1.0, tolerance, 1.0, outlines)
-    bend, error = curvature(seen.radiance, seen.key, width)
-    mean = np.add(seen.radiance, bend, out=bend)
-    pixels = Cells(
-        1.0,
-        tolerance,
-        x,
-        y,
-        error,
-        pixel,
-        owner,
-    )
+    # The finer the grid that is asked for, the less a mean may be off.
+    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.positions(), pixel, owner)
+    found = classify(lighting, pixels, centres, np.arange(centres.size))
+    smooth, error = curvature(found.radiance, found.id, width)
+    smooth += found.radiance
     inside = np.zeros((height, width), dtype=np.bool_)
     inside[1:-1, 1:-1] = True
-    _refine(lighting, pixels, seen, mean, per_side, inside.ravel())
+    mean = _refined(lighting, pixels, found, smooth, error, per_side, inside.ravel())
     np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2, out=out)
 
 
-def _refine(
+def _refined(
     lighting: Lighting,
     cells: Cells,
-    seen: Seen,
-    mean: Floats,
+    found: Classification,
+    smooth: Floats,
+    error: Floats,
     per_side: int,
     wanted: Bools,
-) -> None:
-    """Correct the mean radiance (3, n) of cells that hold more than one smooth surface.
+) -> Floats:
+    """Mean radiance (3, n) of cells.
 
-    `seen`: what looks at the cells have found.  `per_side`: samples along a cell's side in the grid
-    asked for.  `wanted` (n,): where means are of interest.
+    Parameters
+    ----------
+    lighting, cells, found
+    smooth : (3, n)
+        The mean of a cell that sees one smooth surface.
+    error : (n,)
+        By how much it may be off; NaN if only the cell's parts can tell.
+    per_side : int
+        Samples along a cell's side in the grid asked for.
+    wanted : (n,)
+        Where means are of interest.
     """
-    lines = seen.lines
-    unresolved = cells.error > cells.tolerance
-    # Just within a limb light bends because it falls off towards that line: points there tell.
-    unresolved[lines.cell[(lines.kind == Kind.SILHOUETTE) & (lines.c < 0)]] = False
-    unresolved |= seen.unresolved
-    same = _SAME * cells.tolerance
-    lines = _few(lines.take(indices(wanted[lines.cell])), same, unresolved)
-    # Each side of a line has samples of its own; what is not divided needs to be known as a whole.
-    unknown = np.isnan(cells.error)
-    unknown[lines.cell] = False
-    unresolved |= unknown
-    if not (lines.cell.size or (unresolved & wanted).any()):
-        return  # one smooth surface
-    sides, beyond = sides_of(lines.take(indices(~unresolved[lines.cell])), same)
-    # Points on the middle's side, or across a shadow's edge, are covered by the look.  The others
-    # are looked at, too, unless few samples are asked for: so coarse a grid errs more than samples
-    # there, whatever these miss.
-    looked = beyond & (per_side >= _LAST)
-    beside, there = (sides.take(indices(m)) for m in (~looked, looked))
-    colors, hidden = np.empty((3, 0)), np.zeros(unresolved.size, dtype=np.bool_)
-    if there.cell.size:
-        colors, key, found, more = _look_beyond(lighting, cells, there)
-        unresolved[more] = True
-        lines = joined([lines, found])
-        # A hidden outline divides nothing: there the sample in the middle, corrected, is better.
-        hidden[there.cell] = True
-        hidden[there.cell[key != seen.key[there.cell]]] = False
-    # Again for all cells, even if nothing was found: no cell's result may depend on other cells.
-    lines = _few(lines, same, unresolved)
-    divided, rest = ~(unresolved | hidden), indices(unresolved & wanted)
-    mean[:, rest] = 0
-    mean[:, sides.cell[divided[sides.cell]]] = 0
-    kept = indices(divided[there.cell])
-    there.take(kept).add(colors[:, kept], mean)
-    beside = beside.take(indices(divided[beside.cell]))
-    nearby = seen.nearby()
-    if per_side > _LAST:
-        _split(lighting, nearby, cells, seen, rest, per_side, mean)
-        rest = rest[:0]
-    rounds = (per_side,) if cells.size == 1 else _ROUNDS
-    _sample(lighting, nearby, cells, lines, rest, rounds, beside, mean)
-
-
-def _few(lines: Lines, same: float, unresolved: Bools) -> Lines:
-    """Different lines, at most `_LINES` a cell, sorted by cell; several leave it `unresolved`."""
-    lines = lines.distinct(same)
+    lines = found.lines.take(indices(wanted[found.lines.cell])).distinct(_SAME * cells.tolerance)
     first, count = equal_runs(lines.cell)
-    unresolved[lines.cell[first[count > 1]]] = True
-    return lines.take(indices(ranges(0, count) < _LINES))
+    divided, straight = np.zeros((2, error.size), dtype=np.bool_)
+    divided[lines.cell] = True
+    straight[lines.cell[first[count == 1]]] = True
+    straight &= ~(found.unresolved | (error > cells.tolerance))
+    rest = (divided | found.unresolved | ~(error <= cells.tolerance)) & wanted
+    lines = lines.take(indices(ranges(0, count) < _LINES))
+    nearby, last, whole = found.nearby(), per_side <= _LAST, cells.size == 1
+    mean = smooth
+    if last or (per_side <= 2 * _LAST and not whole):
+        lattice = _IN_PIXELS if whole else _IN_LAST if last else _IN_CELLS
+        gentle = straight if whole or not last else ~(error > _BENT * cells.tolerance)
+        some = indices(rest & gentle)
+        means, coarse, alike = _sampled(lighting, nearby, cells, lines, some, lattice, found.id)
+        # A hidden line divides nothing: there the smooth mean is better.
+        alike &= straight[some] & (error[some] <= cells.tolerance)
+        kept = indices(~(coarse | alike))
+        mean[:, some[kept]] = means[:, kept]
+        rest[some[~coarse]] = False
+    some = indices(rest)
+    if last:
+        lattice = Lattice.of(per_side if whole else _FINER)
+        mean[:, some], *_ = _sampled(lighting, nearby, cells, lines, some, lattice, found.id)
+        return mean
+    for part in _chunks(lighting, some, 4):
+        mean[:, part] = _split(lighting, nearby, cells, found, error, per_side, part)
+    return mean
 
 
-def _look_beyond(
-    lighting: Lighting, cells: Cells, sides: Points
-) -> tuple[Floats, Ints, Lines, Ints]:
-    """Look around points beyond lines: radiance (3, n), keys, lines in cells, unresolved cells."""
-    cell, x, y = sides.cell, sides.x, sides.y
-    # A square of twice the size, around whichever point of a cell, contains all of the cell.
-    at = cells.at(cell, x, y)
-    seen = look_at(lighting, None, *at, cell, 2 * cells.size, cells.tolerance, 0.5)
-    found = seen.lines
-    a, b = found.a / 2, found.b / 2
-    c = found.c - a * x[found.cell] - b * y[found.cell]
-    lines = Lines(cell[found.cell], found.kind, a, b, c).crossing()
-    return seen.radiance, seen.key, lines, cell[seen.unresolved]
+def _chunks(lighting: Lighting, some: Ints, samples: int) -> Iterator[Ints]:
+    """Some cells, with so many samples in each, a few at a time."""
+    step = max(1, lighting.view.at_once(_CHUNK) // samples)
+    for begin in range(0, some.size, step):
+        yield some[begin : begin + step]
 
 
-def _sample(
+def _sampled(
     lighting: Lighting,
-    nearby: NearbyShadows | None,
+    nearby: NearbyShadows,
     cells: Cells,
     lines: Lines,
     some: Ints,
-    rounds: tuple[int, ...],
-    beside: Points,
-    mean: Floats,
-) -> None:
-    """Add to the mean radiance (3, n) that of a lattice of samples in some cells.
+    lattice: Lattice,
+    middle: Ints,
+) -> tuple[Floats, Bools, Bools]:
+    """Mean radiance (3, n) of some cells by a lattice of samples.
 
-    `rounds`: the lattice is as good as a grid of so many samples along each side; where it is too
-    coarse, the next takes its place.
-
-    What the points `beside` see is added as well: together with the first cells, for one long array
-    takes less time than two.
+    `lines`, `middle`: of all cells, sorted, and the ids that their middles see.  Also returned are
+    the cells for which the lattice is too coarse, and those in which all points see the same as
+    the middle.
     """
-    per_side, *finer = rounds
-    lattice = Lattice.of(per_side)
     x, y = lattice.points()
-    step = max(1, lighting.view.at_once(_CHUNK) // lattice.size)
-    coarse = np.zeros(cells.x.size, dtype=np.bool_)
-    if finer:
-        coarse[some] = cells.error[some] > _BENT * cells.tolerance
-        some = some[~coarse[some]]
-    for begin in range(0, max(some.size, 1), step):
-        part = some[begin : begin + step]
-        within = np.zeros(cells.x.size, dtype=np.bool_)
-        within[part] = True
-        points, region = post_stratified(lines.take(indices(within[lines.cell])), part, x, y)
-        if not begin:
-            points = points.joined(beside)
-        radiance, key = radiance_in(
-            lighting, nearby, *cells.at(points.cell, points.x, points.y), points.cell
-        )
-        if finer:
-            # What differs between the same lines shows that an edge has not been found.
-            coarse[points.cell[mixed(region, key[: region.size])]] = True
-            kept = indices(~coarse[points.cell])
-            points, radiance = points.take(kept), radiance[:, kept]
-        points.add(radiance, mean)
-    again, none = indices(coarse), beside.take(np.arange(0))
-    if again.size:
-        _sample(lighting, nearby, cells, lines, again, tuple(finer), none, mean)
+    means = np.empty((3, some.size))
+    coarse, other = np.zeros((2, some.size), dtype=np.bool_)
+    place = np.full(cells.x.size, -1)
+    place[some] = np.arange(some.size)
+    lines = lines.take(indices(place[lines.cell] >= 0))
+    lines = lines._replace(cell=place[lines.cell])
+    for part in _chunks(lighting, np.arange(some.size), lattice.size):
+        begin, count = part[0], part.size
+        between = slice(*lines.cell.searchsorted([begin, begin + count]))
+        here = lines.take(between)
+        points = stratified(here._replace(cell=here.cell - begin), count, x, y)
+        cell = some[points.cell + begin]
+        radiance, ids = radiance_in(lighting, nearby, *cells.at(cell, points.x, points.y), cell)
+        for channel, values in zip(means, radiance, strict=True):
+            channel[part] = np.bincount(points.cell, points.weight * values, minlength=count)
+        # What differs between the same lines shows that an edge has not been found.
+        coarse[points.cell[mixed(points.region, ids)] + begin] = True
+        other[points.cell[ids != middle[cell]] + begin] = True
+    return means, coarse, ~other
 
 
 def _split(
     lighting: Lighting,
-    nearby: NearbyShadows | None,
+    nearby: NearbyShadows,
     cells: Cells,
-    seen: Seen,
-    some: Ints,
+    found: Classification,
+    error: Floats,
     per_side: int,
-    mean: Floats,
-) -> None:
-    """Replace the mean radiance (3, n) of some cells by that of their quarters, looked at anew."""
-    step = max(1, lighting.view.at_once(_CHUNK) // 4)
-    for begin in range(0, some.size, step):
-        part = some[begin : begin + step]
-        quarters, inside = cells.split(part), part.repeat(4)
-        x, y, size = quarters.x, quarters.y, quarters.size
-        q = quarters.cell
-        outlines = silhouettes(lighting.view, q, quarters.owner, x[q], y[q], size)
-        # `cell` of a quarter's silhouettes is the quarter
-        closer = look_at(lighting, nearby, x, y, inside, size, cells.tolerance, 1.0, outlines)
-        bend, error = extrapolated(
-            seen.radiance[:, part], seen.key[part], closer.radiance, closer.key
-        )
-        # What the whole says of one surface does not hold for a quarter that sees another one.
-        elsewhere = (closer.key != seen.key[inside]) & (closer.key >= 0)
-        quarters.error[elsewhere & (quarters.error <= cells.tolerance)] = np.nan
-        # What was not known of the whole (NaN), the quarters tell.
-        quarters = quarters._replace(error=np.fmax(quarters.error, error))
-        radiance = np.add(closer.radiance, bend, out=bend)
-        every = np.ones(x.size, dtype=np.bool_)
-        _refine(lighting, quarters, closer, radiance, max((per_side + 1) // 2, _LAST), every)
-        mean[:, part] = radiance.reshape(3, part.size, -1).mean(axis=2)
+    some: Ints,
+) -> Floats:
+    """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
+    quarters, inside = cells.quarters(some), some.repeat(4)
+    samples, order = Scattered.of(quarters.x, quarters.y)
+    closer = classify(lighting, quarters, samples, order, nearby.at(inside[order]))
+    smooth, finer = extrapolated(
+        found.radiance[:, some], found.id[some], closer.radiance, closer.id
+    )
+    smooth += closer.radiance
+    error = error[inside] / 4
+    # What the whole says of one surface does not hold for a quarter that sees another one.
+    elsewhere = (closer.id != found.id[inside]) & (closer.id >= 0)
+    error[elsewhere & (error <= cells.tolerance)] = np.nan
+    # What was not known of the whole (NaN), the quarters tell.
+    error = np.fmax(error, finer)
+    every = np.ones(inside.size, dtype=np.bool_)
+    per_side = max((per_side + 1) // 2, _LAST)
+    mean = _refined(lighting, quarters, closer, smooth, error, per_side, every)
+    quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
+    return quartered

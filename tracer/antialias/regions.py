@@ -1,10 +1,10 @@
 """Regions: what straight lines divide cells into, and the points that stand for each.
 
-The area of a region, as a part of its cell's, is its *share*.  Where one line divides a cell, each
-side has points of its own.  In a cell with more lines, or with more than lines, many points are
-spread evenly, and those in one region together stand for its exact share (post-stratification:
-Cochran, Sampling Techniques, 1977, ch. 5A).  Lines are taken to run right across their cells: where
-one in truth ends within, two regions are told apart that are one, which does no harm.
+Points are spread evenly over a cell.  Those in one region together stand for its exact area
+(post-stratification: Cochran, Sampling Techniques, 1977, ch. 5A), with weights that make their
+centroid the region's, so that the mean of what changes linearly across it is exact as well.
+Lines are taken to run right across their cells: where one in truth ends within, two regions are
+told apart that are one, which does no harm.
 """
 
 from __future__ import annotations
@@ -13,114 +13,107 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.lines import Kind, Lines
+from tracer.antialias.lines import Lines
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices
 
-__all__ = ["Points", "mixed", "post_stratified", "sides_of"]
-
-# Shares no larger than this are left out.
+# Areas no larger than this part of a cell are left out.
 _NOTHING = 1e-9
+
+# Points of a region stand for it if the determinant of their covariance, in cells' widths, is more
+# than this: there are three or more, and not all in one row.
+_SPREAD = 1e-6
 
 
 class Points(NamedTuple):
-    """Points that stand for parts of cells.
+    """Points that stand for regions of cells.
 
     Attributes
     ----------
     cell : (n,)
-    share : (n,)
-        The part of the cell's area that each stands for.
+    weight : (n,)
+        The part of the cell's area that each stands for; less than zero for a few.
     x, y : (n,)
         Where they are in their cells, from -1/2 to 1/2.
+    region : (n,)
+        A number for the region that each lies in, of all cells.
     """
 
     cell: Ints
-    share: Floats
+    weight: Floats
     x: Floats
     y: Floats
-
-    def take(self, index: Ints) -> Points:
-        """Some of them."""
-        return Points._make(m[index] for m in self)
-
-    def joined(self, other: Points) -> Points:
-        """These, then others."""
-        return Points._make(map(np.append, self, other))
-
-    def add(self, radiance: Floats, mean: Floats) -> None:
-        """Add radiance (3, n) at the points, by their shares, to the mean (3, cells) of cells."""
-        for channel, values in zip(mean, radiance, strict=True):
-            np.add.at(channel, self.cell, self.share * values)
+    region: Ints
 
 
-def sides_of(lines: Lines, same: float) -> tuple[Points, Bools]:
-    """Points on both sides of lines, each line being the only one in its cell, or the `same`.
+def stratified(lines: Lines, count: int, x: Floats, y: Floats) -> Points:
+    """The same points in so many cells, cell after cell, given lines sorted by cell.
 
-    One in the middle of each side; on the sphere's side of a limb, where light falls off, two.
-    Those beyond the line, seen from the cell's middle, are marked (n,): there the look at the cell
-    says nothing, and they may see another surface, or light that was not sought.
+    A region that holds too few of them has one in its middle instead: these come last.
     """
-    share, moment_x, moment_y = lines.areas_and_moments()
-    shares, x, y = (
-        np.concatenate(m)
-        for m in ((share, 1 - share), (moment_x, -moment_x), (moment_y, -moment_y))
-    )
-    x /= np.maximum(shares, _NOTHING)
-    y /= np.maximum(shares, _NOTHING)
-    # The cell's middle is on the side that has the sign of c, unless another line that counts as
-    # the same divides them: a floor ends in several at the horizon.  The look covers both sides of
-    # a shadow's edge.
-    side = np.repeat([1.0, -1.0], share.size)
-    other = np.tile(lines.kind != Kind.SHADOW, 2)
-    beyond = other & (side * np.tile(lines.c, 2) <= same * np.tile(lines.reach(), 2))
-    limb = indices(lines.kind == Kind.SILHOUETTE)
-    within = share.size + limb
-    shares[within] = 0  # two points stand for that side
-    sides = Points(np.tile(lines.cell, 2), shares, x, y)
-    roots = (m.ravel() for m in lines.take(limb).gauss_points())
-    sides = sides.joined(Points(np.tile(lines.cell[limb], 2), *roots))
-    beyond = np.append(beyond, np.tile(beyond[within], 2))
-    some = indices(sides.share > _NOTHING)
-    return sides.take(some), beyond[some]
-
-
-def post_stratified(lines: Lines, cells: Ints, x: Floats, y: Floats) -> tuple[Points, Ints]:
-    """The same points in all cells, cell after cell, and their regions, given lines sorted by cell.
-
-    The points in a region have equal parts of its share.  The regions without any have a point in
-    the middle of each: these come last.
-    """
-    first, count = equal_runs(lines.cell)
-    weights = np.full((cells.size, x.size), 1 / x.size)
-    bits = int(count.max(initial=0))
+    first, number_of = equal_runs(lines.cell)
+    bits = int(number_of.max(initial=0))
     # A region's code has a bit for each line, set on the side where c + a x + b y < 0.
-    code = np.repeat(np.arange(cells.size)[:, None] << bits, x.size, axis=1)
-    crossed = cells.searchsorted(lines.cell[first])
+    code = np.repeat(np.arange(count)[:, None] << bits, x.size, axis=1)
+    crossed = lines.cell[first]
     polygons = _Polygons.squares(first.size)
     for number in range(bits):
-        some = indices(count > number)
+        some = indices(number_of > number)
         line = (first + number)[some, None]
         z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
         code[crossed[some]] |= (z < 0) << number
-        polygons = polygons.divided(lines, first + number, count > number, number)
-    share, middle_x, middle_y = polygons.centroids()
+        polygons = polygons.divided(lines, first + number, number_of > number, number)
+    area, middle_x, middle_y = polygons.centroids()
     place = crossed[polygons.cell]
     region = polygons.code + (place << bits)
-    held = np.bincount(code.ravel(), minlength=cells.size << bits)
-    shares = np.bincount(region, share, minlength=held.size) / np.maximum(held, 1)
-    weights[crossed] = shares[code[crossed]]
-    empty = indices((held[region] == 0) & (share > _NOTHING))
-    lone = Points(cells[place[empty]], share[empty], middle_x[empty], middle_y[empty])
-    x, y = np.tile(x, cells.size), np.tile(y, cells.size)
-    points = Points(cells.repeat(weights.shape[1]), weights.ravel(), x, y).joined(lone)
-    return points, np.append(code, region[empty])
+    weight, own = np.full((count, x.size), 1 / x.size), code[crossed]
+    wanted = np.zeros((3, count << bits))
+    wanted[:, region] = area, middle_x, middle_y
+    weights, enough = _weights(own.ravel(), wanted, x, y)
+    weight[crossed] = weights.reshape(own.shape)
+    lone = indices(~enough[region] & (area > _NOTHING))
+    return Points(
+        np.append(np.arange(count).repeat(x.size), place[lone]),
+        np.append(weight, area[lone]),
+        np.append(np.tile(x, count), middle_x[lone]),
+        np.append(np.tile(y, count), middle_y[lone]),
+        np.append(code, region[lone]),
+    )
 
 
-def mixed(region: Ints, key: Ints) -> Ints:
-    """Points, of some in regions (n,), that have another key (n,) than others in their region."""
-    keys = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
-    keys[region] = key
-    return indices(keys[region] != key)
+def _weights(region: Ints, wanted: Floats, x: Floats, y: Floats) -> tuple[Floats, Bools]:
+    """Weights (n,) of points, cell after cell, and which regions (m,) they are enough for.
+
+    `wanted` (3, m): the area of each region, and its centroid.
+
+    A weight is w (1 + t . (p - q)), with w = area / points, the point p and their mean q.  With
+    their covariance S, the weighted mean is q + S t: t = S^-1 (centroid - q) makes it the centroid.
+    """
+    x, y = (np.tile(m, region.size // m.size) for m in (x, y))
+    area, middle_x, middle_y = wanted
+    points = np.maximum(np.bincount(region, minlength=area.size), 1)
+
+    def mean(values: Floats) -> Floats:
+        means: Floats = np.bincount(region, values, minlength=area.size) / points
+        return means
+
+    q_x, q_y = mean(x), mean(y)
+    x, y = x - q_x[region], y - q_y[region]
+    xx, xy, yy = mean(x * x), mean(x * y), mean(y * y)
+    determinant = xx * yy - xy * xy
+    enough: Bools = determinant > _SPREAD
+    off_x, off_y = middle_x - q_x, middle_y - q_y
+    w = np.where(enough, area / points, 0)
+    scale = w / np.where(enough, determinant, 1)
+    t_x, t_y = scale * (yy * off_x - xy * off_y), scale * (xx * off_y - xy * off_x)
+    weights: Floats = w[region] + t_x[region] * x + t_y[region] * y
+    return weights, enough
+
+
+def mixed(region: Ints, ids: Ints) -> Ints:
+    """Points, of some in regions (n,), that have another id (n,) than others in their region."""
+    any_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
+    any_id[region] = ids
+    return indices(any_id[region] != ids)
 
 
 class _Polygons(NamedTuple):

@@ -1,6 +1,6 @@
-"""Silhouettes of boxes: their edges between a face that an apex sees and one that it does not.
+"""Silhouettes of boxes and spheres, seen from an apex: the eye or a light.
 
-The apex is the eye or a light.
+Those of boxes are their edges between a face that the apex sees and one that it does not.
 """
 
 from __future__ import annotations
@@ -89,3 +89,23 @@ def silhouette_planes(
     # What products lose as their sum cancels; then what the edge's ends lose as one is subtracted.
     products = PRODUCT_ROUNDING * np.sqrt(np.minimum(a2, b2) * dot(edge, edge))
     return each(lambda n: sign * n, normal), (products, PRODUCT_ROUNDING * np.sqrt(a2 * b2))
+
+
+def box_margins(planes: Triple, d: Triple) -> Floats:
+    """Signed distances (m, 6, n), but for scale, of rays from the planes of silhouettes.
+
+    `planes`: three (6, n), see `silhouette_planes`; `d`: rays from the apex, three (m, n).
+    """
+    return np.array([dot(normal, d) for normal in zip(*planes, strict=True)]).swapaxes(0, 1)
+
+
+def sphere_margins(d: Triple, center: Triple, radius: Floats) -> Floats:
+    """Angles (m, n) by which rays miss spheres, negative where they meet them; NaN from inside.
+
+    `d`: rays from the apex, three (m, n); `center`: three (n,), as seen from there.
+    """
+    aside, distance = cross(center, d), np.sqrt(dot(center, center))
+    angle = np.arctan2(np.sqrt(dot(aside, aside)), dot(center, d))
+    tangent = np.sqrt((distance - radius) * (distance + radius))
+    margins: Floats = angle - np.arctan2(radius, tangent)
+    return margins
