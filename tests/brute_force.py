@@ -35,50 +35,53 @@ def brute_force(scene: Scene) -> Floats:
         t, detail = shape.hit(raster, 0, g, s, None)
         first = t < nearest
         nearest[first], owner[first], details[first] = t[first], i, detail[first]
-    image = np.zeros((s.size, 3))
-    for i in np.unique(owner[owner >= 0]).tolist():
-        shape, at = shapes[i], np.flatnonzero(owner == i)
-        t, detail = nearest[at], details[at].astype(np.int8) if shape.flat else details[at]
-        seen = np.array([t * s[at], t * g[at], t * raster.depth])
-        surface = shape.surface(raster, np.zeros(at.size, dtype=np.intp), None, seen, t, detail)
-        group = Group(shape, slice(0, at.size), at, np.zeros(at.size, np.intp), None, *surface)
-        others = shapes[:i] + shapes[i + 1 :]
-        image[at] = _radiance(scene, raster, group, _triple(seen), others, surfaces[i])
-    return image.reshape(scene.height, scene.width, 3)
-
-
-def _radiance(
-    scene: Scene, raster: Raster, group: Group, seen: Triple, others: list[Shape], own: Surface
-) -> Floats:
-    """Radiance (n, 3) at points of one object."""
-    p, distance = raster.point_to_scene(seen), np.sqrt(dot(seen, seen))
-    n_dot_v, shader = group.height / distance, own.shader
-    n = _triple([np.broadcast_to(m, distance.shape) for m in group.n])
-    diffuse, specular = np.zeros((2, distance.size, 3))
+    at = np.flatnonzero(owner >= 0)
+    own, t = owner[at], nearest[at]
+    seen = np.array([t * s[at], t * g[at], t * raster.depth])
+    groups = []
+    for i in np.unique(own).tolist():
+        shape, mine = shapes[i], np.flatnonzero(own == i)
+        detail = details[at[mine]].astype(np.int8) if shape.flat else details[at[mine]]
+        zeros = np.zeros(mine.size, dtype=np.intp)
+        surface = shape.surface(raster, zeros, None, seen[:, mine], t[mine], detail)
+        groups.append((i, mine, Group(shape, slice(0, mine.size), mine, zeros, None, *surface)))
+    diffuse, specular = np.zeros((2, at.size, 3))
+    p = raster.point_to_scene(_triple(seen))
     for light in scene.lights:
         x, y, z = (float(c[0]) for c in raster.to_camera(np.array([light.position])))
-        to_light = _triple([x - seen[0], y - seen[1], z - seen[2]])
-        falls = np.empty(distance.size)
-        group.height_of(np.array(light.position), to_light, falls)
+        to_light, falls = _triple([x - seen[0], y - seen[1], z - seen[2]]), np.empty(at.size)
+        for _, mine, group in groups:
+            height = np.empty(mine.size)
+            group.height_of(np.array(light.position), pick(to_light, mine), height)
+            falls[mine] = height
+            if group.shape.eye_inside[0] and light_side(group.shape, light.position) != INSIDE:
+                falls[mine] = -1
         lit = falls > 0
-        if group.shape.eye_inside[0] and light_side(group.shape, light.position) != INSIDE:
-            lit[:] = False
-        for other in others:
-            at = np.flatnonzero(lit)
-            lit[at] = ~blocks(other, raster.eye, pick(p, at), light.position)
-        at = np.flatnonzero(lit)
-        far = np.sqrt(dot(to_light, to_light))
-        cosine, l_dot_v = falls / far, dot(to_light, seen) / (-distance * far)
-        diffuse[at] += cosine[at, None] * light.intensity
-        if isinstance(shader, Phong) and any(shader.specular):
-            wi = _triple([c[at] * (1 / far[at]) for c in to_light])
-            v = _triple([c[at] * (-1 / distance[at]) for c in seen])
-            vectors = partial(_vectors, pick(n, at), wi, v)
-            exponent = np.asarray(shader.exponent)
-            power = highlight(cosine[at], n_dot_v[at], l_dot_v[at], exponent, vectors)
-            specular[at] += power[:, None] * light.intensity
-    radiance = diffuse * shader.diffuse
-    return radiance + specular * shader.specular if isinstance(shader, Phong) else radiance
+        for i, shape in enumerate(shapes):
+            open_ = np.flatnonzero(lit & (own != i))
+            lit[open_] = ~blocks(shape, raster.eye, pick(p, open_), light.position)
+        far, distance = np.sqrt(dot(to_light, to_light)), np.sqrt(dot(_triple(seen), _triple(seen)))
+        cosine, l_dot_v = falls / far, dot(to_light, _triple(seen)) / (-distance * far)
+        diffuse[lit] += cosine[lit, None] * light.intensity
+        for i, mine, group in groups:
+            shader, here = surfaces[i].shader, np.flatnonzero(lit[mine])
+            if isinstance(shader, Phong) and any(shader.specular):
+                on = mine[here]
+                n = [np.broadcast_to(m, mine.shape)[here] for m in group.n]
+                wi = [c[on] * (1 / far[on]) for c in to_light]
+                v = [c[on] * (-1 / distance[on]) for c in seen]
+                vectors = partial(_vectors, _triple(n), _triple(wi), _triple(v))
+                n_dot_v = (group.height / distance[mine])[here]
+                exponent = np.asarray(shader.exponent)
+                power = highlight(cosine[on], n_dot_v, l_dot_v[on], exponent, vectors)
+                specular[on] += power[:, None] * light.intensity
+    image = np.zeros((s.size, 3))
+    for i, mine, _ in groups:
+        shader = surfaces[i].shader
+        image[at[mine]] = diffuse[mine] * shader.diffuse
+        if isinstance(shader, Phong):
+            image[at[mine]] += specular[mine] * shader.specular
+    return image.reshape(scene.height, scene.width, 3)
 
 
 def _vectors(n: Triple, light: Triple, view: Triple, some: Ints) -> tuple[Triple, Triple, Triple]:

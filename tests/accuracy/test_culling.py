@@ -64,12 +64,15 @@ def scattered(scene: Scene) -> Floats:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("width", "height"), [(23, 31), (160, 120)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(23, 31), pytest.param(160, 120, marks=pytest.mark.slow)]
+)
 def test_random_scenes(kind: str, width: int, height: int) -> None:
     for seed in range(2 if kind == "crowd" else 12):
         assert_same(random_scene(kind, seed, width, height))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_grids_of_a_part_of_the_field(kind: str) -> None:
     for seed in range(4):
@@ -78,6 +81,7 @@ def test_grids_of_a_part_of_the_field(kind: str) -> None:
             assert_same(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_grids_of_large_cells(kind: str) -> None:
     for pairs in (1, 40, 1000):
@@ -105,6 +109,7 @@ def test_scenes_that_once_differed(kind: str, seed: int, width: int, height: int
     assert_same(random_scene(kind, seed, width, height))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     kind=st.sampled_from([kind for kind in KINDS if kind != "crowd"]),
@@ -128,6 +133,7 @@ def scene(
     return scene_of(*surfaces, camera=camera, size=(120, 120), lights=light)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_zoomed_in_on_an_edge(kind: str) -> None:
     # Again and again on the first pixel that differs from its neighbour: an outline or the
