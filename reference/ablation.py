@@ -8,10 +8,11 @@ what is seen or which lights reach it; antialiasing is judged by time and error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from pkgutil import resolve_name
 from typing import Any
 from unittest import mock
 
@@ -23,26 +24,11 @@ from reference.timing import Task, Timing, interleaved
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
-from tracer.antialias import classify
-from tracer.antialias import refine as antialias
-from tracer.antialias.classify import Classification
-from tracer.antialias.edges import Seen
-from tracer.antialias.lattice import Lattice
-from tracer.antialias.lines import Lines
-from tracer.antialias.regions import Points, stratified
-from tracer.arrays import Floats, Ints
-from tracer.light import shading
-from tracer.picture import bands
-from tracer.shadow import occluders, occlusion
-from tracer.shadow.occlusion import NearbyShadows
-from tracer.shapes.box import Boxes
-from tracer.shapes.sphere import Spheres
-from tracer.view import visibility
 
 __all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
 
 _ALL = "all as it is"
-_NEVER, _ALWAYS = -1, 1 << 40
+_ALWAYS = 1 << 40
 
 _SAMPLES = 64
 
@@ -52,86 +38,83 @@ _ROUNDS = 5
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Something that the tracer could do without, and what is put in its place.
+    """Something that the tracer could do without.
 
     Attributes
     ----------
     name : str
-    instead : sequence of (object, str, object)
-        What to patch: an object, the name of its attribute, and the value in its place.
+    instead : mapping
+        What takes the place of what, below `tracer`: a value, or of a function a function that is
+        given the old one and its arguments.
     processes : int
     """
 
     name: str
-    instead: Sequence[tuple[Any, str, Any]]
+    instead: Mapping[str, Any] = field(default_factory=dict)
     processes: int = 1
 
 
-def _uncertain(shape: Any) -> tuple[Any, str, Any]:
-    """Nothing is certainly in the shadow of a shape."""
-    capsules = shape.capsules
-
-    def only_meets(*arguments: Any) -> tuple[Any, Any]:
-        meets, cuts = capsules(*arguments)
-        return meets, np.zeros_like(cuts)
-
-    return shape, "capsules", only_meets
+def _nothing(*_: Any) -> Iterator[Any]:
+    return iter(())
 
 
-def _flat(radiance: Floats, key: Ints, width: int) -> tuple[Floats, Floats]:
-    """No curvature anywhere."""
-    return np.zeros_like(radiance), np.zeros(key.size)
+def _certain_of_nothing(capsules: Any, *arguments: Any) -> Any:
+    meets, cuts = capsules(*arguments)
+    return meets, np.zeros_like(cuts)
 
 
-def _forgotten(found: Classification) -> NearbyShadows:
-    """What may shade samples is sought anew, whatever is known of their cells."""
-    return NearbyShadows(found.shadow_edges, np.full(found.id.size, -1))
+def _equal_weights(stratified: Any, lines: Any, count: int, x: Any, y: Any) -> Any:
+    points, n = stratified(lines, count, x, y), count * x.size
+    return type(points)(*(m[:n] for m in points))._replace(weight=np.full(n, 1 / x.size))
 
 
-def _undivided(lines: Lines, count: int, x: Floats, y: Floats) -> Points:
-    """All points in a cell have the same weight, whatever lines lie between them."""
-    return stratified(lines.take(slice(0)), count, x, y)
+def _unknown(_: Any, nearby: Any, place: Any) -> Any:
+    return nearby._replace(point=np.full(place.size, -1))
 
 
-def _none(*_: Any) -> tuple[()]:
-    """No edges of a kind, or no places."""
-    return ()
-
-
-def _upright(per_side: int, turned: Any = Lattice.of) -> Lattice:
+def _upright(turned: Any, per_side: int) -> Any:
     """A grid in rows and columns, of about as many points."""
     side = round(np.sqrt(turned(per_side).size))
-    return Lattice(side, side)
+    return type(turned(per_side))(side, side)
 
 
 ONE_SAMPLE = [
-    Part("no tiles: short packets ask the grid", [(occluders, "LONGEST", occlusion._SHORT)]),
-    Part("no short packets: tiles of long ones ask the grid", [(occluders, "_FEW", _ALWAYS)]),
-    Part("no packet certainly in shadow", [_uncertain(Spheres), _uncertain(Boxes)]),
-    Part("no objects with arrays of their own", [(visibility, "_LARGE", _ALWAYS)]),
-    Part("no bands: the picture in one", [(bands, "_TILE_SAMPLES", _ALWAYS)]),
-    Part("bands of 16,384 pixels", [(bands, "_TILE_SAMPLES", 1 << 14)]),
-    Part("no highlights from cosines: from vectors", [(shading, "_SHOWS", -1.0)]),
-    Part("two processes", [], processes=2),
+    Part("short packets ask the light grids", {"shadow.occluders.LONGEST": 6}),
+    Part("long packets ask, however many objects", {"shadow.occluders._FEW": _ALWAYS}),
+    Part(
+        "no packet certainly in shadow",
+        {
+            "shapes.sphere.Spheres.capsules": _certain_of_nothing,
+            "shapes.box.Boxes.capsules": _certain_of_nothing,
+        },
+    ),
+    Part("no large objects with numbers for their data", {"view.visibility._LARGE": _ALWAYS}),
+    Part("one tile", {"picture.bands._TILE_SAMPLES": _ALWAYS}),
+    Part("tiles of 16,384 pixels", {"picture.bands._TILE_SAMPLES": 1 << 14}),
+    Part("highlights from vectors, not cosines", {"light.shading._SHOWS": -1.0}),
+    Part("two processes", processes=2),
 ]
 """Parts without which a picture of one sample a pixel takes longer."""
 
+_EDGES = "antialias.edges.Seen"
+
 ANTIALIASING = [
-    Part("samples everywhere", [(antialias, "dense", lambda *_: True)]),
-    Part("no quarters: samples in all pixels that are not smooth", [(antialias, "_LAST", _ALWAYS)]),
-    Part("quarters once more before samples", [(antialias, "_LAST", 1)]),
-    Part("no silhouettes", [(classify, "silhouettes", _none)]),
-    Part("no intersections", [(Seen, "intersections", _none)]),
-    Part("no edges of shadows", [(Seen, "shadows", _none)]),
-    Part("no terminators", [(Seen, "terminators", _none)]),
-    Part("no creases", [(Seen, "creases", _none)]),
-    Part("no narrow highlights", [(classify, "narrow_highlights", _none)]),
+    Part("samples everywhere", {"antialias.refine.dense": lambda *_: True}),
+    Part("no quarters", {"antialias.refine._LAST": 1 << 10}),
+    Part("no second lattice", {"antialias.refine.mixed": lambda *_: np.zeros(0, dtype=int)}),
+    Part("no regions: equal weights", {"antialias.refine.stratified": _equal_weights}),
+    Part("no silhouettes", {"antialias.classify.silhouettes": _nothing}),
+    Part("no lines where surfaces meet", {f"{_EDGES}.intersections": _nothing}),
+    Part("no edges of shadows", {f"{_EDGES}.shadows": _nothing}),
+    Part("no terminators", {f"{_EDGES}.terminators": _nothing}),
+    Part("no creases", {f"{_EDGES}.creases": _nothing}),
+    Part("no narrow highlights", {"antialias.classify.narrow_highlights": _nothing}),
     Part(
-        "no regions: all samples in a cell weigh the same", [(antialias, "stratified", _undivided)]
+        "no curvature",
+        {"antialias.refine.curvature": lambda _, light, ids, *__: (0 * light, np.zeros(ids.size))},
     ),
-    Part("no memory of shadows: sought anew", [(Classification, "nearby", _forgotten)]),
-    Part("no curvature: centres as they are", [(antialias, "curvature", _flat)]),
-    Part("no turn: upright grids of as many samples", [(Lattice, "of", _upright)]),
+    Part("shadows sought anew", {"shadow.occlusion.NearbyShadows.at": _unknown}),
+    Part("upright lattices", {"antialias.lattice.Lattice.of": _upright}),
 ]
 """Parts without which an antialiased picture takes longer, or errs more."""
 
@@ -140,16 +123,27 @@ ANTIALIASING = [
 def without(part: Part) -> Iterator[None]:
     """Patch the tracer to do without a part, as long as this lasts."""
     with ExitStack() as stack:
-        for where, name, value in part.instead:
-            stack.enter_context(mock.patch.object(where, name, value))
+        for name, value in part.instead.items():
+            target, attribute = f"tracer.{name}".rsplit(".", 1)
+            old = getattr(resolve_name(target), attribute)
+            # A plain function, so that it is bound to objects as the old one is.
+            new = _in_place(value, old) if callable(value) else value
+            stack.enter_context(mock.patch(f"tracer.{name}", new))
         yield
+
+
+def _in_place(value: Any, old: Any) -> Any:
+    def new(*arguments: Any, **keywords: Any) -> Any:
+        return value(old, *arguments, **keywords)
+
+    return new
 
 
 def _table(
     title: str, scenes: dict[str, Scene], parts: Sequence[Part], samples: int, *, quick: bool
 ) -> Table:
     """Times, in the first row in milliseconds, and errors where pixels are antialiased."""
-    every = [Part(_ALL, []), *parts]
+    every = [Part(_ALL), *parts]
     rows: list[list[object]] = [[part.name] for part in every]
     header = ["change"]
     for name, scene in scenes.items():
@@ -174,7 +168,7 @@ def _table(
     )
 
 
-def _render(scene: Scene, part: Part, samples: int) -> Floats:
+def _render(scene: Scene, part: Part, samples: int) -> Any:
     with without(part):
         return render(scene, samples, processes=part.processes)
 

@@ -28,7 +28,7 @@ from reference import povray, rivals
 from reference.command import SCENES, built, need_scenes, own_scenes, parser, result, run
 from reference.tables import Ratio, Table, measured_on, write_tables
 from reference.timing import Task, Timing, interleaved, process
-from reference.workloads import crowd, lit_by, resized
+from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene
 
 __all__ = ["Section", "growth_exponent", "main", "peak", "tables"]
@@ -173,31 +173,6 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     )
 
 
-def growth_in_pixels_and_lights(rounds: int, quick: bool) -> Table:
-    """Time the tracer with more pixels, and with more lights, on the 21-object scene."""
-    scene = load_scene(SCENES / "sticks-perspective.xml")
-    widths = (160, 320) if quick else (320, 640, 1280, 2560, 5120)
-    lights = (1, 2) if quick else (1, 2, 4, 8, 16, 32)
-    rows: list[tuple[object, ...]] = []
-    for what, scenes in (
-        ("pixels", {w * w * 9 // 16: resized(scene, w, w * 9 // 16) for w in widths}),
-        ("lights (1280×720)", {n: lit_by(resized(scene, *_MEDIUM), n) for n in lights}),
-    ):
-        timings = [interleaved({"": partial(render, each)}, rounds)[""] for each in scenes.values()]
-        exponent = growth_exponent([*scenes][-3:], timings[-3:])
-        grows = [""] * (len(timings) - 1) + [f"^{exponent:.2f}"]
-        rows += [
-            (f"{what}: {size:,}", timing, grow)
-            for size, timing, grow in zip(scenes, timings, grows, strict=True)
-        ]
-    return Table(
-        "Growth in pixels and in lights",
-        "Milliseconds for the tracer on the 21-object scene; the exponent is of the last three.",
-        ("number", "tracer", "grows as"),
-        rows,
-    )
-
-
 def loading(rounds: int, quick: bool) -> Table:
     """Time reading and validating many objects, against xml.etree alone."""
     count = 1000 if quick else 100_000
@@ -286,7 +261,6 @@ SECTIONS: list[Section] = [
     whole_process,
     rendering,
     growth_in_objects,
-    growth_in_pixels_and_lights,
     loading,
     memory,
 ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 
-__all__ = ["crowd", "lit_by", "resized", "rods"]
+__all__ = ["crowd", "resized", "rods"]
 
 _SHADERS = (
     Lambertian(diffuse=(0.9, 0.6, 0.3)),
@@ -88,11 +88,3 @@ def resized(scene: Scene, width: int, height: int) -> Scene:
     return replace(
         scene, width=width, height=height, camera=replace(camera, view_width=pixel * width)
     )
-
-
-def lit_by(scene: Scene, count: int) -> Scene:
-    """Light a scene by `count` lights, spread over the sky."""
-    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    sky = np.column_stack([9 * np.cos(turn), np.linspace(8, 3, count), 9 * np.sin(turn)])
-    positions = [(x, y, z) for x, y, z in sky.tolist()]
-    return replace(scene, lights=_lights(*positions, intensity=1 / count))
