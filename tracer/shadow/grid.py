@@ -42,7 +42,7 @@ SLACK = 1e-9
 # With n objects a field has `_SIDE_EACH` sqrt(n) cells along each side, up to `_SIDE_MOST`.  Finer
 # cells list less, and take longer to fill: where objects are so large that their bounds would fill
 # more cells than `_PAIRS` for each light, cells are larger.
-_SIDE_EACH, _SIDE_MOST = 1.5, 320
+_SIDE_EACH, _SIDE_MOST = 1.0, 320
 _PAIRS = 1 << 21
 
 # A field may leave one in so many objects beyond either of its sides.
@@ -177,12 +177,11 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     grid = grid._replace(side=side, scale=side * grid.scale)
     place, cell, corner = _cells(grid._in_cells(rect, number), number, side)
     counts = np.bincount(cell, minlength=begin.size * side**2)
-    # Sorting the pairs themselves, as one number each, is faster than finding their order.
-    pair = np.sort((cell * some.size + place) << 2 | corner)
+    # By the low 16 bits, then by the high ones: NumPy's radix sort takes no more.
+    order = (cell & 0xFFFF).astype(np.uint16).argsort(kind="stable")
+    order = order[(cell[order] >> 16).astype(np.uint16).argsort(kind="stable")]
     return grid._replace(
-        first=np.append(0, counts.cumsum()),
-        listed=(pair >> 2) % some.size,
-        corner=(pair & 3).astype(np.uint8),
+        first=np.append(0, counts.cumsum()), listed=place[order], corner=corner[order]
     )
 
 
