@@ -68,10 +68,6 @@ def _equal_weights(stratified: Any, lines: Any, count: int, x: Any, y: Any) -> A
     return type(points)(*(m[:n] for m in points))._replace(weight=np.full(n, 1 / x.size))
 
 
-def _unknown(_: Any, nearby: Any, place: Any) -> Any:
-    return nearby._replace(point=np.full(place.size, -1))
-
-
 def _upright(turned: Any, per_side: int) -> Any:
     """A grid in rows and columns, of about as many points."""
     side = round(np.sqrt(turned(per_side).size))
@@ -113,7 +109,6 @@ ANTIALIASING = [
         "no curvature",
         {"antialias.refine.curvature": lambda _, light, ids, *__: (0 * light, np.zeros(ids.size))},
     ),
-    Part("shadows sought anew", {"shadow.occlusion.NearbyShadows.at": _unknown}),
     Part("upright lattices", {"antialias.lattice.Lattice.of": _upright}),
 ]
 """Parts without which an antialiased picture takes longer, or errs more."""

@@ -15,7 +15,6 @@ from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, Surfaces,
 from tracer.antialias import classify
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Bools, Floats, Ints, columns, each, pick
-from tracer.light import lighting
 from tracer.shadow import grid
 from tracer.shadow.occluders import Occluders, occluders_of
 from tracer.shadow.occlusion import occlusion, shadow_edges
@@ -136,33 +135,6 @@ def shades_nearby(
             owner, start = occluder[at], pick(place, at)
             result[at] |= shape.occludes(hits.view.raster.eye, owner, start, end, close)
     return result
-
-
-@pytest.mark.usefixtures("pixels_are_split")
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_is_known_nearby_changes_no_shadow(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = 0
-
-    def compared(occluders: Occluders, hits: Visible, frontlit: Bools, nearby: Any) -> Bools:
-        nonlocal known
-        blocked, afresh = (occlusion(occluders, hits, frontlit, m) for m in (nearby, None))
-        assert np.array_equal(blocked[frontlit], afresh[frontlit])
-        known += hits.p.shape[1] if nearby else 0
-        return blocked
-
-    def compared_edges(
-        occluders: Occluders, hits: Visible, frontlit: Bools, reach: Floats, nearby: Any
-    ) -> Any:
-        blocked, found = shadow_edges(occluders, hits, frontlit, reach, nearby)
-        afresh, _ = shadow_edges(occluders, hits, frontlit, reach)
-        assert np.array_equal(blocked[frontlit], afresh[frontlit])
-        return blocked, found
-
-    monkeypatch.setattr(lighting, "occlusion", compared)
-    monkeypatch.setattr(classify, "shadow_edges", compared_edges)
-    for seed in range(6):
-        render(random_scene(kind, seed, 48, 32), samples=16, processes=1)
-    assert known
 
 
 def candidates(scene: Scene) -> int:

@@ -25,7 +25,7 @@ from tracer.light.lighting import (
     radiance_at,
     shade,
 )
-from tracer.shadow.occlusion import NearbyShadows, ShadowEdges, shadow_edges
+from tracer.shadow.occlusion import shadow_edges
 from tracer.view.samples import Samples, Scattered
 from tracer.view.visibility import visible_and_behind
 
@@ -85,38 +85,20 @@ class Classification(NamedTuple):
         What divides the cells.
     unresolved : (n,)
         Whether a cell may hold more than straight lines.
-    cell : (n,)
-        The cell of each sample that was taken.
-    shadow_edges : ShadowEdges
-        What may shade around the samples.
     """
 
     radiance: Floats
     id: Ints
     lines: Lines
     unresolved: Bools
-    cell: Ints
-    shadow_edges: ShadowEdges
-
-    def nearby(self) -> NearbyShadows:
-        """What is known of shadows, by cell."""
-        point = np.full(self.id.size, -1)
-        point[self.cell[self.shadow_edges.sample]] = np.arange(self.shadow_edges.own.size)
-        return NearbyShadows(self.shadow_edges, point)
 
 
-def radiance_in(
-    lighting: Lighting, nearby: NearbyShadows, x: Floats, y: Floats, cell: Ints
-) -> tuple[Floats, Ints]:
-    """Radiance (3, n) and ids (n,), as in `Classification`, at positions in any order.
-
-    `cell` (n,): the cell, of those that `nearby` knows, that each lies in.
-    """
+def radiance_in(lighting: Lighting, x: Floats, y: Floats) -> tuple[Floats, Ints]:
+    """Radiance (3, n) and ids (n,), as in `Classification`, at positions in any order."""
     radiance, ids, found = np.empty((3, x.size)), *np.full((2, x.size), -1)
     if x.size:
         samples, order = Scattered.of(x, y)
-        known = nearby.at(cell[order])
-        radiance[:, order] = radiance_at(lighting, samples, key=found, nearby=known)
+        radiance[:, order] = radiance_at(lighting, samples, key=found)
         ids[order] = found
     return radiance, ids
 
@@ -126,11 +108,10 @@ def classify(
     cells: Cells,
     samples: Samples,
     cell: Ints,
-    nearby: NearbyShadows | None = None,
 ) -> Classification:
     """Classify cells by the samples in their middles.
 
-    `cell` (n,): the cell of each sample; `nearby`: what is known of shadows near the samples.
+    `cell` (n,): the cell of each sample.
     """
     radiance, ids = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
@@ -141,9 +122,7 @@ def classify(
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
     wide = np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0)
     unresolved[cell[hits.sample[wide]]] = True
-    blocked, found = shadow_edges(
-        lighting.occluders, hits, facing, np.where(wide, 0, footprint), nearby
-    )
+    blocked, found = shadow_edges(lighting.occluders, hits, facing, np.where(wide, 0, footprint))
     lit = facing & ~blocked
     for group in hits.groups:
         inside, part = cell[group.sample], group.part
@@ -165,4 +144,4 @@ def classify(
     )
     lines, curved = fitted(margins, cells.tolerance)
     unresolved[curved] = True
-    return Classification(radiance, ids, lines, unresolved, cell, found)
+    return Classification(radiance, ids, lines, unresolved)

@@ -24,7 +24,6 @@ from tracer.antialias.lines import Lines
 from tracer.antialias.regions import mixed, stratified
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
 from tracer.light.lighting import Lighting
-from tracer.shadow.occlusion import NearbyShadows
 from tracer.view.samples import Scattered
 from tracer.view.view import View
 
@@ -131,13 +130,13 @@ def _refined(
     straight &= ~(found.unresolved | (error > cells.tolerance))
     rest = (divided | found.unresolved | ~(error <= cells.tolerance)) & wanted
     lines = lines.take(indices(ranges(0, count) < _LINES))
-    nearby, last, whole = found.nearby(), per_side <= _LAST, cells.size == 1
+    last, whole = per_side <= _LAST, cells.size == 1
     mean = smooth
     if last or (per_side <= 2 * _LAST and not whole):
         lattice = _IN_PIXELS if whole else _IN_LAST if last else _IN_CELLS
         gentle = straight if whole or not last else ~(error > _BENT * cells.tolerance)
         some = indices(rest & gentle)
-        means, coarse, alike = _sampled(lighting, nearby, cells, lines, some, lattice, found.id)
+        means, coarse, alike = _sampled(lighting, cells, lines, some, lattice, found.id)
         # A hidden line divides nothing: there the smooth mean is better.
         alike &= straight[some] & (error[some] <= cells.tolerance)
         kept = indices(~(coarse | alike))
@@ -146,10 +145,10 @@ def _refined(
     some = indices(rest)
     if last:
         lattice = Lattice.of(per_side if whole else _FINER)
-        mean[:, some], *_ = _sampled(lighting, nearby, cells, lines, some, lattice, found.id)
+        mean[:, some], *_ = _sampled(lighting, cells, lines, some, lattice, found.id)
         return mean
     for part in _chunks(lighting, some, 4):
-        mean[:, part] = _split(lighting, nearby, cells, found, error, per_side, part)
+        mean[:, part] = _split(lighting, cells, found, error, per_side, part)
     return mean
 
 
@@ -162,7 +161,6 @@ def _chunks(lighting: Lighting, some: Ints, samples: int) -> Iterator[Ints]:
 
 def _sampled(
     lighting: Lighting,
-    nearby: NearbyShadows,
     cells: Cells,
     lines: Lines,
     some: Ints,
@@ -188,7 +186,7 @@ def _sampled(
         here = lines.take(between)
         points = stratified(here._replace(cell=here.cell - begin), count, x, y)
         cell = some[points.cell + begin]
-        radiance, ids = radiance_in(lighting, nearby, *cells.at(cell, points.x, points.y), cell)
+        radiance, ids = radiance_in(lighting, *cells.at(cell, points.x, points.y))
         for channel, values in zip(means, radiance, strict=True):
             channel[part] = np.bincount(points.cell, points.weight * values, minlength=count)
         # What differs between the same lines shows that an edge has not been found.
@@ -199,7 +197,6 @@ def _sampled(
 
 def _split(
     lighting: Lighting,
-    nearby: NearbyShadows,
     cells: Cells,
     found: Classification,
     error: Floats,
@@ -209,7 +206,7 @@ def _split(
     """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
     quarters, inside = cells.quarters(some), some.repeat(4)
     samples, order = Scattered.of(quarters.x, quarters.y)
-    closer = classify(lighting, quarters, samples, order, nearby.at(inside[order]))
+    closer = classify(lighting, quarters, samples, order)
     smooth, finer = extrapolated(
         found.radiance[:, some], found.id[some], closer.radiance, closer.id
     )

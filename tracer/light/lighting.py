@@ -23,7 +23,7 @@ from tracer.arrays import (
 from tracer.light.shading import Materials, highlight
 from tracer.scene.model import Scene
 from tracer.shadow.occluders import Occluders, occluders_of
-from tracer.shadow.occlusion import NearbyShadows, occlusion
+from tracer.shadow.occlusion import occlusion
 from tracer.shapes.rounding import INSIDE
 from tracer.view.hits import Group, Visible
 from tracer.view.samples import Samples
@@ -158,18 +158,16 @@ def radiance_at(
     samples: Samples,
     out: Floats | None = None,
     key: Ints | None = None,
-    nearby: NearbyShadows | None = None,
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given.
 
     If `key` (n,) is given, what `key_of` says is put there; what sees nothing is left as it is.
-    `nearby`: what is known of shadows near the samples.
     """
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
     incoming = incoming_at(lighting, hits)
     lit = incoming.n_dot_l > 0
-    lit &= ~occlusion(lighting.occluders, hits, lit, nearby)
+    lit &= ~occlusion(lighting.occluders, hits, lit)
     for group in hits.groups:
         part = group.part
         shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])

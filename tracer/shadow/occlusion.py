@@ -4,8 +4,6 @@ Packets of neighbouring points ask the lights' grids for objects that may come b
 found is narrowed down, from large packets to small ones, by whether objects meet the capsules
 around their segments; one that cuts a capsule certainly shades all of the packet.  The points that
 remain go through the exact test with each object that remains, pair by pair.
-
-Where shadows have been sought around a point, what was found there serves all samples nearby.
 """
 
 from __future__ import annotations
@@ -23,12 +21,9 @@ from tracer.arrays import (
     batches,
     changes,
     columns,
-    dot,
-    each,
     entries,
     expand,
     indices,
-    pick,
     put,
     ranges,
 )
@@ -38,7 +33,7 @@ from tracer.shapes.rounding import ON
 from tracer.view.hits import Visible
 from tracer.view.view import Shape
 
-__all__ = ["NearbyShadows", "ShadowEdges", "occlusion", "shadow_edges"]
+__all__ = ["ShadowEdges", "occlusion", "shadow_edges"]
 
 # Long packets are cut into packets of at most so many points.
 _SHORT = 6
@@ -49,25 +44,11 @@ class ShadowEdges(NamedTuple):
 
     Attributes
     ----------
-    sample, own : (n,)
-        The sample that sees each point, and the object that it is on.
-    p : (3, n)
-        The points, as in `Visible`.
-    footprint : (n,)
-        Within which distance of each point is near.
-    frontlit, umbra : (lights, n)
-        Which points face which light, and where it reaches nothing that is near.
     point, light, occluder : (m,)
         Objects that may keep a light from some of what is near a point; the pairs ascend by light,
         then by point.
     """
 
-    sample: Ints
-    own: Ints
-    p: Floats
-    footprint: Floats
-    frontlit: Bools
-    umbra: Bools
     point: Ints
     light: Ints
     occluder: Ints
@@ -99,16 +80,14 @@ class _Pairs(NamedTuple):
         )
 
 
-def occlusion(
-    occluders: Occluders, hits: Visible, frontlit: Bools, nearby: NearbyShadows | None = None
-) -> Bools:
+def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
     """Whether other objects than their own keep lights from points.
 
     `frontlit` and the answer: (lights, n).  Where a point does not face a light, the answer has no
     meaning.
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, pairs in _candidates(occluders, hits, frontlit, nearby):
+    for umbra, pairs in _candidates(occluders, hits, frontlit):
         blocked |= umbra
         block = _blocks(occluders, hits, pairs)
         put(blocked, pairs.light[block], pairs.point[block], True)
@@ -120,7 +99,6 @@ def shadow_edges(
     hits: Visible,
     frontlit: Bools,
     footprint: Floats,
-    nearby: NearbyShadows | None = None,
 ) -> tuple[Bools, ShadowEdges]:
     """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
 
@@ -131,7 +109,7 @@ def shadow_edges(
     blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
     none = np.zeros(0, dtype=np.intp)
     edges = [(none, none, none)]
-    for dark, pairs in _candidates(occluders, hits, frontlit, nearby, footprint):
+    for dark, pairs in _candidates(occluders, hits, frontlit, footprint):
         umbra |= dark
         reach = footprint[pairs.point]
         grown = _blocks(occluders, hits, pairs, reach)
@@ -158,12 +136,6 @@ def shadow_edges(
     place, occluder = np.divmod(pair[changes(pair)], objects)
     light, point = np.divmod(place, hits.first[-1])
     found = ShadowEdges(
-        sample=hits.sample,
-        own=hits.own,
-        p=hits.p,
-        footprint=footprint,
-        frontlit=frontlit,
-        umbra=umbra,
         point=point,
         light=light,
         occluder=occluder,
@@ -184,7 +156,6 @@ def _candidates(
     occluders: Occluders,
     hits: Visible,
     frontlit: Bools,
-    nearby: NearbyShadows | None,
     footprint: Floats | None = None,
 ) -> Iterator[tuple[Bools, _Pairs]]:
     """All that may keep lights from points.
@@ -193,10 +164,6 @@ def _candidates(
     With a `footprint` (n,) they are those that may shade anything on a point's own object within
     this distance of it.
     """
-    if nearby is not None:
-        frontlit, umbra, known = nearby.candidates(occluders, hits, frontlit, footprint)
-        for pairs in known:
-            yield umbra, pairs
     if occluders.grid is None or not frontlit.any():
         return
     # Scattered points stand close together: their packets are short from the start.
@@ -265,58 +232,3 @@ def _closely(
     touches = shape.touches(occluder, middle, radius + occluders.slack[occluder])
     touches |= entries(occluders.near_light, light, occluder)
     return touches
-
-
-class NearbyShadows(NamedTuple):
-    """What may shade samples near points around which shadows have been sought.
-
-    Attributes
-    ----------
-    edges : ShadowEdges
-        What was found there.
-    point : (samples,)
-        The point that each sample is near: an index into these, or -1 for none.
-    """
-
-    edges: ShadowEdges
-    point: Ints
-
-    def at(self, place: Ints) -> NearbyShadows:
-        """For other samples, each near the point of the sample at this place."""
-        return self._replace(point=self.point[place])
-
-    def candidates(
-        self, occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None
-    ) -> tuple[Bools, Bools, list[_Pairs]]:
-        """Pairs to be tested where shadows are known, by kind, and points (lights, n) in umbra.
-
-        First returned: `frontlit` where they are not known.
-        """
-        edges, own, place = self.edges, hits.own, self.point[hits.sample]
-        # Of points on the same object and within the footprint of the point that they are near.
-        at = indices(place >= 0)
-        near = place[at]
-        away = each(np.subtract, pick(hits.p, at), pick(edges.p, near))
-        reach = edges.footprint[near]
-        if footprint is not None:
-            reach = np.maximum(reach - footprint[at], 0)
-        inside = indices((dot(away, away) <= reach * reach) & (own[at] == edges.own[near]))
-        at, near = at[inside], near[inside]
-        known, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-        known[:, at] = frontlit[:, at] & edges.frontlit[:, near]
-        umbra[:, at] = known[:, at] & edges.umbra[:, near]
-        light, point = np.nonzero(known & ~umbra)
-        key = light * edges.own.size + place[point]
-        count = np.bincount(edges.light * edges.own.size + edges.point, minlength=edges.umbra.size)
-        part, listed = expand(count[key], (count.cumsum() - count)[key])
-        light, point, occluder = light[part], point[part], edges.occluder[listed]
-        pairs = []
-        for shape in occluders.view.shapes:
-            at = indices(shape.holds(occluder))
-            to, which, other = light[at], point[at], occluder[at]
-            radius = occluders.slack[own[which]]
-            if footprint is not None:
-                radius = radius + footprint[which]
-            closely = _closely(occluders, shape, hits.points(which), radius, to, other)
-            pairs.append(_Pairs(shape, which, to, other, closely))
-        return frontlit & ~known, umbra, pairs
