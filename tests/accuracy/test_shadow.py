@@ -103,17 +103,16 @@ def test_edges_of_shadows_are_found(kind: str, scattered: bool) -> None:
                     ]
                 )
                 shrunk &= itself & (occluders.side[number] != ON)
-                umbra = shrunk.any(axis=1)
-                assert not (found.umbra[number] & frontlit[number] & ~itself.any(axis=1)).any()
-                assert not (umbra & frontlit[number] & ~found.umbra[number]).any()
                 near = grown | itself | (others & (np.abs(gap) <= reach[:, None]))
-                edges = near & ~shrunk & (frontlit[number] & ~found.umbra[number])[:, None]
+                umbra = shrunk.any(axis=1)
+                edges = near & ~shrunk & (frontlit[number] & ~umbra)[:, None]
                 here = found.light == number
                 listed = np.zeros_like(edges)
                 listed[found.point[here], found.occluder[here]] = True
                 assert np.count_nonzero(listed) == np.count_nonzero(here)
                 assert not (listed & ~edges).any()
-                # What is left out shades nothing near, or holds light and points and shades none.
+                # What is left out shades nothing near, or where no light comes, or holds light and
+                # points and shades none.
                 around = occluders.side[number] == INSIDE
                 point, occluder = np.nonzero(edges & ~listed & ~around)
                 assert not shades_nearby(hits, light, reach, point, occluder).any()
@@ -122,19 +121,27 @@ def test_edges_of_shadows_are_found(kind: str, scattered: bool) -> None:
 def shades_nearby(
     hits: Visible, light: Floats, reach: Floats, point: Ints, occluder: Ints
 ) -> Bools:
-    """Whether occluders (m,) block light from any of some places within `reach` of points (m,)."""
-    rng = np.random.default_rng(0)
-    result = np.zeros(point.size, dtype=np.bool_)
+    """Whether occluders (m,) block light from some places within `reach` of points (m,).
+
+    Not where light comes to none of these places.
+    """
+    rng, count = np.random.default_rng(0), point.size
+    blocks, lit = np.zeros((2, count), dtype=np.bool_)
     for _ in range(30):
-        offset = unit_vectors(rng, point.size) * (rng.random(point.size) * reach[point])[:, None]
+        offset = unit_vectors(rng, count) * (rng.random(count) * reach[point])[:, None]
         place = each(np.add, hits.points(point), columns(offset, slice(None)))
+        dark = np.zeros(count, dtype=np.bool_)
         for shape in hits.view.shapes:
-            at = np.flatnonzero(shape.holds(occluder))
+            owner, at = (m.ravel() for m in np.indices((shape.count, count)))
+            owner += shape.first
             end = columns(np.broadcast_to(light, (at.size, 3)), slice(None))
             close = np.ones(at.size, dtype=np.bool_)
-            owner, start = occluder[at], pick(place, at)
-            result[at] |= shape.occludes(hits.view.raster.eye, owner, start, end, close)
-    return result
+            block = shape.occludes(hits.view.raster.eye, owner, pick(place, at), end, close)
+            block &= owner != hits.own[point[at]]
+            np.logical_or.at(dark, at, block)
+            np.logical_or.at(blocks, at, block & (owner == occluder[at]))
+        lit |= ~dark
+    return blocks & lit
 
 
 def candidates(scene: Scene) -> int:
