@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import warnings
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 import tracer
 from reference.command import built
-from tracer import Scene, render, save_scene
+from tracer import Scene, SceneWarning, render, save_scene
 
 __all__ = ["Truth", "supersampled", "truth_side"]
 
@@ -42,7 +43,9 @@ def supersampled(
         window = replace(camera, view_height=camera.view_height * height / scene.height)
         large = replace(scene, width=scene.width * side, height=height * side, camera=window)
         below = (top + height / 2 - scene.height / 2) * side
-        image = render(large, processes=processes, offset=(0, below))
+        with warnings.catch_warnings():  # a strip may well be black
+            warnings.simplefilter("ignore", SceneWarning)
+            image = render(large, processes=processes, offset=(0, below))
         strips.append(image.reshape(height, side, scene.width, side, 3).mean(axis=(1, 3)))
     return np.concatenate(strips)
 
