@@ -65,42 +65,34 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...] = (),
         line: ArrayLike | None = None,
     ) -> None:
-        faults: list[Fault] = []
-        self.center = schema.POINT.table(center, "center", faults)
-        self.radius = schema.LENGTH.table(radius, "radius", faults)
-        self.min_pt = schema.POINT.table(min_pt, "min_pt", faults)
-        self.max_pt = schema.POINT.table(max_pt, "max_pt", faults)
-        self.sphere_shader = schema.integers(sphere_shader, "sphere_shader", faults)
-        self.box_shader = schema.integers(box_shader, "box_shader", faults)
-        spheres, boxes = len(self.center), len(self.min_pt)
-        if sphere_index is None:
-            sphere_index = np.arange(spheres)
-        if box_index is None:
-            box_index = np.arange(spheres, spheres + boxes)
-        if line is None:
-            line = np.zeros(spheres + boxes)
-        self.sphere_index = schema.integers(sphere_index, "sphere_index", faults)
-        self.box_index = schema.integers(box_index, "box_index", faults)
-        self.shaders: tuple[Shader, ...] = _SHADERS(shaders, "shaders", faults)
-        self.line = schema.integers(line, "line", faults).astype(np.int32)
-        # What does not fit together cannot be checked further.
-        faults = faults or [*self._misfits()] or [*self._faults()]
-        schema.raise_any(sorted(faults, key=lambda fault: fault.surface or 0))
-        self._protect()
+        self.center = schema.POINT.table(center, "center")
+        self.radius = schema.LENGTH.table(radius, "radius")
+        self.min_pt = schema.POINT.table(min_pt, "min_pt")
+        self.max_pt = schema.POINT.table(max_pt, "max_pt")
+        spheres, every = len(self.center), np.arange(len(self.center) + len(self.min_pt))
+        sphere_index = every[:spheres] if sphere_index is None else sphere_index
+        box_index = every[spheres:] if box_index is None else box_index
+        self.sphere_index = schema.integers(sphere_index, "sphere_index")
+        self.box_index = schema.integers(box_index, "box_index")
+        self.sphere_shader = schema.integers(sphere_shader, "sphere_shader")
+        self.box_shader = schema.integers(box_shader, "box_shader")
+        self.shaders: tuple[Shader, ...] = _SHADERS(shaders, "shaders")
+        line = np.zeros(every.size) if line is None else line
+        self.line = schema.integers(line, "line").astype(np.int32)
+        schema.raise_any(self._misfits())
+        schema.raise_any(sorted(self._faults(), key=lambda fault: fault.surface or 0))
+        self.__setstate__(vars(self))
 
     def _misfits(self) -> Iterator[Fault]:
-        """Find what is wrong with lengths, shaders and indices."""
-        for name, other in (
-            ("radius", "center"),
-            ("sphere_shader", "center"),
-            ("sphere_index", "center"),
-            ("max_pt", "min_pt"),
-            ("box_shader", "min_pt"),
-            ("box_index", "min_pt"),
+        """Find arrays that do not fit together, and so cannot be checked further."""
+        for first, others in (
+            ("center", ("radius", "sphere_shader", "sphere_index")),
+            ("min_pt", ("max_pt", "box_shader", "box_index")),
         ):
-            count, needed = len(getattr(self, name)), len(getattr(self, other))
-            if count != needed:
-                yield Fault(name, f"needs {needed}, as many as {other}; has {count}")
+            needed = len(getattr(self, first))
+            for name in others:
+                if (count := len(getattr(self, name))) != needed:
+                    yield Fault(name, f"needs {needed}, as many as {first}; has {count}")
         count = len(self.shaders)
         for name in ("sphere_shader", "box_shader"):
             for place in [i for i in getattr(self, name).tolist() if not 0 <= i < count][:1]:
@@ -113,7 +105,7 @@ class Surfaces(Sequence[Sphere | Box]):
             yield Fault("line", f"needs {count}, one a surface; has {len(self.line)}")
 
     def _faults(self) -> Iterator[Fault]:
-        """Find what is wrong with numbers."""
+        """Find numbers that no sphere or box may have."""
         for name, index, faults in (
             ("radius", self.sphere_index, schema.LENGTH.faults(self.radius[:, None])),
             ("center", self.sphere_index, schema.POINT.faults(self.center)),
@@ -123,43 +115,35 @@ class Surfaces(Sequence[Sphere | Box]):
         ):
             yield from (Fault(name, message, index.item(i)) for i, message in faults)
 
-    def _protect(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
         # generic path, twenty times as slow, and every array computed from them inherits it.
         for name, value in state.items():
-            own = isinstance(value, np.ndarray)
-            setattr(self, name, value.view(value.dtype.type) if own else value)
-        self._protect()
+            if isinstance(value, np.ndarray):
+                value = value.view(value.dtype.type)
+                value.setflags(write=False)
+            setattr(self, name, value)
 
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
-        faults: list[Fault] = []
-        items: tuple[Sphere | Box, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces", faults)
-        schema.raise_any(faults)
+        items: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
         # By identity: objects that share a shader keep sharing it.
         shaders = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(shaders)}
-        kinds = np.array([isinstance(item, Sphere) for item in items], dtype=bool)
-        sphere_index, box_index = np.flatnonzero(kinds), np.flatnonzero(~kinds)
-        spheres: list[Any] = [items[i] for i in sphere_index]
-        boxes: list[Any] = [items[i] for i in box_index]
+        spheres = [i for i, item in enumerate(items) if isinstance(item, Sphere)]
+        boxes = [i for i, item in enumerate(items) if isinstance(item, Box)]
         return cls(
-            center=[item.center for item in spheres],
-            radius=[item.radius for item in spheres],
-            sphere_shader=[slot[id(item.shader)] for item in spheres],
-            sphere_index=sphere_index,
-            min_pt=[item.min_pt for item in boxes],
-            max_pt=[item.max_pt for item in boxes],
-            box_shader=[slot[id(item.shader)] for item in boxes],
-            box_index=box_index,
+            center=[items[i].center for i in spheres],
+            radius=[items[i].radius for i in spheres],
+            sphere_shader=[slot[id(items[i].shader)] for i in spheres],
+            sphere_index=spheres,
+            min_pt=[items[i].min_pt for i in boxes],
+            max_pt=[items[i].max_pt for i in boxes],
+            box_shader=[slot[id(items[i].shader)] for i in boxes],
+            box_index=boxes,
             shaders=tuple(shaders.values()),
-            line=[item.line or 0 for item in spheres + boxes],
+            line=[items[i].line or 0 for i in spheres + boxes],
         )
 
     def __len__(self) -> int:
@@ -219,15 +203,9 @@ class Surfaces(Sequence[Sphere | Box]):
 _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 
-def _surfaces(value: Any, _: str, faults: list[Fault]) -> Surfaces:
+def _surfaces(value: Any, _: str) -> Surfaces:
     """The kind of a scene's surfaces."""
-    if isinstance(value, Surfaces):
-        return value
-    try:
-        return Surfaces.of(value)
-    except schema.SceneError as error:
-        faults += error.faults
-        return Surfaces()
+    return value if isinstance(value, Surfaces) else Surfaces.of(value)
 
 
 @dataclass(frozen=True, slots=True, init=False)

@@ -1,8 +1,8 @@
 """Kinds of values that a scene is made of, and what is wrong with one.
 
 A field of a dataclass holds its kind, and the tags that it has in a file, in its metadata (`of`).
-A kind takes a value as given and returns the one to keep.  What is wrong it adds to a list and
-goes on, so that all faults are reported at once.
+A kind takes a value as given and returns the one to keep, or raises `SceneError`; `check` goes on
+with the next field, so that all faults are reported at once.
 """
 
 from __future__ import annotations
@@ -23,13 +23,10 @@ __all__ = [
     "COLOR",
     "DIRECTION",
     "EXPONENT",
-    "LARGEST",
     "LENGTH",
     "MAX_PIXELS",
     "POINT",
-    "SMALLEST",
     "Fault",
-    "Kind",
     "Numbers",
     "SceneError",
     "check",
@@ -48,8 +45,8 @@ _Made = TypeVar("_Made")
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
 
-SMALLEST, LARGEST = 1e-75, 1e75
-"""Between these in size are lengths and coordinates other than 0: float64 holds fourth powers."""
+# Between these in size are lengths and coordinates other than 0: float64 holds fourth powers.
+_SMALLEST, _LARGEST = 1e-75, 1e75
 
 
 class Fault(NamedTuple):
@@ -88,11 +85,10 @@ def raise_any(faults: Iterable[Fault]) -> None:
         raise SceneError(faults)
 
 
-Kind: TypeAlias = Callable[[Any, str, list[Fault]], Any]
-"""From a value as given and the parameter's name to the value to keep; adds to the faults."""
+_Kind: TypeAlias = Callable[[Any, str], Any]
 
 
-def of(kind: Kind, *tags: str) -> dict[str, Any]:
+def of(kind: _Kind, *tags: str) -> dict[str, Any]:
     """Metadata of a field: its kind, and the tags of the elements that hold it in a file."""
     return {"kind": kind, "tags": tags}
 
@@ -110,34 +106,41 @@ def check(made: Any, **values: object) -> None:
         kind = field.metadata.get("kind")
         value = values[field.name] if values else getattr(made, field.name)
         if kind is not None and not (value is None and field.default is None):
-            object.__setattr__(made, field.name, kind(value, field.name, faults))
+            try:
+                object.__setattr__(made, field.name, kind(value, field.name))
+            except SceneError as error:
+                faults += error.faults
     raise_any(faults)
 
 
-# A condition on numbers: from values (n, count) to a mask of those that break it, (n, count), or
-# (n, 1) for whole rows; from such values of one row to what is wrong with them.
-_Rule: TypeAlias = tuple[Callable[[Floats], Any], Callable[[Floats], str]]
+def unchecked(made: type[_Made], **values: object) -> _Made:
+    """Make an object of a frozen dataclass, of all its values, which are known to be right."""
+    new = object.__new__(made)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    return new
 
 
 def _out_of_range(values: Floats) -> str:
     too = "large" if abs(values[0]) > 1 else "small"
-    limits = f"lengths other than 0 are from {number(SMALLEST)} to {number(LARGEST)}"
+    limits = f"lengths other than 0 are from {number(_SMALLEST)} to {number(_LARGEST)}"
     return f"{number(values[0])} is too {too}; {limits}"
 
 
+# A condition on numbers: from values (n, count) to a mask of those that break it, of the same
+# shape; from such values of one row to what is wrong with them.
+_Rule: TypeAlias = tuple[Callable[[Floats], Any], Callable[[Floats], str]]
+
 _FINITE: _Rule = (lambda x: ~np.isfinite(x), lambda x: "must be finite")
 _IN_RANGE: _Rule = (
-    lambda x: np.not_equal(x, 0) & ((np.abs(x) > LARGEST) | (np.abs(x) < SMALLEST)),
+    lambda x: (x != 0) & ((abs(x) > _LARGEST) | (abs(x) < _SMALLEST)),
     _out_of_range,
 )
 _NOT_ZERO: _Rule = (
-    lambda x: ~x.any(axis=1, keepdims=True),
+    lambda x: (x == 0) & ~x.any(axis=1, keepdims=True),
     lambda x: "must not be the zero vector",
 )
-_NONE_NEGATIVE: _Rule = (
-    lambda x: x < 0,
-    lambda x: f"must not be negative, has {number(x.min())}",
-)
+_NONE_NEGATIVE: _Rule = (lambda x: x < 0, lambda x: f"must not be negative, has {number(x.min())}")
 _POSITIVE: _Rule = (
     lambda x: ~((x > 0) & (x < np.inf)),
     lambda x: f"must be positive and finite, is {number(x[0])}",
@@ -155,44 +158,32 @@ class Numbers:
         self.count = count
         self.rules = rules
 
-    def __call__(
-        self, value: ArrayLike, name: str, faults: list[Fault]
-    ) -> tuple[float, ...] | float | None:
-        """Return a tuple, or the single number; None after a fault."""
-        array = _floats(value, name, faults)
-        if array is None:
-            return None
+    def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
+        """Return a tuple, or the single number."""
+        array = _floats(value, name)
         if array.shape != (self.count,) and (self.count > 1 or array.size != 1):
             needs = f"needs {self.count} numbers" if self.count > 1 else "must be a single number"
             has = f"shape {array.shape}" if self.count > 1 and array.ndim > 1 else array.size
-            faults.append(Fault(name, f"{needs}, has {has}"))
-            return None
+            raise SceneError([Fault(name, f"{needs}, has {has}")])
         row = array.reshape(1, self.count)
-        faults += [Fault(name, message) for _, message in self.faults(row)]
-        kept = row[0].tolist()
-        return tuple(kept) if self.count > 1 else float(kept[0])
+        raise_any(Fault(name, message) for _, message in self.faults(row))
+        return tuple(row[0].tolist()) if self.count > 1 else float(row[0, 0])
 
-    def table(self, value: ArrayLike, name: str, faults: list[Fault]) -> Floats:
-        """Return a copy (n, count), or (n,) of single numbers; of no rows after a fault."""
-        shape = (-1, self.count) if self.count > 1 else (-1,)
-        array = _floats(value, name, faults)
-        if array is None:
-            return np.zeros(0).reshape(shape)
+    def table(self, value: ArrayLike, name: str) -> Floats:
+        """Return a copy (n, count), or (n,) of single numbers, which may break the rules."""
+        array = _floats(value, name)
         if self.count > 1 and (array.size % 3 or array.shape[1:] not in ((), (3,))):
-            faults.append(Fault(name, f"needs 3 numbers in each row, has shape {array.shape}"))
-            return np.zeros((0, 3))
-        return array.reshape(shape).copy()
+            raise SceneError([Fault(name, f"needs 3 numbers in each row, has shape {array.shape}")])
+        return array.reshape((-1, self.count) if self.count > 1 else -1).copy()
 
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
         """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
         reported = np.zeros(len(values), dtype=bool)
         for is_broken, message in self.rules:
             broken = is_broken(values)
-            if broken.any():
-                broken = np.broadcast_to(broken, values.shape)
-                for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
-                    reported[i] = True
-                    yield i, message(values[i, broken[i]])
+            for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
+                reported[i] = True
+                yield i, message(values[i, broken[i]])
 
 
 POINT = Numbers(3, _FINITE, _IN_RANGE)
@@ -200,50 +191,6 @@ DIRECTION = Numbers(3, _FINITE, _NOT_ZERO)
 COLOR = Numbers(3, _FINITE, _NONE_NEGATIVE)
 LENGTH = Numbers(1, _POSITIVE, _IN_RANGE)
 EXPONENT = Numbers(1, _NOT_NEGATIVE)
-
-
-def size(value: int, name: str, faults: list[Fault]) -> int:
-    """A number of pixels, as a Python int: products of NumPy's integers may overflow."""
-    try:
-        count = int(operator.index(value))
-    except TypeError:
-        faults.append(Fault(name, f"must be an int, is {value!r}"))
-        return 1
-    # A message leaves out what may have more digits than float() or str() accepts.
-    if count < 1:
-        has = f", is {count}" if count > -MAX_PIXELS else ""
-        faults.append(Fault(name, f"must be a whole number of at least 1{has}"))
-    elif count > MAX_PIXELS:
-        faults.append(Fault(name, f"must be at most {MAX_PIXELS}"))
-    return count
-
-
-def one_of(*types: type) -> Kind:
-    """An object of one of these types."""
-    many = list_of(*types)
-
-    def kind(value: object, name: str, faults: list[Fault]) -> object:
-        many([value], name, faults)
-        return value
-
-    return kind
-
-
-def list_of(*types: type) -> Kind:
-    """Any number of objects of these types, as a tuple."""
-    right = " or ".join(each.__name__ for each in types)
-
-    def kind(values: Iterable[object], name: str, faults: list[Fault]) -> tuple[object, ...]:
-        try:
-            parts = tuple(values)
-        except TypeError:
-            faults.append(Fault(name, f"must be a list, is of type {type(values).__name__}"))
-            return ()
-        others = {type(part).__name__: 0 for part in parts if not isinstance(part, types)}
-        faults += [Fault(name, f"must be of type {right}, is of type {other}") for other in others]
-        return parts
-
-    return kind
 
 
 def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
@@ -257,26 +204,56 @@ def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
         yield i, f"must not exceed max_pt, but {has}; swap these"
 
 
-def unchecked(made: type[_Made], **values: object) -> _Made:
-    """Make an object of a frozen dataclass, of all its values, which are known to be right."""
-    new = object.__new__(made)
-    for name, value in values.items():
-        object.__setattr__(new, name, value)
-    return new
-
-
-def integers(value: ArrayLike, name: str, faults: list[Fault]) -> Ints:
+def integers(value: ArrayLike, name: str) -> Ints:
     """Return a copy (n,) of whole numbers."""
-    given = Numbers(1).table(value, name, faults)
+    given = _floats(value, name).ravel()
     with np.errstate(invalid="ignore"):
         array = given.astype(np.intp)
     if not np.array_equal(array, given):
-        faults.append(Fault(name, "must be whole numbers"))
+        raise SceneError([Fault(name, "must be whole numbers")])
     return array
 
 
-def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
-    """As an array; None after a fault."""
+def size(value: int, name: str) -> int:
+    """A number of pixels, as a Python int: products of NumPy's integers may overflow."""
+    try:
+        count = int(operator.index(value))
+    except TypeError:
+        raise SceneError([Fault(name, f"must be an int, is {value!r}")]) from None
+    # A message leaves out what may have more digits than float() or str() accepts.
+    if count < 1:
+        has = f", is {count}" if count > -MAX_PIXELS else ""
+        raise SceneError([Fault(name, f"must be a whole number of at least 1{has}")])
+    if count > MAX_PIXELS:
+        raise SceneError([Fault(name, f"must be at most {MAX_PIXELS}")])
+    return count
+
+
+def list_of(*types: type) -> _Kind:
+    """Any number of objects of these types, as a tuple."""
+    right = " or ".join(each.__name__ for each in types)
+
+    def kind(values: Iterable[object], name: str) -> tuple[object, ...]:
+        try:
+            parts = tuple(values)
+        except TypeError:
+            wrong = f"must be a list, is of type {type(values).__name__}"
+            raise SceneError([Fault(name, wrong)]) from None
+        others = dict.fromkeys(type(part).__name__ for part in parts if not isinstance(part, types))
+        raise_any(Fault(name, f"must be of type {right}, is of type {other}") for other in others)
+        return parts
+
+    return kind
+
+
+def one_of(*types: type) -> _Kind:
+    """An object of one of these types."""
+    many = list_of(*types)
+    return lambda value, name: many([value], name)[0]
+
+
+def _floats(value: ArrayLike, name: str) -> Floats:
+    """As an array."""
     try:
         array = np.asarray(value)
         # NumPy would read texts, make NaN of None and of times, and drop a part of complex numbers.
@@ -284,7 +261,7 @@ def _floats(value: ArrayLike, name: str, faults: list[Fault]) -> Floats | None:
             raise TypeError
         return np.asarray(array, dtype=np.float64)
     except OverflowError:
-        faults.append(Fault(name, "must be finite"))
+        wrong = "must be finite"
     except (TypeError, ValueError):
-        faults.append(Fault(name, f"must be given in numbers, is {reprlib.repr(value)}"))
-    return None
+        wrong = f"must be given in numbers, is {reprlib.repr(value)}"
+    raise SceneError([Fault(name, wrong)])
