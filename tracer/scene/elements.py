@@ -1,27 +1,20 @@
 """From a scene file to its elements, which know their lines.
 
-The file is parsed as a stream, and only a part of its tree is ever held: the root's children are
-handed on some at a time.  All that is read is held against the limits below, so that no file can
+The file is parsed as a stream, and only a part of its tree is ever held: each child of the root is
+handed on when it ends.  All that is read is held against the limits below, so that no file can
 exhaust memory or time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, short
 from tracer.scene.remedies import SCENE, malformed
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_NESTING",
-    "MAX_TOKEN",
-    "Element",
-    "GiveUp",
-    "elements",
-]
+__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "Element", "GiveUp", "parse"]
 
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""
@@ -51,27 +44,25 @@ class Element(list["Element"]):
     text: str
 
 
-def elements(file: IO[bytes], note: Callable[[int, str, str], None]) -> Iterator[list[Element]]:
+def parse(
+    file: IO[bytes], take: Callable[[Element], None], note: Callable[[int, str, str], None]
+) -> None:
     """Parse a scene file.
 
     Parameters
     ----------
     file : binary file
+    take : callable
+        Called with the root when it begins, and with each of its children when that ends.
     note : callable
         Called for stray text, with its line, the tag of what holds it, and what is wrong.
-
-    Yields
-    ------
-    list of Element
-        First the root, which has no children yet; then its children, as far as they have ended.
 
     Raises
     ------
     GiveUp
-        Where the file is no longer XML, or passes a limit; what ended before has been yielded.
+        Where the file is no longer XML, or passes a limit; what ended before has been taken.
     """
     opened: list[Element] = []
-    children: list[Element] = []
     # Where stray text since the last tag is noted already: a long one comes in pieces.
     strayed: Element | None = None
 
@@ -89,9 +80,14 @@ def elements(file: IO[bytes], note: Callable[[int, str, str], None]) -> Iterator
             if len(opened) == MAX_NESTING or len(parent) > MAX_NESTING:
                 wrong = f"{short(parent.tag)}: more than {MAX_NESTING} elements in another"
                 raise GiveUp(element.line, wrong)
-        else:
-            children.append(element)
+        elif not opened:
+            take(element)
         opened.append(element)
+
+    def end(_tag: str) -> None:
+        element = opened.pop()
+        if len(opened) == 1:
+            take(element)
 
     def text(text: str) -> None:
         nonlocal strayed
@@ -123,29 +119,21 @@ def elements(file: IO[bytes], note: Callable[[int, str, str], None]) -> Iterator
     parser: Any = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: opened.pop()
+    parser.EndElementHandler = end
     parser.CharacterDataHandler = text
     parser.StartDoctypeDeclHandler = doctype
-    given, latest, fault = 0, b"", None
-    chunk = file.read(_CHUNK)
+    given, latest, chunk = 0, b"", None
     try:
-        if not isinstance(chunk, bytes):
-            raise TypeError("a scene is read from a binary file, not from text")
-        if not chunk:
-            raise GiveUp(0, f"is empty; {SCENE}")
-        while fault is None:
+        while chunk != b"":
+            chunk = file.read(_CHUNK)
+            if not isinstance(chunk, bytes):
+                raise TypeError("a scene is read from a binary file, not from text")
             latest = latest[-_TAIL:] + chunk
             given += len(chunk)
+            if not given:
+                raise GiveUp(0, f"is empty; {SCENE}")
             try:
                 parser.Parse(chunk, not chunk)
-                # Versions of expat before 2.6 take quadratic time over one token.
-                if given - parser.CurrentByteIndex > MAX_TOKEN:
-                    wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
-                    raise GiveUp(parser.CurrentLineNumber, wrong)
-                if given > MAX_BYTES:
-                    raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
-            except GiveUp as error:
-                fault = error.args
             except expat.ExpatError as error:
                 message = expat.ErrorString(error.code)
                 if message == expat.errors.XML_ERROR_NO_MEMORY:
@@ -154,17 +142,18 @@ def elements(file: IO[bytes], note: Callable[[int, str, str], None]) -> Iterator
                 after = (latest + file.read(_CHUNK))[at : at + 256]
                 tags = [(element.tag, element.line) for element in opened]
                 right = malformed(message, error.lineno, latest[:at][-_TAIL:], after, tags)
-                where = f"at column {error.offset + 1}"
-                fault = (error.lineno, f"not XML: {message} {where}; {right}")
-            except (LookupError, ValueError, Warning):  # of the codec that the file asks for
-                fault = (1, "not XML: unknown encoding; save the file as UTF-8")
-            ended = children[:-1] if len(opened) > 1 else children[:]
-            del children[: len(ended)]
-            yield ended
-            if not chunk:
-                break
-            chunk = file.read(_CHUNK)
+                wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
+                raise GiveUp(error.lineno, wrong) from None
+            except (LookupError, ValueError, Warning):
+                if opened:
+                    raise
+                # Of the codec that the file asks for.
+                raise GiveUp(1, "not XML: unknown encoding; save the file as UTF-8") from None
+            # Versions of expat before 2.6 take quadratic time over one token.
+            if given - parser.CurrentByteIndex > MAX_TOKEN:
+                wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
+                raise GiveUp(parser.CurrentLineNumber, wrong)
+            if given > MAX_BYTES:
+                raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
     finally:
         parser = None  # it holds itself by its handlers: a cycle
-    if fault is not None:
-        raise GiveUp(*fault)

@@ -13,36 +13,30 @@ import os
 import re
 import stat
 from array import array
-from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import fields
 from typing import IO, Any, cast
 
 import numpy as np
 
+from tracer.arrays import Floats
 from tracer.messages import printable, quoted, short
 from tracer.scene import objects
-from tracer.scene.elements import MAX_BYTES, Element, GiveUp, elements
+from tracer.scene.elements import MAX_BYTES, Element, GiveUp, parse
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.remedies import nearest
 from tracer.scene.schema import SceneError, order_faults
-from tracer.scene.table import PLACE, Table, decimals, numbers, words
+from tracer.scene.table import Table, numbers
 
 __all__ = ["MAX_FAULTS", "SceneFileError", "load_scene"]
 
 MAX_FAULTS = 1_000
 """How many faults are reported before the reader gives up on a file."""
 
-# How many undefined shaders get a suggestion: each search among many names takes milliseconds.
+# After so many faults undefined shaders get no suggestion: each search takes milliseconds.
 _SUGGESTIONS = 30
 
-# The tag of each parameter that messages name.
-_TAGS = {
-    each.name: each.metadata["tags"][0]
-    for made in (objects.Camera, objects.Box)
-    for each in fields(made)
-    if each.metadata
-}
+# How many elements of a kind are converted at once.
+_BATCH = 256
 
 
 class SceneFileError(ValueError):
@@ -134,12 +128,12 @@ class _Reader:
         self.shaders = {made.__name__: Table(made) for made in (objects.Lambertian, objects.Phong)}
         self.surfaces = {made.__name__: Table(made) for made in (objects.Sphere, objects.Box)}
         self.surface_count = 0
-        # Shaders come last: those in surfaces are found when these are converted.
-        self.tables = [self.lights, *self.surfaces.values(), *self.shaders.values()]
-        # Of each shader's place, the line that defines it, or 0; place 0 is white.
-        self.defined = array("i", [1])
-        # A name gets its place when it first occurs, referred to or defined.
+        # A named shader gets its place among all when its name first occurs, referred to or
+        # defined.  Of each place, the line that defines it, or 0; place 0 is white.
         self.places: dict[str, int] = {}
+        self.defined = array("i", [1])
+        # References to shaders that were not yet defined: their lines, and the shaders' places.
+        self.referring, self.referred = array("i"), array("i")
 
     def note(self, line: int, tag: str, message: str) -> None:
         """Note a fault; raise `GiveUp` if it is one too many."""
@@ -156,13 +150,14 @@ class _Reader:
         """Take in a file; note all faults, as far as it can be read."""
         whole = False
         try:
-            for batch in elements(file, self.note):
-                self.take(batch)
+            parse(file, self.take, self.note)
             whole = True
         except GiveUp as fault:
             self.faults.append(fault.args)
         if len(self.faults) <= MAX_FAULTS:
-            self.check_values()
+            for table in (self.lights, *self.shaders.values(), *self.surfaces.values()):
+                if table.lines:
+                    self.convert(table)
             if whole:
                 self.check_whole()
 
@@ -176,55 +171,51 @@ class _Reader:
         self.no_attributes(element)
         self.seen["scene"] = element
 
-    def take(self, batch: Sequence[Element]) -> None:
-        """Take in the root, which comes first, or children of it."""
-        for element in batch:
-            tag = element.tag
-            if not self.seen:
-                self.root(element)
-            elif tag == "surface":
-                self.surface(element)
-            elif tag == "shader":
-                self.shader(element)
-                if "name" not in element.attrib:
-                    self.fault(element, 'has no name; add one, as in name="white"')
-            elif tag == "light":
-                self.no_attributes(element, parts=self.lights.columns)
-                self.row(self.lights, element)
-            elif tag in ("camera", "image"):
-                if self.seen.setdefault(tag, element) is not element:
-                    self.repeated(element, self.seen[tag])
-                self.take_camera(element) if tag == "camera" else self.take_image(element)
-            else:
-                self.unknown(element, "scene", ("camera", "image", "light", "shader", "surface"))
-        for table in self.tables:
-            self.convert(table)
+    def take(self, element: Element) -> None:
+        """Take in the root, which comes first, or a child of it."""
+        tag = element.tag
+        if not self.seen:
+            self.root(element)
+        elif tag == "surface":
+            self.surface(element)
+        elif tag == "shader":
+            self.shader(element)
+            if "name" not in element.attrib:
+                self.fault(element, 'has no name; add one, as in name="white"')
+        elif tag == "light":
+            self.no_attributes(element, parts=self.lights.names)
+            self.row(self.lights, element)
+        elif tag in ("camera", "image"):
+            if self.seen.setdefault(tag, element) is not element:
+                self.repeated(element, self.seen[tag])
+            self.take_camera(element) if tag == "camera" else self.take_image(element)
+        else:
+            self.unknown(element, "scene", ("camera", "image", "light", "shader", "surface"))
 
     def take_camera(self, element: Element) -> None:
         table = Table(objects.Camera)
-        self.no_attributes(element, parts=table.columns)
-        self.row(table, element)
-        parts = {column.name: column.unread[0] for column in table.columns.values() if column.rows}
-        self.convert(table)
-        given = {column.name: column.given()[0] for column in table.columns.values() if column.rows}
+        self.no_attributes(element, parts=table.names)
+        parts = self.row(table, element)
+        counts = {name: column.kind.count for name, column in table.columns.items()}
+        given = {name: self.numbers_of(part, counts[name]) for name, part in parts.items()}
         try:
             self.camera = objects.Camera(**given)
         except SceneError as error:
             for name, message, _ in error.faults:
-                # NaN stands for what is noted already.
-                if not np.isnan(given.get(name, 0)).any():
-                    self.note(parts.get(name, element).line, _TAGS[name], _in_tags(message))
+                if not np.isnan(given.get(name, 0)).any():  # which is noted already
+                    line = parts.get(name, element).line
+                    self.note(line, _in_tags(name), _in_tags(message))
 
     def take_image(self, element: Element) -> None:
         self.no_attributes(element)
         self.no_children(element)
-        found = words(element.text)
-        if len(found) != 2 or not all(re.fullmatch("[-+]?[0-9]+", word) for word in found):
+        found = re.fullmatch(r"\s*([-+]?\d+)\s+([-+]?\d+)\s*", element.text, re.ASCII)
+        if found is None:
             wrong = "needs two whole numbers, width and height, as in 640 480"
             self.fault(element, f"{wrong}; has {quoted(element.text.strip())}")
             return
         # What is too large for an int is too large for a picture.
-        width, height = (int(min(max(float(word), -1e18), 1e18)) for word in found)
+        width, height = (int(min(max(float(word), -1e18), 1e18)) for word in found.groups())
         self.size = (width, height)
         try:
             Scene(width=width, height=height)
@@ -241,7 +232,12 @@ class _Reader:
             return
         table.index.append(self.surface_count)
         self.surface_count += 1
-        self.row(table, element)
+        shader = self.row(table, element).get("shader")
+        place = 0 if shader is None else self.shader_or_reference(shader)
+        table.shaders.append(place)
+        if shader is not None and not self.defined[place]:
+            self.referring.append(shader.line)
+            self.referred.append(place)
 
     def shader(self, element: Element) -> int:
         """Take in a shader; return its place."""
@@ -250,7 +246,8 @@ class _Reader:
         if self.defined[place]:
             taken = f"is taken by the shader in line {self.defined[place]}; choose another"
             self.fault(element, f"the name {quoted(element.attrib['name'])} {taken}")
-        self.defined[place] = self.defined[place] or element.line
+        else:
+            self.defined[place] = element.line
         if table is not None:
             table.index.append(place)
             self.row(table, element)
@@ -259,16 +256,18 @@ class _Reader:
     def shader_or_reference(self, element: Element) -> int:
         """Take in a surface's shader, or a reference to one; return its place."""
         attributes = element.attrib
-        if "ref" in attributes:
+        name = attributes.get("ref")
+        if name is not None:
             if len(attributes) > 1 or element:
                 self.no_attributes(element, ("ref",))
                 self.no_children(element)
-            return self.place(attributes["ref"])
-        if "name" in attributes and "type" not in attributes and not element:
-            right = f'to refer to a shader, write ref="{short(attributes["name"])}"'
+        elif "name" in attributes and "type" not in attributes and not element:
+            name = attributes["name"]
+            right = f'to refer to a shader, write ref="{short(name)}"'
             self.fault(element, f"has a name, but no type; {right}")
-            return self.place(attributes["name"])
-        return self.shader(element)
+        else:
+            return self.shader(element)
+        return self.place(name)
 
     def place(self, name: str | None) -> int:
         """Return the place of the shader of this name among all, or a new one."""
@@ -280,53 +279,66 @@ class _Reader:
                 self.places[name] = place
         return place
 
-    def row(self, table: Table, element: Element) -> None:
-        """Take in an element; what its children hold is converted later."""
-        row = len(table.lines)
-        table.lines.append(element.line)
+    def row(self, table: Table, element: Element) -> dict[str, Element]:
+        """Take in an element, whose numbers are converted later; return the parts it has."""
         parts: dict[str, Element] = {}
         for child in element:
-            column = table.columns.get(child.tag)
-            if column is None:
-                self.unknown(child, element.attrib.get("type", element.tag), table.columns)
-            elif column.name in parts:
-                self.repeated(child, parts[column.name])
+            name = table.names.get(child.tag)
+            if name is None:
+                self.unknown(child, element.attrib.get("type", element.tag), table.names)
+            elif name in parts:
+                self.repeated(child, parts[name])
             else:
-                parts[column.name] = child
-                column.rows.append(row)
-                column.unread.append(child)
-        for column in table.required:
-            tag = column.tag
-            if column.name not in parts and tag not in element.attrib:
+                parts[name] = child
+        for name, column in table.columns.items():
+            column.unread.append(parts.get(name))
+            if column.required and name not in parts and column.tag not in element.attrib:
+                tag = column.tag
                 self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
+        table.lines.append(element.line)
+        if len(table.lines) % _BATCH == 0:
+            self.convert(table)
+        return parts
 
     def convert(self, table: Table) -> None:
-        """Read the numbers of the elements that were taken in since the last call."""
+        """Read and check the numbers of the elements that were taken in since the last call."""
+        batch: dict[str, Floats] = {}
+        for name, column in table.columns.items():
+            given = [each for each in column.unread if each is not None]
+            values = self.values(given, column.kind.count)
+            for i, message in column.kind.faults(values):
+                if not np.isnan(values[i]).any():  # which is noted already
+                    self.fault(given[i], message)
+            batch[name] = np.full((len(column.unread), column.kind.count), column.default)
+            batch[name][[each is not None for each in column.unread]] = values
+            column.numbers.frombytes(batch[name].tobytes())
+        if table.made is objects.Box:
+            for i, message in order_faults(batch["min_pt"], batch["max_pt"]):
+                self.fault(table.columns["min_pt"].unread[i], _in_tags(message))
         for column in table.columns.values():
-            if unread := column.unread:
-                count = column.kind.count
-                if column.kind is PLACE:
-                    found = [float(self.shader_or_reference(each)) for each in unread]
-                else:
-                    found = numbers(unread, count) or [
-                        x for each in unread for x in self.numbers_of(each, count)
-                    ]
-                column.numbers.fromlist(found)
-                column.lines.extend([each.line for each in unread])
-                unread.clear()
+            column.unread.clear()
+
+    def values(self, elements: Sequence[Element], count: int) -> Floats:
+        """The numbers (n, count) that elements hold."""
+        found = None
+        if not any(map(len, elements)) and not any(each.attrib for each in elements):
+            found = numbers([each.text for each in elements], count)
+        if found is None:
+            found = [x for each in elements for x in self.numbers_of(each, count)]
+        return np.reshape(found, (-1, count))
 
     def numbers_of(self, element: Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
-        if right := numbers([element], count):
-            return right
         self.no_attributes(element)
         self.no_children(element)
-        found = words(element.text)
-        wrong = [word for word in found if not decimals([word], word)]
+        if found := numbers([element.text], count):
+            return found
+        words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
+        wrong = [word for word in words if not numbers([word], 1)]
         for word in wrong:
             self.fault(element, f"{quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3")
-        if len(found) != count and not wrong and not element:
-            self.fault(element, f"needs {count} number{'s' * (count > 1)}, has {len(found)}")
+        if not wrong and not element:
+            self.fault(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
         return [np.nan] * count
 
     def type_of(
@@ -336,7 +348,7 @@ class _Reader:
         kind = element.attrib.get("type")
         table = tables.get(kind or "")
         if len(element.attrib) > 1 or kind is None:
-            self.no_attributes(element, (*allowed, "type"), table.columns if table else ())
+            self.no_attributes(element, (*allowed, "type"), table.names if table else ())
         if kind is None:
             choice = " or ".join(f'type="{name}"' for name in tables)
             self.fault(element, f"has no type; add {choice}")
@@ -373,41 +385,18 @@ class _Reader:
 
     # From tables to a scene
 
-    def check_values(self) -> None:
-        """Note all numbers that are given and not allowed."""
-        for table in self.tables:
-            for column in [column for column in table.columns.values() if column.rows]:
-                given = column.given()
-                read = np.flatnonzero(~np.isnan(given).any(axis=1))
-                for i, message in column.kind.faults(given[read]):
-                    self.note(column.lines[read[i]], column.tag, message)
-        boxes = self.surfaces["Box"]
-        column = boxes.columns["minPt"]
-        for row, message in order_faults(boxes.values("min_pt"), boxes.values("max_pt")):
-            line = column.lines[bisect_left(column.rows, row)]
-            self.note(line, column.tag, _in_tags(message))
-
     def check_whole(self) -> None:
         """Note what is missing in a whole file: camera, image, and shaders that are referred to."""
         for tag in ("camera", "image"):
             if tag not in self.seen:
                 self.fault(self.seen["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
-        defined = np.asarray(self.defined) > 0
-        if defined.all():
-            return
         names = {place: name for name, place in self.places.items()}
-        known = [name for name, place in self.places.items() if defined[place]]
-        remedies: dict[int, str] = {}
-        for table in self.surfaces.values():
-            column = table.columns["shader"]
-            places = column.given()[:, 0].astype(np.intp)
-            for i in np.flatnonzero(~defined[places]).tolist():
-                place = int(places[i])
-                if place not in remedies:
-                    suggest = known and len(remedies) < _SUGGESTIONS
-                    remedies[place] = nearest(names[place], known) if suggest else "define it"
-                wrong = f"no shader is named {quoted(names[place])}; {remedies[place]}"
-                self.note(column.lines[i], column.tag, wrong)
+        known = [name for name, place in self.places.items() if self.defined[place]]
+        for line, place in zip(self.referring, self.referred, strict=True):
+            if not self.defined[place]:
+                suggest = known and len(self.faults) < _SUGGESTIONS
+                remedy = nearest(names[place], known) if suggest else "define it"
+                self.note(line, "shader", f"no shader is named {quoted(names[place])}; {remedy}")
 
     def scene(self) -> Scene:
         """Make the scene of a file without faults."""
@@ -415,27 +404,24 @@ class _Reader:
         for table in self.shaders.values():
             for place, shader in zip(table.index, table.objects(), strict=True):
                 shaders[place] = shader
-        spheres, boxes = self.surfaces["Sphere"], self.surfaces["Box"]
+        spheres, boxes = self.surfaces.values()
+        columns = (spheres.columns | boxes.columns).items()
+        surfaces = Surfaces(
+            **{name: column.given() for name, column in columns},
+            sphere_shader=spheres.shaders,
+            sphere_index=spheres.index,
+            box_shader=boxes.shaders,
+            box_index=boxes.index,
+            shaders=tuple(shaders),
+            line=np.concatenate([spheres.lines, boxes.lines]),
+        )
+        width, height = self.size
+        lights = self.lights.objects()
         return Scene(
-            width=self.size[0],
-            height=self.size[1],
-            camera=self.camera,
-            lights=self.lights.objects(),
-            surfaces=Surfaces(
-                center=spheres.values("center"),
-                radius=spheres.values("radius"),
-                sphere_shader=spheres.values("shader"),
-                sphere_index=spheres.index,
-                min_pt=boxes.values("min_pt"),
-                max_pt=boxes.values("max_pt"),
-                box_shader=boxes.values("shader"),
-                box_index=boxes.index,
-                shaders=tuple(shaders),
-                line=np.concatenate([spheres.lines, boxes.lines]),
-            ),
+            width=width, height=height, camera=self.camera, lights=lights, surfaces=surfaces
         )
 
 
-def _in_tags(message: str) -> str:
-    """A message in the words of a scene file: tags stand for parameters."""
-    return re.sub(r"\w+_\w+", lambda word: _TAGS.get(word[0], word[0]), message)
+def _in_tags(text: str) -> str:
+    """A text in the words of a scene file: tags stand for parameters, viewDir for view_dir."""
+    return re.sub("_([a-z])", lambda found: found[1].upper(), text)

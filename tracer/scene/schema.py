@@ -178,12 +178,13 @@ class Numbers:
 
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
         """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
-        reported = np.zeros(len(values), dtype=bool)
+        reported: set[int] = set()
         for is_broken, message in self.rules:
             broken = is_broken(values)
-            for i in np.flatnonzero(broken.any(axis=1) & ~reported).tolist():
-                reported[i] = True
-                yield i, message(values[i, broken[i]])
+            if broken.any():
+                for i in sorted({*np.nonzero(broken)[0].tolist()} - reported):
+                    yield i, message(values[i, broken[i]])
+                    reported.add(i)
 
 
 POINT = Numbers(3, _FINITE, _IN_RANGE)
