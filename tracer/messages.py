@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["character", "number", "printable", "quoted", "short"]
-
 
 def printable(text: str) -> str:
     """`text` in one line that any terminal can show: a new line becomes ``\\n``."""
@@ -18,11 +16,6 @@ def short(text: str) -> str:
 def quoted(text: str) -> str:
     """The same in quotes, on one line that any terminal can show."""
     return repr(short(text))
-
-
-def character(odd: str) -> str:
-    """A character in quotes; one beyond ASCII, which may look like another, also by its number."""
-    return repr(odd) if odd.isascii() else f"{odd!r} (U+{ord(odd):04X})"
 
 
 def number(value: float) -> str:

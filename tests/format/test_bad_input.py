@@ -350,7 +350,7 @@ except SceneFileError as error:
 
 
 def test_a_name_with_a_nul():
-    with pytest.raises(SceneFileError, match=r"^a\\x00b: no path has a NUL in it; check the path$"):
+    with pytest.raises(SceneFileError, match=r"^a\\x00b: no path has a NUL or .*; check the path$"):
         load_scene("a\0b")
 
 
@@ -365,7 +365,7 @@ def test_what_is_no_name():
 
 
 def test_a_name_that_cannot_be_encoded():
-    fault = r"^\\ud800: no path has half of a surrogate pair in it; check the path$"
+    fault = r"^\\ud800: no path has .*half of a surrogate pair in it; check the path$"
     with pytest.raises(SceneFileError, match=fault):
         load_scene("\ud800")
 

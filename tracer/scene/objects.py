@@ -18,18 +18,6 @@ from tracer.arrays import Floats
 from tracer.scene import schema
 from tracer.scene.schema import Fault, of
 
-__all__ = [
-    "Box",
-    "Camera",
-    "Lambertian",
-    "Phong",
-    "PointLight",
-    "Shader",
-    "Sphere",
-    "VectorLike",
-    "unit",
-]
-
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
 

@@ -1,7 +1,7 @@
 """From a scene file to a :class:`~tracer.scene.model.Scene`.
 
 Elements are taken in as rows of tables, one table for each dataclass that they make.  Numbers are
-converted many at a time, and checked all at once at the end.
+converted and checked many at a time.
 
 Each fault is reported in a line of its own, as ``FILE:LINE: element: what is wrong; what would be
 right``, up to the place where the file is no longer XML or passes a limit, or has `MAX_FAULTS`.
@@ -36,7 +36,7 @@ MAX_FAULTS = 1_000
 _SUGGESTIONS = 30
 
 # How many elements of a kind are converted at once.
-_BATCH = 256
+_BATCH = 1024
 
 
 class SceneFileError(ValueError):
@@ -103,10 +103,9 @@ def _opened(path: str) -> IO[bytes]:
     """Open a regular file: a pipe or a device may block, or never end."""
     try:
         status = os.stat(path)
-    except UnicodeEncodeError:
-        raise GiveUp(0, "no path has half of a surrogate pair in it; check the path") from None
     except ValueError:
-        raise GiveUp(0, "no path has a NUL in it; check the path") from None
+        wrong = "no path has a NUL or half of a surrogate pair in it; check the path"
+        raise GiveUp(0, wrong) from None
     if stat.S_ISDIR(status.st_mode):
         raise GiveUp(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
@@ -197,12 +196,14 @@ class _Reader:
         self.no_attributes(element, parts=table.names)
         parts = self.row(table, element)
         counts = {name: column.kind.count for name, column in table.columns.items()}
-        given = {name: self.numbers_of(part, counts[name]) for name, part in parts.items()}
+        given: dict[str, Any] = {
+            name: self.numbers_of(part, counts[name]) for name, part in parts.items()
+        }
         try:
             self.camera = objects.Camera(**given)
         except SceneError as error:
             for name, message, _ in error.faults:
-                if not np.isnan(given.get(name, 0)).any():  # which is noted already
+                if np.nan not in given.get(name, ()):  # which is noted already
                     line = parts.get(name, element).line
                     self.note(line, _in_tags(name), _in_tags(message))
 
@@ -220,8 +221,8 @@ class _Reader:
         try:
             Scene(width=width, height=height)
         except SceneError as error:
-            for fault in error.faults:
-                self.fault(element, str(fault))
+            for fault in str(error).splitlines():
+                self.fault(element, fault)
 
     def surface(self, element: Element) -> None:
         table = self.type_of(element, self.surfaces)
@@ -271,12 +272,10 @@ class _Reader:
 
     def place(self, name: str | None) -> int:
         """Return the place of the shader of this name among all, or a new one."""
-        place = self.places.get(name) if name is not None else None
-        if place is None:
-            place = len(self.defined)
+        new = len(self.defined)
+        place = new if name is None else self.places.setdefault(name, new)
+        if place == new:
             self.defined.append(0)
-            if name is not None:
-                self.places[name] = place
         return place
 
     def row(self, table: Table, element: Element) -> dict[str, Element]:
@@ -305,11 +304,15 @@ class _Reader:
         batch: dict[str, Floats] = {}
         for name, column in table.columns.items():
             given = [each for each in column.unread if each is not None]
-            values = self.values(given, column.kind.count)
+            count, odd = column.kind.count, any(each or each.attrib for each in given)
+            found = None if odd else numbers([each.text for each in given], count)
+            if found is None:
+                found = [x for each in given for x in self.numbers_of(each, count)]
+            values = np.reshape(found, (-1, count))
             for i, message in column.kind.faults(values):
                 if not np.isnan(values[i]).any():  # which is noted already
                     self.fault(given[i], message)
-            batch[name] = np.full((len(column.unread), column.kind.count), column.default)
+            batch[name] = np.full((len(column.unread), count), column.default)
             batch[name][[each is not None for each in column.unread]] = values
             column.numbers.frombytes(batch[name].tobytes())
         if table.made is objects.Box:
@@ -317,15 +320,6 @@ class _Reader:
                 self.fault(table.columns["min_pt"].unread[i], _in_tags(message))
         for column in table.columns.values():
             column.unread.clear()
-
-    def values(self, elements: Sequence[Element], count: int) -> Floats:
-        """The numbers (n, count) that elements hold."""
-        found = None
-        if not any(map(len, elements)) and not any(each.attrib for each in elements):
-            found = numbers([each.text for each in elements], count)
-        if found is None:
-            found = [x for each in elements for x in self.numbers_of(each, count)]
-        return np.reshape(found, (-1, count))
 
     def numbers_of(self, element: Element, count: int) -> list[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
@@ -358,10 +352,10 @@ class _Reader:
 
     def unknown(self, element: Element, parent: str, known: Iterable[str]) -> None:
         remedy = nearest(element.tag, known)
-        for tag, kinds in (("surface", self.surfaces), ("shader", self.shaders)):
-            for kind in kinds:
-                if kind.lower() == element.tag.lower():
-                    remedy = f'write <{tag} type="{kind}">'
+        for kind in (*self.surfaces, *self.shaders):
+            if kind.lower() == element.tag.lower():
+                tag = "surface" if kind in self.surfaces else "shader"
+                remedy = f'write <{tag} type="{kind}">'
         self.fault(element, f"unknown in {short(parent)}; {remedy}")
 
     def repeated(self, element: Element, earlier: Element) -> None:

@@ -7,15 +7,12 @@ from collections.abc import Iterable, Sequence
 from itertools import islice
 from xml.parsers.expat import errors
 
-from tracer.messages import character, quoted, short
-
-__all__ = ["SCENE", "malformed", "nearest"]
+from tracer.messages import quoted, short
 
 SCENE = "a scene file holds <scene> ... </scene>"
 
 _INVALID, _UNCLOSED = errors.XML_ERROR_INVALID_TOKEN, errors.XML_ERROR_UNCLOSED_TOKEN
 _QUOTED = 'put the value of an attribute in quotes, as in type="Sphere"'
-_ODD = "write a plain character in place of {odd}"
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
 # What the text before a fault ends with, and how it goes on; expat's message, or "" for any.
@@ -29,7 +26,7 @@ _TEXTS = (
     ("", rb"=\s*", rb"\w", _QUOTED),
     ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
     ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", rb"[\x80-\xff]", _ODD),
+    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {odd!r} (U+{number:04X})"),
     ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag of line {line} with >"),
     ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes of line {line}"),
     ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes of line {line}"),
@@ -73,14 +70,15 @@ def malformed(
     outside = not opened and before.rfind(b"<") <= before.rfind(b">")
     if outside and message == _INVALID and b"\0" not in after and not after.startswith(b"<"):
         return SCENE
+    odd = after.decode(errors="replace")[:1] or " "
+    if odd == "\ufffd":
+        return "save the file as UTF-8"
     last = f"<{short(opened[-1][0])}> of line {opened[-1][1]}" if opened else None
     for error, ends, begins, remedy in _TEXTS:
         text = re.search(rb"(?s:%b)\Z" % ends, before) if error in ("", message) else None
         if text and re.match(begins, after):
-            odd = after.decode(errors="replace")[:1]
-            if remedy == _ODD and odd == "\ufffd":
-                return "save the file as UTF-8"
-            return remedy.format(line=line - text[0].count(b"\n"), odd=odd and character(odd))
+            begun = line - text[0].count(b"\n")
+            return remedy.format(line=begun, odd=odd, number=ord(odd))
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
         if all(name != tag for tag, _ in opened):

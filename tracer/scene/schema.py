@@ -19,27 +19,6 @@ from numpy.typing import ArrayLike
 from tracer.arrays import Floats, Ints
 from tracer.messages import number, printable
 
-__all__ = [
-    "COLOR",
-    "DIRECTION",
-    "EXPONENT",
-    "LENGTH",
-    "MAX_PIXELS",
-    "POINT",
-    "Fault",
-    "Numbers",
-    "SceneError",
-    "check",
-    "integers",
-    "list_of",
-    "of",
-    "one_of",
-    "order_faults",
-    "raise_any",
-    "size",
-    "unchecked",
-]
-
 _Made = TypeVar("_Made")
 
 MAX_PIXELS = 1 << 28

@@ -13,17 +13,15 @@ import numpy as np
 from tracer.arrays import Floats
 from tracer.scene.schema import Numbers, unchecked
 
-__all__ = ["Table", "numbers"]
-
 
 class Column:
     """A field of all objects of a table: their numbers."""
 
-    __slots__ = ("default", "kind", "name", "numbers", "required", "tag", "unread")
+    __slots__ = ("default", "kind", "numbers", "required", "tag", "unread")
 
     def __init__(self, field: Field[Any]) -> None:
-        self.name, self.tag = field.name, field.metadata["tags"][0]
         self.kind: Numbers = field.metadata["kind"]
+        self.tag = field.metadata["tags"][0]
         self.required = field.default is MISSING
         self.default: Any = np.nan if field.default in (MISSING, None) else field.default
         self.numbers = array("d")

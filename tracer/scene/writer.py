@@ -16,8 +16,6 @@ from tracer.messages import number
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers
 
-__all__ = ["save_scene"]
-
 # How scene files begin; Mitsuba's have a version.
 _SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
 
