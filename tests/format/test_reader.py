@@ -12,9 +12,6 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, lo
 EMPTY = "<camera/><image>4 3</image>"
 
 
-# A file means the same, whether it is read without line numbers or with them.
-
-
 @pytest.fixture
 def scene_of(tmp_path):
     """Read a scene, given what stands between <scene> and </scene>."""

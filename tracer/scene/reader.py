@@ -290,9 +290,9 @@ class _Reader:
             else:
                 parts[name] = child
         for name, column in table.columns.items():
-            column.unread.append(parts.get(name))
-            if column.required and name not in parts and column.tag not in element.attrib:
-                tag = column.tag
+            part, tag = parts.get(name), column.tag
+            column.unread.append(part)
+            if part is None and column.required and tag not in element.attrib:
                 self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         table.lines.append(element.line)
         if len(table.lines) % _BATCH == 0:
