@@ -10,7 +10,7 @@ import argparse
 import gc
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from time import perf_counter, sleep
@@ -110,52 +110,43 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
-    add = parser.add_argument
-    what = "a scene file; - for standard input"
-    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=what)
-    add(
-        "-o",
-        "--output",
-        type=file_name,
-        metavar="PATH",
-        help="the picture to write, always a PNG; - for standard output; or a folder for those of"
-        " several scenes, which is made if it is missing and PATH ends in /",
+
+    def add(*names: str, text: str, **options: Any) -> None:
+        parser.add_argument(*names, help=text, **options)
+
+    text = "a scene file; - for standard input"
+    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", text=text)
+    text = (
+        "the picture to write, always a PNG; - for standard output; or a folder for those of"
+        " several scenes, which is made if it is missing and PATH ends in /"
     )
-    add(
-        "--samples",
-        type=whole_number(1),
-        default=1,
-        metavar="N",
-        help="smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)",
+    add("-o", "--output", type=file_name, metavar="PATH", text=text)
+    text = "smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)"
+    add("--samples", type=whole_number(1), default=1, metavar="N", text=text)
+    text = "width and height of the pictures in pixels, whatever the files say"
+    size = _pair("x", 1, "width and height in pixels, as 640x360")
+    add("--size", type=size, metavar="WxH", text=text)
+    add("--watch", action="store_true", text="render again whenever a scene file is saved")
+    text = (
+        "processes that render, at most one for each processor (default: one or two,"
+        " whichever pays)"
     )
-    what = "width and height of the pictures in pixels, whatever the files say"
-    add("--size", type=_size, metavar="WxH", help=what)
-    add("--watch", action="store_true", help="render again whenever a scene file is saved")
-    add(
-        "--processes",
-        type=whole_number(1),
-        metavar="N",
-        help="processes that render, at most one for each processor (default: one or two,"
-        " whichever pays)",
-    )
-    add(
-        "--pixel",
-        type=_pixel,
-        metavar="X,Y",
-        help="explain a pixel, by its column and row (0,0 is the top left), and write no picture",
-    )
-    add("--quiet", action="store_true", help="report only what goes wrong")
-    add("--version", action="version", version=f"%(prog)s {__version__}")
+    add("--processes", type=whole_number(1), metavar="N", text=text)
+    text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
+    pixel = _pair(",", 0, "column and row, as 160,90")
+    add("--pixel", type=pixel, metavar="X,Y", text=text)
+    add("--quiet", action="store_true", text="report only what goes wrong")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     arguments = parser.parse_args(argv)
-    scenes, output = arguments.scenes, arguments.output
+    scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     if arguments.pixel is not None:
-        if output is not None or arguments.watch:
+        if output is not None or watch:
             parser.error("--pixel writes no picture: it goes without -o and --watch")
         return arguments, [(scene, "") for scene in scenes]
-    if "-" in scenes and (output is None or arguments.watch):
+    if "-" in scenes and (output is None or watch):
         parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
     if output == "-":
-        if len(scenes) > 1 or arguments.watch:
+        if len(scenes) > 1 or watch:
             parser.error("-o -: standard output takes the picture of one scene, and no --watch")
         return arguments, [(scenes[0], output)]
     if output is not None and not is_folder(output):
@@ -166,26 +157,18 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
     return arguments, list(zip(scenes, pictures, strict=True))
 
 
-def _size(text: str) -> tuple[int, int]:
-    """Type of the argument of --size."""
-    number = whole_number(1)
-    try:
-        width, height = text.split("x")
-        return number(width), number(height)
-    except (ValueError, argparse.ArgumentTypeError):
-        wanted = "must be width and height in pixels, as 640x360"
-        raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}") from None
+def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]]:
+    """Type of an argument of two whole numbers with a mark between them."""
+    number = whole_number(least)
 
+    def pair(text: str) -> tuple[int, int]:
+        try:
+            first, second = text.split(mark)
+            return number(first), number(second)
+        except (ValueError, argparse.ArgumentTypeError):
+            raise argparse.ArgumentTypeError(f"must be {wanted}, is {text!r}") from None
 
-def _pixel(text: str) -> tuple[int, int]:
-    """Type of the argument of --pixel."""
-    number = whole_number(0)
-    try:
-        x, y = text.split(",")
-        return number(x), number(y)
-    except (ValueError, argparse.ArgumentTypeError):
-        wanted = "must be column and row, as 160,90"
-        raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}") from None
+    return pair
 
 
 def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
@@ -219,7 +202,6 @@ def _done(scene: str, output: str, arguments: argparse.Namespace) -> bool:
 def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None:
     """Render one scene; return what went wrong, if anything did."""
     from tracer.picture.bands import render_compressed
-    from tracer.picture.png import PNG, write_tiles
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.suspicions import suspicions
@@ -238,46 +220,42 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
         return f"{printable(path)}: not enough memory to read it; split the scene"
     if arguments.pixel is not None:
         return _explain(scene, path, arguments.pixel)
-    black = True
-
-    def noted(tiles: Iterable[Compressed]) -> Iterator[Compressed]:
-        """The same tiles; notes whether all are black."""
-        nonlocal black
-        for tile in tiles:
-            black = black and tile.black
-            yield tile
-
+    size = f"{scene.width} x {scene.height} pixels"
     try:
         tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
-        tiles = noted(tiles)
         if not quiet and sys.stderr is not None and sys.stderr.isatty():
             tiles = _with_progress(tiles, scene, os.path.basename(shown))
-        if output == "-":
-            with open(1, "wb", closefd=False) as stream:
-                write_tiles(stream, scene.width, scene.height, tiles)
-        else:
-            if arguments.output is not None and is_folder(arguments.output):
-                os.makedirs(arguments.output, exist_ok=True)
-            with atomic_file(output, PNG) as file:
-                write_tiles(file, scene.width, scene.height, tiles)
+        black = _write(output, scene, tiles, folder=arguments.output)
     except MemoryError:
-        size, remedy = f"{scene.width} x {scene.height} pixels", "make the image smaller"
+        remedy = "make the image smaller"
         if arguments.samples > 1:
             size += f" of {arguments.samples} samples"
             remedy += " or take fewer samples"
         return f"{printable(path)}: not enough memory for {size}; {remedy}"
-    except OSError as error:
-        return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
-    except ValueError as error:
-        return (
-            f"{shown}: cannot be written: {error}; keep the numbers of the scene further from 1e308"
-        )
+    except (OSError, ValueError) as error:
+        remedy = "keep the numbers of the scene further from 1e308"
+        if isinstance(error, OSError):
+            remedy = "choose another with -o"
+        return f"{shown}: cannot be written: {getattr(error, 'strerror', None) or error}; {remedy}"
     if not quiet:
         for suspicion in suspicions(scene, black=black):
             print_line(sys.stderr, printable(f"{path}: warning: {suspicion}"))
-        done = f"{shown}: {scene.width} x {scene.height} pixels in {perf_counter() - start:.3f} s"
+        done = f"{shown}: {size} in {perf_counter() - start:.3f} s"
         print_line(sys.stderr if output == "-" else sys.stdout, done)
     return None
+
+
+def _write(output: str, scene: Scene, tiles: Iterator[Compressed], folder: str | None) -> bool:
+    """Write a picture, if need be into a new `folder`; return whether it is black."""
+    from tracer.picture.png import PNG, write_tiles
+
+    if output == "-":
+        with open(1, "wb", closefd=False) as stream:
+            return write_tiles(stream, scene.width, scene.height, tiles)
+    if folder is not None and is_folder(folder):
+        os.makedirs(folder, exist_ok=True)
+    with atomic_file(output, PNG) as file:
+        return write_tiles(file, scene.width, scene.height, tiles)
 
 
 def _explain(scene: Scene, path: str, pixel: tuple[int, int]) -> str | None:
@@ -285,8 +263,7 @@ def _explain(scene: Scene, path: str, pixel: tuple[int, int]) -> str | None:
     from tracer.explanation import explain
 
     try:
-        for line in str(explain(scene, *pixel)).splitlines():
-            print_line(sys.stdout, line)
+        print_line(sys.stdout, str(explain(scene, *pixel)))
     except ValueError as error:
         return f"{printable(path)}: {error}; columns and rows count from 0"
     return None
@@ -298,17 +275,16 @@ def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
 
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
-    if not arguments.quiet and _square(scene) and not _square(resized):
-        ratio = scene.camera.view_height / scene.camera.view_width
-        remedy = f"--size {width}x{max(1, round(width * ratio))} keeps them so"
+    across, down = scene.camera.view_width, scene.camera.view_height
+    # To the nearest whole number of pixels.
+    before, now = (
+        abs(each.width * down - each.height * across) < max(across, down)
+        for each in (scene, resized)
+    )
+    if before and not now and not arguments.quiet:
+        remedy = f"--size {width}x{max(1, round(width * down / across))} keeps them so"
         print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
     return resized
-
-
-def _square(scene: Scene) -> bool:
-    """Whether pixels are square, to the nearest whole number of them."""
-    across, down = scene.camera.view_width, scene.camera.view_height
-    return abs(scene.width * down - scene.height * across) < max(across, down)
 
 
 def _with_progress(tiles: Iterator[Compressed], scene: Scene, name: str) -> Iterator[Compressed]:
@@ -321,25 +297,22 @@ def _with_progress(tiles: Iterator[Compressed], scene: Scene, name: str) -> Iter
             seconds = perf_counter() - start
             if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
                 bar = _bar(name, rows)
-                if bar is None:
-                    break
-            if bar is not None:
+            if bar:
                 bar.update(int(done) - bar.n)
-        yield from tiles
     finally:
-        if bar is not None:
+        if bar:
             bar.close()
 
 
 def _bar(name: str, rows: int) -> Any:
-    """A progress bar; None where there can be none, for a picture is not to fail by that."""
+    """A progress bar; False where there can be none, for a picture is not to fail by that."""
     # Not installed, or the environment has settings for it that it cannot read.
     with suppress(ImportError, ValueError):
         from tqdm import tqdm  # takes longer to import than a small picture to render
 
         tqdm.monitor_interval = 0  # else it starts a thread, beside which there are no forks
         return tqdm(desc=name, total=rows, unit="row", leave=False)
-    return None
+    return False
 
 
 def run() -> NoReturn:

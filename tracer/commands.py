@@ -95,19 +95,16 @@ def output_paths(
         wrong = "several scenes need a folder; to have it made, end it in"
         parser.error(printable(f"-o {output}: {wrong} {os.sep}"))
     try:
-        inputs = {os.path.realpath(scene) for scene in scenes}
-        taken: dict[str, str] = {}
+        inputs, taken = {os.path.realpath(scene) for scene in scenes}, dict[str, str]()
         for scene, target in zip(scenes, found, strict=True):
             for path in files(target):
                 place = os.path.realpath(path)
-                wrong = ""
                 if place in inputs:
                     wrong = "this would replace a scene; choose another with -o"
-                elif place in taken:
-                    both = f"{taken[place]} and {scene} would both be written there"
-                    wrong = f"{both}; do them one by one"
-                if wrong:
                     parser.error(printable(f"{path}: {wrong}"))
+                if place in taken:
+                    wrong = f"{taken[place]} and {scene} would both be written there"
+                    parser.error(printable(f"{path}: {wrong}; do them one by one"))
                 taken[place] = scene
     except OSError as error:
         parser.exit(FAILED, no_working_folder(error) + "\n")

@@ -303,8 +303,9 @@ def test_too_little_memory_to_start(scene, megabytes):
 
 
 @pytest.mark.slow
-def test_a_picture_as_wide_as_can_be_needs_little_memory(scene):
-    scene.write_text(SCENE.format(1 << 28, 1))
+@pytest.mark.parametrize("size", [(1 << 28, 1), (1, 1 << 28)])
+def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size):
+    scene.write_text(SCENE.format(*size))
     script = (
         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True)\n"
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tracer import to_codes, write_png
-from tracer.picture.png import _cells, compressed, write_tiles
+from tracer.picture.png import _tables, compressed, write_tiles
 
 
 def codes_of(values) -> np.ndarray:
@@ -51,9 +51,9 @@ def test_the_codes_where_numpys_integers_have_32_bits(monkeypatch: pytest.Monkey
 
     for name in ("arange", "searchsorted"):
         monkeypatch.setattr(np, name, narrow(getattr(np, name)))
-    tables = _cells.__wrapped__()
+    tables = _tables.__wrapped__()
     monkeypatch.undo()
-    for table, usual in zip(tables, _cells(), strict=True):
+    for table, usual in zip(tables, _tables(), strict=True):
         np.testing.assert_array_equal(table, usual)
 
 

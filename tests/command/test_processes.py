@@ -32,9 +32,9 @@ Start = Callable[[int, int, int, Job], AbstractContextManager[Team]]
 @pytest.fixture(autouse=True)
 def no_workers() -> Iterator[None]:
     """No test finds workers of another."""
-    parallel._helpers.stop()
+    parallel.stop_helpers()
     yield
-    parallel._helpers.stop()
+    parallel.stop_helpers()
     assert not children()
 
 
@@ -59,9 +59,7 @@ def signed(start: Start, others: int = 1, parts: int = 40, job: Job = signing) -
         own = mmap(-1, SIZE)
         for number, here in team.finished(signing(own)):
             assert signers[number] == 0
-            memory = own if here else team.memory
-            assert memory is not None
-            signers[number] = np.frombuffer(memory, np.int64, PARTS)[number]
+            signers[number] = np.frombuffer(own if here else team.memory, np.int64, PARTS)[number]
     assert signers[:parts].all()
     return signers[:parts].tolist()
 
@@ -115,7 +113,7 @@ def test_no_forks_beside_another_thread() -> None:
 
 def test_one_job_at_a_time_has_workers() -> None:
     with helped(8, 1, SIZE, signing, inf) as team:
-        assert len(team.workers) == 1
+        assert len(team._workers) == 1
         assert set(signed(staying, parts=8)) == {ME}
         assert len(list(team.finished(signing(mmap(-1, SIZE))))) == 8
 
@@ -173,7 +171,7 @@ def test_the_number_of_a_dead_worker_may_be_given_to_another_process() -> None:
             pytest.skip("the number was always taken")
     except OSError:
         pytest.skip("only root may choose the number of a process")
-    parallel._helpers.stop()
+    parallel.stop_helpers()
     time.sleep(0.05)
     assert other.poll() is None
     other.kill()
@@ -198,7 +196,7 @@ def test_workers_for_whom_there_are_files(
 ) -> None:
     with files_left(count):
         assert ME in signed(start, 2, parts=8)
-        parallel._helpers.stop()
+        parallel.stop_helpers()
     assert not children()
 
 
@@ -219,7 +217,7 @@ def test_no_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
         assert set(signed(staying)) == {ME}
     for start in (forked, staying):
         with start(8, 1, 1 << 60, signing) as team:
-            assert not team.workers
+            assert not team._workers
 
 
 def test_a_program_with_many_open_files() -> None:
@@ -369,7 +367,7 @@ def test_few_small_pictures_start_no_worker() -> None:
 def test_large_or_many_pictures_do() -> None:
     render(picture(2000, 1500))
     assert len(children()) == 1
-    parallel._helpers.stop()
+    parallel.stop_helpers()
     for _ in range(200):
         render(picture(700, 500))
     assert len(children()) == 1

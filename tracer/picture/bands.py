@@ -105,7 +105,7 @@ def render(
         picture.tiles, picture.processes - 1, image.nbytes, partial(_draw_into, picture), load
     ) as team:
         for number, here in team.finished(lambda n: picture.draw(n, image[picture.tile(n)])):
-            if not here and team.memory is not None:
+            if not here:
                 seen = picture.seen(number)
                 image[seen] = _image_in(team.memory, picture)[seen]
                 if image.nbytes > _KEPT:
@@ -155,7 +155,7 @@ def render_compressed(
     written = 0
     with forked(picture.tiles, picture.processes - 1, picture.tiles * place, job) as team:
         for number, here in team.finished(lambda n: done.update({n: made(n)})):
-            if not here and team.memory is not None:
+            if not here:
                 start = number * place
                 done[number] = pickle.loads(memoryview(team.memory)[start : start + place])
                 team.give_back(start, start + place)

@@ -21,14 +21,14 @@ import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from mmap import PAGESIZE, mmap
 from struct import Struct
-from typing import NamedTuple, NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias
 
-__all__ = ["Job", "Team", "Work", "forked", "helped", "processors", "run_helper"]
+__all__ = ["Job", "Team", "Work", "forked", "helped", "processors", "run_helper", "stop_helpers"]
 
 Work: TypeAlias = Callable[[int], object]
 """Does the part with a number."""
@@ -90,60 +90,39 @@ def _taken(queue: int) -> Iterator[int]:
         yield number
 
 
-class _Worker:
-    """Another process that takes part, as this one sees it.
+class Team:
+    """This process and its workers, if it has any, for a job of so many parts, numbered from 0.
 
-    It reports the numbers of the parts it has done, and the end of each job, on the pipe `reports`;
-    if it stays, it waits for jobs on `calls`.  It may have a job (`busy`), have done a part of it
-    (`begun`), or have died (`lost`).
+    Attributes
+    ----------
+    memory : mmap
+        What workers write results into.
+    lost : bool
+        Whether one has died: the queue may hold numbers that were meant for it.
     """
 
-    def __init__(self, process: int, files: ExitStack, reports: int, calls: int = -1) -> None:
-        self.busy, self.begun, self.lost = calls < 0, False, False
-        self.reports, self.calls = reports, calls
-        try:
-            self._process = os.pidfd_open(process)
-        except OSError:  # out of files; so new a child surely has its number
-            os.kill(process, signal.SIGKILL)
-            os.waitpid(process, 0)
-            raise
-        files.callback(os.close, self._process)
+    def __init__(self, parts: int = 0) -> None:
+        self._parts, self._files = parts, ExitStack()
+        self.forget()
 
-    def reported(self) -> list[int]:
-        """Numbers that it has reported since it was asked; waits for one, or its death."""
-        numbers = [number for (number,) in _NUMBER.iter_unpack(os.read(self.reports, 1 << 12))]
-        self.begun, self.lost = True, not numbers
-        self.busy = self.busy and numbers[-1:] not in ([], [_END])
-        return [number for number in numbers if number != _END]
+    def forget(self) -> None:
+        """Have no workers any more, but let them live: a fork does not own those from before."""
+        self._files.close()
+        self.memory, self.lost = mmap(-1, 1), False
+        self._queue: tuple[int, ...] = ()
+        self._processes: list[int] = []
+        # The pipes on which workers report, with those on which they are called if they stay; and
+        # of those that have not yet reported the end of their job.
+        self._workers: dict[int, int] = {}
+        self._busy: set[int] = set()
 
-    def kill(self) -> None:
-        """End it, whatever it does."""
-        with suppress(OSError):  # it has ended, and somebody else has waited for it
-            signal.pidfd_send_signal(self._process, signal.SIGKILL)
-            os.waitid(os.P_PIDFD, self._process, os.WEXITED)
-
-
-def _reports(workers: Sequence[_Worker], timeout: int | None) -> Iterator[int]:
-    """Numbers that workers report; waits for them, `timeout` ms."""
-    import select
-
-    poll, by_pipe = select.poll(), {w.reports: w for w in workers if not w.lost}
-    for pipe in by_pipe:
-        poll.register(pipe, select.POLLIN)
-    for pipe, _ in poll.poll(timeout):
-        yield from by_pipe[pipe].reported()
-
-
-class Team(NamedTuple):
-    """This process and its workers, for a job of so many parts, numbered from 0.
-
-    `queue` is the pipe of their numbers, and `memory` what workers write results into.
-    """
-
-    parts: int
-    workers: Sequence[_Worker] = ()
-    queue: int = -1
-    memory: mmap | None = None
+    def stop(self) -> None:
+        """End all workers, whatever they do."""
+        for process in self._processes:
+            with suppress(OSError):  # it has ended, and somebody else has waited for it
+                signal.pidfd_send_signal(process, signal.SIGKILL)
+                os.waitid(os.P_PIDFD, process, os.WEXITED)
+        self.forget()
 
     def finished(self, work: Work) -> Iterator[tuple[int, bool]]:
         """Do all parts, of which this process does its own by `work`.
@@ -160,17 +139,16 @@ class Team(NamedTuple):
         Exception
             Whatever `work` raises.
         """
-        left, workers = dict.fromkeys(range(self.parts)), self.workers
-        for number in _taken(self.queue) if workers else ():
+        left = dict.fromkeys(range(self._parts))
+        for number in _taken(self._queue[0]) if self._queue else ():
             work(number)
             del left[number]
             yield number, True
-            for other in _reports(workers, 0):
+            for other in self._reported(0):
                 del left[other]
                 yield other, False
-        # If none is left, those who have begun come to their end at once.
-        while any(worker.busy and (left or worker.begun) for worker in workers):
-            for other in _reports(workers, None):
+        while left and self._busy:
+            for other in self._reported(None):
                 del left[other]
                 yield other, False
         for number in left:
@@ -180,10 +158,91 @@ class Team(NamedTuple):
     def give_back(self, start: int, stop: int) -> None:
         """Free the pages of shared memory that lie between two bytes."""
         first, last = -(-start // PAGESIZE) * PAGESIZE, stop // PAGESIZE * PAGESIZE
-        if self.memory is not None and first < last:
+        if first < last:
             from mmap import MADV_REMOVE  # not on all systems
 
             self.memory.madvise(MADV_REMOVE, first, last - first)
+
+    def _reported(self, timeout: int | None) -> Iterator[int]:
+        """Parts that workers report; waits for one, or a death, `timeout` ms."""
+        import select
+
+        poll = select.poll()
+        for pipe in self._workers:
+            poll.register(pipe, select.POLLIN)
+        for pipe, _ in poll.poll(timeout):
+            numbers = [number for (number,) in _NUMBER.iter_unpack(os.read(pipe, 1 << 12))]
+            if not numbers:
+                self.lost = True
+                del self._workers[pipe]
+            if numbers[-1:] in ([], [_END]):
+                self._busy.discard(pipe)
+            yield from (number for number in numbers if number != _END)
+
+    def share(self, size: int) -> None:
+        """See that there are a queue and so many bytes of memory."""
+        if not self._queue:
+            self._queue = _pipe(self._files, self._files)
+            os.set_blocking(self._queue[1], False)
+            self._file = os.memfd_create("tracer")
+            self._files.callback(os.close, self._file)
+        if len(self.memory) < size:
+            os.ftruncate(self._file, size)
+            self.memory = mmap(self._file, size)
+
+    def put(self, parts: int, others: int) -> None:
+        """Fill the queue for a job of this process and so many workers."""
+        self._parts = parts
+        _put(self._queue[1], *range(parts), *[_END] * (others + 1))
+
+    def fork(self, work: Work) -> None:
+        """Add a copy of this process that does the job in the queue."""
+        with ExitStack() as theirs:
+            reads, writes = _pipe(self._files, theirs)
+            process = os.fork()
+            if not process:
+                try:
+                    # Ctrl-C reaches all processes of a terminal: the first decides what it means.
+                    signal.signal(signal.SIGINT, signal.SIG_IGN)
+                    os.close(reads)
+                    _serve(self._queue[0], writes, work)
+                finally:  # whatever happens, it must not go on as if it were the first
+                    os._exit(0)
+            self._add(process, reads)
+            self._busy.add(reads)
+
+    def start(self) -> None:
+        """Add a new interpreter that waits for jobs."""
+        import subprocess  # takes longer to import than a small picture to render
+
+        with ExitStack() as theirs:
+            calls_in, calls_out = _pipe(theirs, self._files)
+            reports_in, reports_out = _pipe(self._files, theirs)
+            inherited = calls_in, self._queue[0], reports_out, self._file
+            code = _CODE.format(path=[_FOLDER, *map(str, sys.path)], files=inherited)
+            process = subprocess.Popen(
+                # Isolated, as this process may be: the path says all about where modules are.
+                [sys.executable, "-I", "-c", code],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=inherited,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+            process.returncode = 0  # not for `Popen` to wait for, but for `stop`
+            self._add(process.pid, reports_in, calls_out)
+
+    def _add(self, process: int, reports: int, calls: int = -1) -> None:
+        """Count a new child process among the workers."""
+        try:
+            descriptor = os.pidfd_open(process)
+        except OSError:  # out of files; so new a child surely has its number
+            os.kill(process, signal.SIGKILL)
+            os.waitpid(process, 0)
+            raise
+        self._files.callback(os.close, descriptor)
+        self._processes.append(descriptor)
+        self._workers[reports] = calls
 
 
 def _serve(queue: int, reports: int, work: Work) -> None:
@@ -211,130 +270,73 @@ def forked(parts: int, others: int, size: int, job: Job) -> Iterator[Team]:
     be released in a copy.
     """
     team, others = Team(parts), min(others, parts - 1)
-    with ExitStack() as files:
+    try:
         if others > 0 and _POSSIBLE and threading.active_count() == 1:
             try:
-                memory, (reads, writes) = mmap(-1, size), _pipe(files, files)
-                os.set_blocking(writes, False)
-                _put(writes, *range(parts), *[_END] * (others + 1))
-                workers = [_fork(files, reads, job(memory)) for _ in range(others)]
-                team = Team(parts, workers, reads, memory)
+                team.share(size)
+                work = job(team.memory)
+                team.put(parts, others)  # first: a copy that is not known yet has to come to an end
+                for _ in range(others):
+                    team.fork(work)
             except OSError:  # out of processes, files or memory
-                files.close()
+                team.stop()
         yield team
+    finally:
+        team.stop()
 
 
-def _fork(files: ExitStack, queue: int, work: Work) -> _Worker:
-    """A copy of this process that does one job; closing its files ends it."""
-    with ExitStack() as theirs:
-        reads, writes = _pipe(files, theirs)
-        process = os.fork()
-        if not process:
-            try:
-                # Ctrl-C reaches all processes of a terminal: the first decides what it means.
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
-                os.close(reads)
-                _serve(queue, writes, work)
-            finally:  # whatever happens, it must not go on as if it were the first
-                os._exit(0)
-        worker = _Worker(process, files, reads)
-        files.callback(worker.kill)
-        return worker
-
-
-def _start(files: ExitStack, queue: int, memory: int) -> _Worker:
-    """A new interpreter that waits for jobs; `memory` is the file that it shares."""
-    import subprocess  # takes longer to import than a small picture to render
-
-    with ExitStack() as theirs:
-        calls_in, calls_out = _pipe(theirs, files)
-        reports_in, reports_out = _pipe(files, theirs)
-        path, inherited = [_FOLDER, *map(str, sys.path)], (calls_in, queue, reports_out, memory)
-        process = subprocess.Popen(
-            # Isolated, as this process may be: the path says all about where modules are.
-            [sys.executable, "-I", "-c", _CODE.format(path=path, files=inherited)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=inherited,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-        process.returncode = 0  # not for `Popen` to wait for, but for `kill`
-        return _Worker(process.pid, files, reports_in, calls_out)
-
-
-class _Helpers:
+class _Helpers(Team):
     """The workers of this process that stay for the next job; `in_use` while one has them."""
 
-    def __init__(self) -> None:
-        self.in_use = threading.Lock()
-        self._files = ExitStack()
-        self._reset()
-
-    def _reset(self) -> None:
-        self._files.close()
-        self._workers: list[_Worker] = []
-        self._memory, self._load = mmap(-1, 1), 0.0
-
-    def team(self, parts: int, others: int, size: int, job: Job, load: float) -> Team:
-        """See `helped`."""
-        self._load += load
-        if not self._workers and load < _LONG and self._load < _MANY:
-            return Team(parts)
-        packed = pickle.dumps(job)
-        for _ in _reports(self._workers, 0):
-            pass
-        if any(worker.lost for worker in self._workers):
-            self.stop()
-        # Who still has an earlier job would take numbers of this one for it.
-        if any(worker.busy for worker in self._workers):
-            return Team(parts)
-        try:
-            self._prepare(others, size + len(packed))
-            self._memory[size : size + len(packed)] = packed
-            workers = self._workers[:others]
-            _put(self._queue[1], *range(parts), *[_END] * (len(workers) + 1))
-            for worker in workers:
-                os.write(worker.calls, _MESSAGE.pack(size, len(packed)))
-                worker.busy, worker.begun = True, False
-        except BaseException:
-            self.stop()
-            raise
-        return Team(parts, workers, self._queue[0], self._memory)
-
-    def _prepare(self, others: int, size: int) -> None:
-        """See that there are so many helpers, and so much memory."""
-        if not self._workers:
-            _end_with_this_process()
-            self._queue = _pipe(self._files, self._files)
-            os.set_blocking(self._queue[1], False)
-            self._file = os.memfd_create("tracer")
-            self._files.callback(os.close, self._file)
-        if len(self._memory) < size:
-            os.ftruncate(self._file, size)
-            self._memory = mmap(self._file, size)
-        while len(self._workers) < others:
-            self._workers.append(_start(self._files, self._queue[0], self._file))
+    in_use, load = threading.Lock(), 0.0
 
     def stop(self) -> None:
-        """End them all; it must pay again to start others, which may be no better."""
-        for worker in self._workers:
-            worker.kill()
-        self._reset()
+        """End all; it must pay again to start others, which may be no better."""
+        super().stop()
+        self.load = 0.0
 
-    def forget(self) -> None:
-        """In a fork of the process that started them: leave them to that one."""
-        self._reset()
-        self.in_use = threading.Lock()
+    def called(self, parts: int, others: int, size: int, job: Job, load: float) -> bool:
+        """Give them a job, if that pays; see `helped`."""
+        self.load += load
+        if not self._workers and load < _LONG and self.load < _MANY:
+            return False
+        try:
+            packed = pickle.dumps(job)
+        except Exception:  # it holds what cannot be pickled
+            return False
+        for _ in self._reported(0):
+            pass
+        if self.lost:
+            self.stop()
+        # Who still has an earlier job would take numbers of this one for it.
+        if self._busy:
+            return False
+        if not self._workers:
+            _end_with_this_process()
+        self.share(size + len(packed))
+        self.memory[size : size + len(packed)] = packed
+        while len(self._workers) < others:
+            self.start()
+        self.put(parts, others)
+        for reports, calls in list(self._workers.items())[:others]:
+            os.write(calls, _MESSAGE.pack(size, len(packed)))
+            self._busy.add(reports)
+        return True
 
 
 _helpers = _Helpers()
+stop_helpers = _helpers.stop
 
 
 @cache
 def _end_with_this_process() -> None:
-    atexit.register(_helpers.stop)
-    os.register_at_fork(after_in_child=_helpers.forget)
+    def forget() -> None:
+        """In a fork, leave them to the process that started them."""
+        _helpers.forget()
+        _helpers.in_use = threading.Lock()
+
+    atexit.register(stop_helpers)
+    os.register_at_fork(after_in_child=forget)
 
 
 @contextmanager
@@ -350,16 +352,18 @@ def helped(parts: int, others: int, size: int, job: Job, load: float) -> Iterato
     if not (others > 0 and _POSSIBLE and python and in_use.acquire(blocking=False)):
         yield team
         return
-    done = False
+    whole = False
     try:
-        # Out of processes, files or memory; or a job cannot be pickled.
-        with suppress(Exception):
-            team = _helpers.team(parts, others, size, job, load)
+        try:
+            if _helpers.called(parts, others, size, job, load):
+                team = _helpers
+        except Exception:  # out of processes, files or memory
+            _helpers.stop()
         yield team
-        done = not any(worker.lost for worker in team.workers)
+        whole = not _helpers.lost
     finally:
         # Helpers may be at work on results that no one will read, or the queue hold numbers.
-        if not done:
+        if not whole:
             _helpers.stop()
         in_use.release()
 

@@ -96,8 +96,8 @@ def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
     return Compressed(data, lines.size, zlib.adler32(lines.data), not codes.any())
 
 
-def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> None:
-    """Write a PNG file of all its pixels, compressed, in order.
+def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> bool:
+    """Write a PNG file of all its pixels, compressed, in order; return whether all are black.
 
     Raises
     ------
@@ -110,15 +110,16 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
     _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
-    start, check, left = b"\x78\x5e", 1, height * (1 + 3 * width)
+    start, check, left, black = b"\x78\x5e", 1, height * (1 + 3 * width), True
     for tile in tiles:
         _write_chunk(file, b"IDAT", start + tile.data)
         start, check = b"", _adler_of_both(check, tile.check, tile.size)
-        left -= tile.size
+        left, black = left - tile.size, black and tile.black
     if left:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
     _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
     _write_chunk(file, b"IEND", b"")
+    return black
 
 
 def _adler_of_both(first: int, second: int, size: int) -> int:
@@ -130,8 +131,7 @@ def _adler_of_both(first: int, second: int, size: int) -> int:
 
 def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
     """Write a chunk of a PNG file (5.3)."""
-    file.write(struct.pack(">I", len(data)))
-    file.write(kind)
+    file.write(struct.pack(">I", len(data)) + kind)
     file.write(data)
     file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
 
@@ -161,12 +161,12 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _checked(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    least_code, next_threshold = _cells()
+    least_code, thresholds = _tables()
     for start in range(0, flat.size, _BLOCK):
         block = slice(start, start + _BLOCK)
         x = np.clip(flat[block], _LEAST, 1.0)
-        cell = _cell_of(x)
-        np.add(least_code.take(cell), x >= next_threshold.take(cell), out=flat_codes[block])
+        code = least_code.take((x.view(np.int64) >> _CELL_BITS) - _FIRST_CELL)
+        np.add(code, x >= thresholds.take(code), out=flat_codes[block])
     return codes
 
 
@@ -187,40 +187,26 @@ def _checked(image: ArrayLike) -> Floats:
 # of its float64s.
 _LEAST = 2.0**-20
 _CELL_BITS = 52 - 7
-
-
-def _cell_of(x: Floats) -> NDArray[np.int64]:
-    cell: NDArray[np.int64] = x.view(np.int64) >> _CELL_BITS
-    cell -= int(np.float64(_LEAST).view(np.int64)) >> _CELL_BITS
-    return cell
+_FIRST_CELL = struct.unpack("<q", struct.pack("<d", _LEAST))[0] >> _CELL_BITS
 
 
 @cache
-def _cells() -> tuple[NDArray[np.uint8], Floats]:
-    """For each cell the code of its least float64, and the threshold of the code after that."""
-    thresholds = np.array([_threshold(code) for code in range(1, 256)])
-    first = int(np.float64(_LEAST).view(np.int64))
-    cells = np.arange(_cell_of(np.ones(1))[0] + 1, dtype=np.int64)
-    least: Floats = ((cells << _CELL_BITS) + first).view(np.float64)
-    code = np.searchsorted(thresholds, least, side="right")
-    return code.astype(np.uint8), np.append(thresholds, np.inf)[code]
+def _tables() -> tuple[NDArray[np.uint8], Floats]:
+    """The code of each cell's least float64, and the least float64 of each code but 0."""
+    thresholds = np.array([_threshold(code) for code in range(1, 256)] + [np.inf])
+    cells = np.arange(_FIRST_CELL, (np.ones(1).view(np.int64)[0] >> _CELL_BITS) + 1, dtype=np.int64)
+    least: Floats = (cells << _CELL_BITS).view(np.float64)
+    return thresholds.searchsorted(least, side="right").astype(np.uint8), thresholds
 
 
 def _threshold(code: int) -> float:
-    """The least float64 whose code is `code` or more."""
-    root = (code - 0.5) / 255
-    x: float = root**2 * root**0.2  # closer than root**2.2: 0.2 has the smaller rounding error
-    while not _reaches(x, code):
-        x = math.nextafter(x, 1)
-    while _reaches(below := math.nextafter(x, 0), code):
-        x = below
-    return x
+    """The least float64 whose code is `code` or more: 255 x^(1/2.2) >= code - 1/2.
 
-
-def _reaches(x: float, code: int) -> bool:
-    """Whether 255 x^(1/2.2) >= code - 1/2, decided in whole numbers.
-
-    1/2.2 is 5/11, so both sides may be raised to the 11th power; from 2^-20
-    on, every float64 is a multiple of 2^-72.
+    1/2.2 is 5/11, so both sides may be raised to the 11th power; from 2^-20 on, every float64 is a
+    multiple of 2^-72.  So whole numbers decide.
     """
-    return int(x * 2.0**72) ** 5 * 510**11 >= (2 * code - 1) ** 11 << 5 * 72
+    root = (code - 0.5) / 255
+    near: float = root**2 * root**0.2  # closer than root**2.2: 0.2 has the smaller rounding error
+    reached = (2 * code - 1) ** 11 << 5 * 72
+    candidates = (near + ulps * math.ulp(near) for ulps in range(-4, 5))
+    return next(x for x in candidates if int(x * 2.0**72) ** 5 * 510**11 >= reached)

@@ -10,6 +10,9 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, expand, indices
 from tracer.view.camera import Raster
 
+# Bins of rows in which objects are counted.
+_BINS = 1 << 14
+
 
 class Spans(NamedTuple):
     """Intervals of rows of the picture that objects cover.
@@ -96,11 +99,12 @@ class Frames(NamedTuple):
         """Bound on how many objects lie behind a pixel, on average over the fullest row."""
         seen, (width, height) = self.take(self.in_picture(raster)), (raster.width, raster.height)
         wide = np.clip(seen.right + 1, 0, width) - np.clip(seen.left - 1, 0, width)
-        first, last = (
-            np.bincount(m.clip(0, height).astype(np.intp), wide, height + 1)
-            for m in (seen.top, seen.bottom + 1)
-        )
-        return float(np.cumsum(first - last)[:height].max() / width)
+        first, last = (m.clip(0, height).astype(np.int64) for m in (seen.top, seen.bottom + 1))
+        # Rows are counted in bins, mostly of one row each: a picture may be 2^28 rows high.
+        bins = min(height, _BINS)
+        first, last = first * bins // height, -(-last * bins // height)
+        begun, ended = (np.bincount(m, wide, bins + 1) for m in (first, last))
+        return float(np.cumsum(begun - ended)[:bins].max() / width)
 
     def pairs_in_pixel(self, raster: Raster) -> float:
         """Mean number of (ordered) pairs of silhouettes in a pixel, if these lay at random."""
