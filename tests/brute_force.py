@@ -32,7 +32,7 @@ def brute_force(scene: Scene) -> Floats:
     nearest, details = np.full(s.size, np.inf), np.zeros(s.size)
     owner = np.full(s.size, -1)
     for i, shape in enumerate(shapes):
-        t, detail = shape.hit(raster, 0, g, s, None)
+        t, detail = shape.hit(raster, 0, g, s, slice(None))
         first = t < nearest
         nearest[first], owner[first], details[first] = t[first], i, detail[first]
     at = np.flatnonzero(owner >= 0)
@@ -43,8 +43,8 @@ def brute_force(scene: Scene) -> Floats:
         shape, mine = shapes[i], np.flatnonzero(own == i)
         detail = details[at[mine]].astype(np.int8) if shape.flat else details[at[mine]]
         zeros = np.zeros(mine.size, dtype=np.intp)
-        surface = shape.surface(raster, zeros, None, seen[:, mine], t[mine], detail)
-        groups.append((i, mine, Group(shape, slice(0, mine.size), mine, zeros, None, *surface)))
+        surface = shape.surface(raster, zeros, zeros, seen[:, mine], t[mine], detail)
+        groups.append((i, mine, Group(shape, slice(0, mine.size), mine, zeros, zeros, *surface)))
     diffuse, specular = np.zeros((2, at.size, 3))
     p = raster.point_to_scene(_triple(seen))
     for light in scene.lights:

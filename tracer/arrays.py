@@ -75,15 +75,6 @@ def scaled(vector: Triple, factor: Floats) -> Triple:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
-def spread(value: T, counts: Ints | None) -> T:
-    """Repeat each element i of an array counts[i] times, or once; a single value stays as it is."""
-    if counts is not None and getattr(value, "ndim", False):
-        array: Any = value
-        repeated: T = array.repeat(counts)
-        return repeated
-    return value
-
-
 def indices(mask: NDArray[Any]) -> Ints:
     """Places at which a mask holds, or numbers are not zero; of any array as if it were flat."""
     # The same as np.flatnonzero, in a fifth of the time where there are few.

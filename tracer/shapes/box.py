@@ -23,7 +23,7 @@ from tracer.arrays import (
     entries,
     indices,
     pick,
-    spread,
+    select,
 )
 from tracer.scene.model import Surfaces
 from tracer.shapes.frames import Frames, Spans
@@ -130,7 +130,7 @@ class Boxes:
         return Spans.clipped(box + self.first, row, left, right, pad, raster.width)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
     ) -> tuple[Floats, NDArray[np.int8]]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
@@ -140,8 +140,8 @@ class Boxes:
         box, eye, (u, v, w) = owner - self.first, raster.eye.tolist(), raster.axes.tolist()
         near, far, faces = [], [], []
         for k in range(3):
-            d = s * u[k] + spread(g * v[k] + raster.depth * w[k], counts)
-            low, high = (spread(m[box, k] - eye[k], counts) for m in (self.min_pt, self.max_pt))
+            d = s * u[k] + select(g * v[k] + raster.depth * w[k], span)
+            low, high = (select(m[box, k] - eye[k], span) for m in (self.min_pt, self.max_pt))
             enter, leave = _slab(low, high, d, closed=True)
             near.append(enter)
             far.append(leave)
@@ -150,7 +150,7 @@ class Boxes:
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
         t, face = np.where(enter <= leave, enter, np.inf), _first_face(enter, near, faces)
-        inside = spread(self.eye_inside[box], counts)
+        inside = select(self.eye_inside[box], span)
         if inside.any():
             t = np.where(inside, leave, t)
             face = np.where(inside, _first_face(leave, far, faces), face)
@@ -161,7 +161,7 @@ class Boxes:
         self,
         raster: Raster,
         owner: Index,
-        counts: Ints | None,
+        span: Ints | slice,
         p: Floats,
         t: Floats,
         detail: Index,
@@ -171,12 +171,12 @@ class Boxes:
         one = isinstance(detail, int)
         face: Index = detail >> 1 if isinstance(detail, int) else detail.astype(np.intp) >> 1
         sign = np.where(detail & 1, 1.0, -1.0)
-        own = owner - self.first if one else spread(owner - self.first, counts)
+        own = owner - self.first if one else select(owner - self.first, span)
         low, high = entries(self.min_pt, own, face), entries(self.max_pt, own, face)
         level = np.where(self.eye_inside[own] == (sign > 0), low, high)
         height = sign * (raster.eye[face] - level)
         if one:
-            level, height = spread(level, counts), spread(height, counts)
+            level, height = select(level, span), select(height, span)
         x, y, z = (np.asarray(sign * axis[face]) for axis in raster.axes)
         return face, sign, level, (x, y, z), height
 
@@ -248,7 +248,7 @@ class Boxes:
         self, owner: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
         """See `Spheres.capsules`."""
-        # What counts as on a face may be so far off it.
+        # What span as on a face may be so far off it.
         thickness = thickness + 2 * SURFACE_TOLERANCE * self.size[owner - self.first]
         # Parts of the segment in a box grown by the thickness on all sides, and in one shrunk.
         enter, leave = np.array(-np.inf), np.array(np.inf)
@@ -291,7 +291,7 @@ def _slab(
 
 
 def _first_face(t: Floats, times: list[Floats], faces: list[NDArray[np.int8]]) -> NDArray[np.int8]:
-    """Faces met at `t`: through an edge or a corner, that of the first axis counts."""
+    """Faces met at `t`: through an edge or a corner, that of the first axis span."""
     return np.where(times[0] == t, faces[0], np.where(times[1] == t, faces[1], faces[2]))
 
 

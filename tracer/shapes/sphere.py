@@ -28,7 +28,7 @@ from tracer.arrays import (
     each,
     indices,
     pick,
-    spread,
+    select,
 )
 from tracer.scene.model import Surfaces
 from tracer.shapes.frames import Frames, Spans
@@ -202,7 +202,7 @@ class Spheres:
         return hypot2, u, ahead, (radius - aside) * (radius + aside)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
     ) -> tuple[Floats, Floats]:
         """Distance at which rays of pixel rows meet objects, or infinity.
 
@@ -220,8 +220,8 @@ class Spheres:
             Second component of the rays' directions (s, g, depth).
         s : (n,)
             First component, span by span.
-        counts : (spans,) or None
-            Rays in each span; one each if None.
+        span : (n,)
+            The span of each ray.
 
         Returns
         -------
@@ -234,12 +234,12 @@ class Spheres:
         """
         hypot2, u, ahead, chord2 = self._discs(raster, owner, g)
         hypot = np.sqrt(hypot2)
-        power = spread(self.power[owner], counts)
-        length2 = s * s + spread(hypot2, counts)
+        power = select(self.power[owner], span)
+        length2 = s * s + select(hypot2, span)
         # Of the centre (u, ahead) and the ray (s, hypot) the cross and the dot product.
-        cross = spread(u * hypot, counts) - spread(ahead, counts) * s
-        rise = np.sqrt(length2 * spread(chord2, counts) - cross * cross)
-        middle = spread(u, counts) * s + spread(ahead * hypot, counts)
+        cross = select(u * hypot, span) - select(ahead, span) * s
+        rise = np.sqrt(length2 * select(chord2, span) - cross * cross)
+        middle = select(u, span) * s + select(ahead * hypot, span)
         root = middle + rise
         if np.all(power > 0):
             t = power / root
@@ -254,7 +254,7 @@ class Spheres:
         self,
         raster: Raster,
         owner: Index,
-        counts: Ints | None,
+        span: Ints | slice,
         p: Floats,
         t: Floats,
         detail: Floats,
@@ -271,12 +271,12 @@ class Spheres:
         height
             n . (eye - p), the eye's height over the tangent plane.
         """
-        inverse = spread(1 / self.radius[owner], counts)
-        center = (spread(m[owner], counts) for m in self.local)
+        inverse = select(1 / self.radius[owner], span)
+        center = (select(m[owner], span) for m in self.local)
         x, y, z = ((q - c) * inverse for q, c in zip(p, center, strict=True))
         inside = self.eye_inside[owner]
         if inside.any():
-            flip = spread(np.where(inside, -1.0, 1.0), counts)
+            flip = select(np.where(inside, -1.0, 1.0), span)
             x, y, z = flip * x, flip * y, flip * z
         return NO_FACE, np.ones(()), np.zeros(()), (x, y, z), detail * inverse * t
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Index, Ints, Triple, dot, pick, spread
+from tracer.arrays import Floats, Index, Ints, Triple, dot, pick, select
 from tracer.view.view import Shape, View
 
 
@@ -25,8 +25,8 @@ class Group(NamedTuple):
         Which sample.
     owner : int, or (spans,)
         Which object they see (spheres first): one, or one for each span.
-    counts : (spans,), or None
-        How many samples each span has: those in one row that see one object; None: one each.
+    span : (n,), or a slice
+        The span that each is in: samples in one row that see one object.
     face, sign, level, n, height
         See `Spheres.surface`: all of them numbers or (n,).
     """
@@ -35,7 +35,7 @@ class Group(NamedTuple):
     part: slice
     sample: Ints
     owner: Index
-    counts: Ints | None
+    span: Ints | slice
     face: Index
     sign: Floats
     level: Floats
@@ -49,7 +49,7 @@ class Group(NamedTuple):
 
     def spread(self, values: Any) -> Any:
         """Values of spans, repeated for each of their samples; of one object, as they are."""
-        return spread(values, self.counts)
+        return select(values, self.span)
 
     def of(self, values: NDArray[Any]) -> Any:
         """Values of objects, spheres first, for each of the samples that see them."""

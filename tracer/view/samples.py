@@ -8,39 +8,13 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Index, Ints, changes, expand, ranges, select
+from tracer.arrays import Floats, Ints, changes, expand
 from tracer.shapes.frames import Spans
 from tracer.view.camera import Raster
 
-
-class Covered(NamedTuple):
-    """Spans of samples in which objects may be seen.
-
-    Attributes
-    ----------
-    owner : (spans,), or int
-        Which object, or the only one.
-    row : (spans,)
-        Index into the samples' `y`.
-    first : (spans,)
-        The first of a span of samples.
-    counts : (spans,), or None
-        How many there are; None if every span has one.
-    """
-
-    owner: Index
-    row: Ints
-    first: Ints
-    counts: Ints | None
-
-    def take(self, index: Ints) -> Covered:
-        """Some of the spans."""
-        counts = None if self.counts is None else self.counts[index]
-        return Covered(select(self.owner, index), self.row[index], self.first[index], counts)
-
-    def samples(self) -> Ints:
-        """All samples, span by span."""
-        return self.first if self.counts is None else ranges(self.first, self.counts)
+Covered: TypeAlias = tuple[Ints, Ints, Ints, Ints]
+"""Spans of samples in which objects may be seen: which object, the index of the span's y among
+those of the samples, the first sample, and how many there are."""
 
 
 class Rows(NamedTuple):
@@ -90,7 +64,7 @@ class Rows(NamedTuple):
         stop = np.floor(right - first).astype(np.intp) + 1
         start.clip(0, columns, out=start)
         stop.clip(0, columns, out=stop)
-        return Covered(owner, row, row * columns + start, np.maximum(stop - start, 0))
+        return owner, row, row * columns + start, np.maximum(stop - start, 0)
 
 
 class Scattered(NamedTuple):
@@ -146,7 +120,7 @@ class Scattered(NamedTuple):
         start = self.pixel.searchsorted(first)
         stop = self.pixel.searchsorted(last, side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
-        return Covered(owner[span], sample, sample, None)
+        return owner[span], sample, sample, np.ones_like(sample)
 
 
 Samples: TypeAlias = Rows | Scattered

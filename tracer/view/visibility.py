@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Index, Ints, changes, indices, select, spread
+from tracer.arrays import Bools, Floats, Index, Ints, changes, expand, indices, select
 from tracer.shapes.sphere import LEAST_SLOPE
 from tracer.view.hits import Group, Visible
-from tracer.view.samples import Covered, Samples, Scattered
+from tracer.view.samples import Samples, Scattered
 from tracer.view.view import Shape, View
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
@@ -51,8 +51,10 @@ class _Fragments(NamedTuple):
     shape : Spheres or Boxes
     owner : int, or (spans,)
         An object of that shape.
-    row, counts : (spans,)
+    row : (spans,)
         See `Covered`.
+    span : (n,), or a slice
+        Which span each lies in; of scattered samples, each in its own.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
         units of the direction's length, infinite for a miss.
@@ -63,7 +65,7 @@ class _Fragments(NamedTuple):
     shape: Shape
     owner: Index
     row: Ints
-    counts: Ints | None
+    span: Ints | slice
     sample: Ints
     s: Floats
     t: Floats
@@ -77,11 +79,10 @@ class _Fragments(NamedTuple):
         """Some of the pairs, in order."""
         if index.size == self.t.size:
             return self
-        if self.counts is None:
+        if isinstance(self.span, slice):
             spans = self._replace(owner=select(self.owner, index), row=self.row[index])
         else:
-            ends = index.searchsorted(self.counts.cumsum())
-            spans = self._replace(counts=np.diff(ends, prepend=0))
+            spans = self._replace(span=self.span[index])
         return spans._replace(
             sample=self.sample.take(index),
             s=self.s.take(index),
@@ -91,19 +92,27 @@ class _Fragments(NamedTuple):
 
     def slope(self, view: View) -> Any:
         """`View.slope`, for each of the samples that see the object."""
-        return spread(view.slope[self.owner], self.counts)
+        return select(view.slope[self.owner], self.span)
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     """Find all pairs of samples and objects that spans do not rule out."""
     raster, s, found = view.raster, samples.across(view.raster), []
     for shape in view.shapes:
-        covered = samples.covered(partial(shape.spans, raster, pad=_PAD))
-        for part in _grouped(covered, len(view.surfaces)):
-            owner, row, counts, sample = part.owner, part.row, part.counts, part.samples()
-            across = s.take(sample)
-            t, detail = shape.hit(raster, owner, raster.down(samples.y[row]), across, counts)
-            found.append(_Fragments(shape, owner, row, counts, sample, across, t, detail))
+        owners, rows, first, counts = samples.covered(partial(shape.spans, raster, pad=_PAD))
+        size = np.bincount(owners, counts, minlength=len(view.surfaces))
+        small = indices((size[owners] < _LARGE) & (counts > 0))
+        parts: list[tuple[Index, Ints]] = [(owners[small], small)] if small.size else []
+        parts += [(i, indices(owners == i)) for i in indices(size >= _LARGE).tolist()]
+        for owner, part in parts:
+            span: Ints | slice
+            if isinstance(samples, Scattered):
+                span, sample = slice(None), first[part]
+            else:
+                span, sample = expand(counts[part], first[part])
+            row, across = rows[part], s.take(sample)
+            t, detail = shape.hit(raster, owner, raster.down(samples.y[row]), across, span)
+            found.append(_Fragments(shape, owner, row, span, sample, across, t, detail))
     return found
 
 
@@ -169,7 +178,7 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     """Of fragments that share a sample, only those of the first object in the file."""
     sample = np.concatenate([group.sample for group in groups])
     place = view.surfaces.file_index
-    orders = (spread(place[group.owner], group.counts) for group in groups)
+    orders = (select(place[group.owner], group.span) for group in groups)
     order = np.concatenate(
         [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
     )
@@ -178,18 +187,6 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     first[ranked] = changes(sample[ranked])
     ends = np.cumsum([group.t.size for group in groups])[:-1]
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
-
-
-def _grouped(covered: Covered, objects: int) -> Iterator[Covered]:
-    """Split spans: those of each large object, with one `owner`, then those of all small ones."""
-    size = np.bincount(covered.owner, covered.counts, minlength=objects)
-    for owner in indices(size >= _LARGE).tolist():
-        yield covered.take(indices(covered.owner == owner))._replace(owner=owner)
-    rest = size[covered.owner] < _LARGE
-    if covered.counts is not None:
-        rest &= covered.counts > 0
-    if rest.any():
-        yield covered.take(indices(rest))
 
 
 def _by_face(group: _Fragments) -> Iterator[tuple[_Fragments, Any]]:
@@ -210,12 +207,12 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
     p, groups = np.empty((3, ends[-1])), []
     for (part, detail), start, end in zip(parts, ends, ends[1:], strict=False):
-        here, owner, counts = p[:, start:end], part.owner, part.counts
+        here, owner, span = p[:, start:end], part.owner, part.span
         np.multiply(part.t, part.s, out=here[0])
-        np.multiply(part.t, spread(g[part.row], counts), out=here[1])
+        np.multiply(part.t, select(g[part.row], span), out=here[1])
         np.multiply(part.t, raster.depth, out=here[2])
-        surface = part.shape.surface(raster, owner, counts, here, part.t, detail)
-        groups.append(Group(part.shape, slice(start, end), part.sample, owner, counts, *surface))
+        surface = part.shape.surface(raster, owner, span, here, part.t, detail)
+        groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
     first, owner, begin = _runs(view, samples, groups, p[2])
     x, y = samples.at(begin)
     return Visible(
@@ -245,28 +242,13 @@ def _runs(
         apart = np.diff(samples.x, prepend=0) > _GAP
         piece = np.cumsum(apart | changes(samples.row))
     for group in groups:
-        # Of faces, one number for the axis and the side.
-        faces = [4 * group.face + group.sign] if np.ndim(group.face) else []
-        if group.counts is None:
+        same: list[Any] = [4 * group.face + group.sign, group.span]
+        if isinstance(samples, Scattered):
             w = ahead[group.part]
             jump = np.cumsum(np.abs(np.diff(w, prepend=w[:1])) > gap * w)
-            first = _starts([0], piece[group.sample], jump, group.owner, *faces)
-            owner = select(group.owner, first)
-        else:
-            span = indices(group.counts)
-            first, owner = (group.counts.cumsum() - group.counts)[span], select(group.owner, span)
-            if faces:
-                every = _starts(first, *faces)
-                owner = select(owner, first.searchsorted(every, side="right") - 1)
-                first = every
+            same[1:] = piece[group.sample], jump, group.spread(group.owner)
+        first = indices(changes(*(m for m in same if np.ndim(m))))
         firsts.append(first + group.part.start)
-        owners.append(np.broadcast_to(owner, first.shape))
+        owners.append(np.broadcast_to(group.spread(group.owner), group.sample.shape)[first])
         begins.append(group.sample[first])
     return np.concatenate(firsts), np.concatenate(owners), np.concatenate(begins)
-
-
-def _starts(some: Ints | list[int], *numbers: Any) -> Ints:
-    """Places at which any of the numbers (n,) changes, and `some` more."""
-    starts = changes(*(m for m in numbers if np.ndim(m)))
-    starts[some] = True
-    return indices(starts)
