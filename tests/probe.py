@@ -1,4 +1,4 @@
-"""Scenes made of a few objects, moved and scaled; renders of one ray."""
+"""Scenes made of a few objects, moved and scaled; renders of one ray; vectors for both."""
 
 from __future__ import annotations
 
@@ -44,6 +44,18 @@ def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Su
     camera = Camera(view_point=eye, view_dir=direction, view_up=up)
     pixel: Floats = render(scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights))[0, 0]
     return pixel
+
+
+def a_direction(rng: np.random.Generator) -> Floats:
+    """A unit vector (3,)."""
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def vector(v: Floats) -> Vector:
+    """(3,), as scenes and their parts take it."""
+    x, y, z = v.tolist()
+    return x, y, z
 
 
 def colored(*positions: Vector) -> list[PointLight]:

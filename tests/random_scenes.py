@@ -10,8 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from probe import Surface, Vector
-from random_objects import a_direction, vector
+from probe import Surface, Vector, a_direction, vector
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, Surfaces
 

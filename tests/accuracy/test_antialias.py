@@ -6,7 +6,6 @@ in closed form have their share of a pixel.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +19,6 @@ from reference.workloads import crowd
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
-from tracer.arrays import Floats
-from tracer.picture import bands
 
 SCENES = own_scenes()
 
@@ -123,30 +120,6 @@ def test_one_sample_is_the_centre() -> None:
 def test_other_numbers_are_rounded_up_to_squares() -> None:
     scene = view(BALL)
     assert np.array_equal(render(scene, samples=5), render(scene, samples=9))
-
-
-def test_tiles_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Many spheres and boxes that shade each other, a few rows at a time and all at once.
-    scene = small(SCENES[0].parent / "many-objects.xml")
-    whole = render(scene, samples=16)
-    monkeypatch.setattr(bands, "_TILE_SAMPLES", 3 * scene.width // 4)
-    assert np.array_equal(render(scene, samples=16), whole)
-
-
-def test_a_hundred_identical_objects_cost_as_much_as_one() -> None:
-    wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
-    light = (3, 4, 9)
-
-    def timed(count: int) -> tuple[Floats, float]:
-        scene = view(wall, *[BALL] * count, light=light, pixels=96)
-        start = time.process_time()
-        return render(scene, samples=16, processes=1), time.process_time() - start
-
-    once, seconds = timed(1)
-    often, more = timed(100)
-    assert np.array_equal(once, often)
-    # Pair by pair they would take some forty times as long.
-    assert more < 10 * seconds
 
 
 @pytest.mark.parametrize(("radius", "samples"), [(0.02, 1024), (0.05, 256), (0.1, 256)])

@@ -13,8 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import EPS, Surface, Vector, colored, moved, radiance_along, scene_of
-from random_objects import vector
+from probe import EPS, Surface, Vector, colored, moved, radiance_along, scene_of, vector
 from random_scenes import KINDS, random_scene
 
 from tracer import (
@@ -85,12 +84,6 @@ def test_05_huge_ground_sphere() -> None:
     seen = radiance_along((0, 1, 0), (0.6, -0.8, 0), light, Sphere(center=(0, -R, 0), radius=R))
     # The point is rounded by EPS R, and the light 0.7 away.
     assert seen == pytest.approx(cosine, abs=2 * EPS * R / 0.7)
-
-
-@pytest.mark.parametrize("power", [-40, 40])
-def test_06_scaled_by_a_power_of_two(power: int) -> None:
-    scene = random_scene("touching", 3)
-    assert np.array_equal(render(moved(scene, 2.0**power)), render(scene))
 
 
 def test_07_shifted_by_two_to_the_twenty() -> None:

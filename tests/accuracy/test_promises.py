@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from judge import judge
-from probe import colored, moved, scene_of
-from random_objects import a_direction, vector
+from probe import a_direction, colored, moved, scene_of, vector
 from random_scenes import random_scene
 
 from tracer import Camera, Scene, Sphere
