@@ -88,10 +88,10 @@ def test_everything_given(scene_of):
     assert list(scene.surfaces) == [Sphere(center=(1, 2, 3), radius=0.5, shader=shader)]
 
 
-@pytest.mark.parametrize("tag", ["color", "intensity"])
-def test_a_light_has_a_color_or_an_intensity(scene_of, tag):
-    scene = scene_of(f"{EMPTY}<light><position>0 0 0</position><{tag}>1 2 3</{tag}></light>")
-    assert scene.lights[0].intensity == (1, 2, 3)
+def test_a_light_has_a_color_or_an_intensity(scene_of):
+    for tag in ("color", "intensity"):
+        scene = scene_of(f"{EMPTY}<light><position>0 0 0</position><{tag}>1 2 3</{tag}></light>")
+        assert scene.lights[0].intensity == (1, 2, 3)
 
 
 def test_shaders_are_named_nested_or_referred_to_before_they_are_defined(scene_of):
@@ -144,15 +144,11 @@ def test_numbers(scene_of, text, value):
     assert scene.camera.view_dir == value
 
 
-def test_a_scene_may_be_empty(scene_of):
-    scene = scene_of(EMPTY)
-    assert scene.lights == ()
-    assert len(scene.surfaces) == 0
-
-
-def test_largest_picture(scene_of):
+def test_the_least_scene_and_the_largest(scene_of):
     scene = scene_of("<camera/><image>16384 16384</image>")
     assert scene.width * scene.height == 2**28
+    assert scene.lights == ()
+    assert len(scene.surfaces) == 0
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-15", "koi8-r"])

@@ -1,8 +1,8 @@
 """Objects of a scene: frozen dataclasses, checked when they are made.
 
-Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75
-in size, and colours not negative; `SceneError` reports all that is wrong, not only the first.  The
-fields' metadata are the table of elements that files are read and written by: see `schema.of`.
+Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75 in size, and colours not
+negative; `SceneError` reports all that is wrong, not only the first.  The fields' metadata are the
+table of elements that files are read and written by: see `schema.of`.
 """
 
 from __future__ import annotations
