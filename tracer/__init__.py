@@ -8,6 +8,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from tracer.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from tracer.explanation import Explanation, explain
     from tracer.picture.bands import render
@@ -44,7 +46,6 @@ __all__ = [
     "write_png",
 ]
 
-__version__ = "2.0.0"
 
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.

@@ -16,7 +16,6 @@ from functools import partial
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tracer import __version__
 from tracer.commands import (
     FAILED,
     INTERRUPTED,
@@ -30,6 +29,7 @@ from tracer.commands import (
     printable,
     whole_number,
 )
+from tracer.version import __version__
 
 if TYPE_CHECKING:
     from tracer.picture.png import Compressed

@@ -1,4 +1,4 @@
-"""How names, texts and numbers stand in messages."""
+"""How names and texts stand in messages."""
 
 from __future__ import annotations
 
@@ -16,8 +16,3 @@ def short(text: str) -> str:
 def quoted(text: str) -> str:
     """The same in quotes, on one line that any terminal can show."""
     return repr(short(text))
-
-
-def number(value: float) -> str:
-    """A number as a person would write it: 3, 0.5, 1e+20."""
-    return f"{value}".removesuffix(".0")

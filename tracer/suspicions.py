@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.messages import number
 from tracer.scene.model import Scene
 from tracer.scene.objects import Phong, Shader, VectorLike
+from tracer.scene.schema import number
 from tracer.view.first_hits import first_hits
 
 __all__ = ["SceneWarning", "suspicions"]

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tracer.arrays import Floats, Ints
-from tracer.messages import number, printable
 
 _Made = TypeVar("_Made")
 
@@ -26,6 +25,11 @@ MAX_PIXELS = 1 << 28
 
 # Between these in size are lengths and coordinates other than 0: float64 holds fourth powers.
 _SMALLEST, _LARGEST = 1e-75, 1e75
+
+
+def number(value: float) -> str:
+    """A number as a person would write it: 3, 0.5, 1e+20."""
+    return f"{value}".removesuffix(".0")
 
 
 class Fault(NamedTuple):
@@ -38,7 +42,7 @@ class Fault(NamedTuple):
 
     def __str__(self) -> str:
         where = "" if self.surface is None else f"surface {self.surface}: "
-        return printable(f"{where}{self.field}: {self.message}")
+        return f"{where}{self.field}: {self.message}"
 
 
 class SceneError(ValueError):

@@ -12,9 +12,8 @@ from typing import IO, Any
 import numpy as np
 
 from tracer.commands import atomic_file
-from tracer.messages import number
 from tracer.scene.model import Scene
-from tracer.scene.schema import Numbers
+from tracer.scene.schema import Numbers, number
 
 # How scene files begin; Mitsuba's have a version.
 _SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
