@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from parts import PARTS, SIZE, dying_once, failing, refusing, signing
+from running import run
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.picture import bands, parallel
@@ -91,11 +92,9 @@ def test_workers_stay_for_the_next_job(others: int) -> None:
     assert sorted(children()) == sorted(first - {ME})
 
 
-def test_nobody_waits_for_a_worker_to_start() -> None:
+def test_nobody_waits_for_a_worker_to_start_but_it_may_join() -> None:
     assert set(signed(staying, parts=2)) == {ME}
-
-
-def test_a_worker_that_has_started_late_joins() -> None:
+    parallel.stop_helpers()
     assert len(set(signed(staying, parts=400))) == 2
 
 
@@ -113,7 +112,7 @@ def test_no_forks_beside_another_thread() -> None:
 
 def test_one_job_at_a_time_has_workers() -> None:
     with helped(8, 1, SIZE, signing, inf) as team:
-        assert len(team._workers) == 1
+        assert len(children()) == 1
         assert set(signed(staying, parts=8)) == {ME}
         assert len(list(team.finished(signing(mmap(-1, SIZE))))) == 8
 
@@ -200,24 +199,23 @@ def test_workers_for_whom_there_are_files(
     assert not children()
 
 
-def test_no_more_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def never() -> int:
-        raise BlockingIOError("no more processes")
+@pytest.mark.parametrize(
+    ("lacking", "start"), [("fork", forked), ("memfd_create", forked), ("memfd_create", staying)]
+)
+def test_nothing_to_share_or_no_more_processes(
+    lacking: str, start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object) -> int:
+        raise OSError("no more of these")
 
-    monkeypatch.setattr(os, "fork", never)
-    assert set(signed(forked)) == {ME}
+    monkeypatch.setattr(os, lacking, none)
+    assert set(signed(start)) == {ME}
 
 
-def test_no_memory_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(_: str) -> int:
-        raise OSError("too many open files")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "memfd_create", none)
-        assert set(signed(staying)) == {ME}
-    for start in (forked, staying):
-        with start(8, 1, 1 << 60, signing) as team:
-            assert not team._workers
+@both
+def test_too_much_memory_to_share(start: Start) -> None:
+    with start(8, 1, 1 << 60, signing) as team:
+        assert all(here for _, here in team.finished(lambda _: None))
 
 
 def test_a_program_with_many_open_files() -> None:
@@ -246,15 +244,13 @@ def test_a_worker_that_cannot_start(
     assert not children()
 
 
-def test_a_worker_has_the_same_tracer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "tracer.py").write_text("raise ImportError('another one')\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    assert len(signed_by_all()) == 2
-
-
-def test_a_worker_is_isolated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_has_the_same_tracer_and_is_isolated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As a program may be that was started by python -I."""
+    (tmp_path / "tracer.py").write_text("raise ImportError('another one')\n")
     (tmp_path / "sitecustomize.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert len(signed_by_all()) == 2
     assert not (tmp_path / "run").exists()
@@ -282,10 +278,10 @@ def test_workers_end_with_their_process(killed: bool) -> None:
         "print(*test_processes.signed_by_all() - {os.getpid()}, flush=True)\n"
         f"if {killed}: os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True)
-    assert not done.stderr
+    _, out, err = run(python=("-W", "error", "-c", code))
+    assert not err
     deadline = time.monotonic() + 10
-    while Path(f"/proc/{int(done.stdout)}").exists():
+    while Path(f"/proc/{int(out)}").exists():
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
@@ -301,7 +297,7 @@ def picture(width: int, height: int) -> Scene:
     )
 
 
-@pytest.mark.parametrize("size", [(300, 200), (400, 1), (1, 400)])
+@pytest.mark.parametrize("size", [(150, 100), (400, 1), (1, 400)])
 @pytest.mark.parametrize("samples", [1, 4])
 def test_pictures_are_the_same_whoever_renders_them(
     samples: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
@@ -363,6 +359,7 @@ def test_few_small_pictures_start_no_worker() -> None:
     assert not children()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(parallel.processors() < 2, reason="there is one processor")
 def test_large_or_many_pictures_do() -> None:
     render(picture(2000, 1500))
@@ -400,5 +397,4 @@ def test_no_worker_where_there_is_one_processor() -> None:
         except ChildProcessError:
             print("none")
     """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout == "none\n"
+    assert run(python=("-c", code)) == (0, "none\n", "")

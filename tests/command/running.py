@@ -1,0 +1,43 @@
+"""Commands as processes, as a user starts them, and the scenes that they get."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tracer
+
+SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
+<light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
+
+# The tracer under test, whatever folder a process starts in.
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(tracer.__file__).parents[1])}
+PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+
+
+def started(
+    *arguments: object, python: Sequence[str] = ("-m", "tracer"), **options: Any
+) -> subprocess.Popen[str]:
+    """A process of the tracer, or of other Python code."""
+    options = PIPES | options
+    options["env"] = ENVIRONMENT | options.get("env", {})
+    return subprocess.Popen([sys.executable, *python, *map(str, arguments)], **options)
+
+
+def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any, Any]:
+    """Exit status, output and errors of a process that has ended."""
+    if input is not None:
+        options["stdin"] = subprocess.PIPE
+    with started(*arguments, **options) as process:
+        out, err = process.communicate(input)
+    return process.returncode, out, err
+
+
+def names(folder: Path) -> list[str]:
+    """Files in a folder and below, but for the first scene in it."""
+    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(str(path) for path in paths if str(path) != "ball.xml")
