@@ -93,10 +93,7 @@ def test_a_file_of_another_kind_stays(there: Path, text: bytes) -> None:
     with pytest.raises(FileExistsError, match="a file of another kind is there"):
         write(there)
     assert contents(there.parent) == [text]
-
-
-def test_an_empty_file_is_replaced(there: Path) -> None:
-    there.write_bytes(b"")
+    there.write_bytes(b"")  # holds nobody's work
     write(there)
     assert contents(there.parent) == [BEGINS]
 

@@ -397,4 +397,4 @@ def test_no_worker_where_there_is_one_processor() -> None:
         except ChildProcessError:
             print("none")
     """
-    assert run(python=("-c", code)) == (0, "none\n", "")
+    assert run(python=("-W", "ignore", "-c", code)) == (0, "none\n", "")
