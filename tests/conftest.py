@@ -15,7 +15,6 @@ import pytest
 from hypothesis import settings
 
 from tracer.antialias import refine as antialias
-from tracer.shadow import occluders
 
 # So that its assertions show their values when they fail, as those in test files do.
 pytest.register_assert_rewrite("uniform_grid")
@@ -61,12 +60,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     """No picture is so full of outlines that it is made of lattices."""
     monkeypatch.setattr(antialias, "_DENSE", math.inf)
-
-
-@pytest.fixture(params=[10**9, 0], ids=["tiles", "short packets"])
-def either_packets(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shadows are sought for large packets, as among few objects, or for small ones."""
-    monkeypatch.setattr(occluders, "_FEW", request.param)
 
 
 @pytest.fixture

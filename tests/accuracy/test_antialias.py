@@ -21,6 +21,7 @@ from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
 
 SCENES = own_scenes()
+SLOW = {"two-boxes", "sunflower", "sticks-axonometric", "sticks-orthographic", "sticks-perspective"}
 
 
 def small(path: Path) -> Scene:
@@ -30,11 +31,15 @@ def small(path: Path) -> Scene:
     return replace(scene, width=width, height=round(width * scene.height / scene.width))
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(m, marks=[pytest.mark.slow] * (m.stem in SLOW), id=m.stem) for m in SCENES],
+)
 def test_no_worse_than_the_uniform_grid(path: Path) -> None:
     no_worse_than_the_uniform_grid(small(path))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_splitting_pixels_is_no_worse_than_the_uniform_grid(path: Path) -> None:
@@ -42,6 +47,7 @@ def test_splitting_pixels_is_no_worse_than_the_uniform_grid(path: Path) -> None:
     no_worse_than_the_uniform_grid(small(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["many-objects", "room", "two-boxes"])
 def test_other_squares_than_powers_of_four(name: str) -> None:
     scene = small(SCENES[0].parent / f"{name}.xml")

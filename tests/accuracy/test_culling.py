@@ -68,17 +68,8 @@ def scattered(scene: Scene) -> Floats:
     ("width", "height"), [(23, 31), pytest.param(160, 120, marks=pytest.mark.slow)]
 )
 def test_random_scenes(kind: str, width: int, height: int) -> None:
-    for seed in range(2 if kind == "crowd" else 12):
+    for seed in range(1 if kind == "crowd" else 8):
         assert_same(random_scene(kind, seed, width, height))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_grids_of_a_part_of_the_field(kind: str) -> None:
-    for seed in range(4):
-        scene = random_scene(kind, seed, 60, 44)
-        with patch("tracer.shadow.grid._BEYOND", 3):
-            assert_same(scene)
 
 
 @pytest.mark.parametrize(
@@ -145,33 +136,6 @@ def test_zoomed_in_on_an_edge(kind: str) -> None:
                 view_height=scene.camera.view_height / 16,
             )
             scene = replace(scene, camera=camera)
-
-
-@np.errstate(all="ignore")
-@pytest.mark.parametrize("kind", KINDS)
-def test_nothing_is_seen_outside_the_window(kind: str) -> None:
-    for seed in range(2 if kind == "crowd" else 12):
-        scene = random_scene(kind, seed, 40, 30)
-        raster = raster_of(scene.camera, scene.width, scene.height)
-        frames = view_of(raster, scene.surfaces).frames
-        image = brute_force(scene)
-        image[frames.window(raster)] = 0
-        assert not image.any()
-
-
-@np.errstate(all="ignore")
-@pytest.mark.parametrize("surface", [BALL, CUBE])
-def test_the_window_is_tight(surface: Sphere | Box) -> None:
-    # All that is seen is lit.
-    alone = scene(surface, light=CAMERA.view_point)
-    raster = raster_of(alone.camera, alone.width, alone.height)
-    frames = view_of(raster, alone.surfaces).frames
-    seen = render(alone).any(axis=2)
-    for window, axis in zip(frames.window(raster), (1, 0), strict=True):
-        first, *_, last = np.flatnonzero(seen.any(axis=axis)).tolist()
-        assert first - 3 <= window.start <= first
-        assert last < window.stop <= last + 4
-    assert 0 <= frames.layers(raster) * alone.width - seen.sum(axis=1).max() < 6
 
 
 def test_a_row_of_rays_along_an_edge() -> None:

@@ -57,25 +57,6 @@ def test_shadow_epsilons_fail_where_the_chart_says(shadows: str, scale: float) -
     assert stability.wrong_share(render(scene), exact) == 0
 
 
-def test_shadow_rays_start_where_their_names_say() -> None:
-    p, n = np.array([3.0, 0.0, -0.01]), np.array([0.6, 0.0, 0.8])
-    offsets = {
-        name: ((start(p, n)[0] - p).tolist(), start(p, n)[1])
-        for name, start in plain.SHADOWS.items()
-        if start is not None
-    }
-    ulp = 2.0**-51  # of 3
-    # Near a plane of coordinates, offsets of ulps have a fixed length.
-    by_ulps = pytest.approx([0.6 * 256 * ulp, 0, 0.8 / 65536], rel=0.01, abs=0)
-    assert offsets == {
-        "t>0": ([0, 0, 0], 0),
-        "t>1e-4": ([0, 0, 0], 1e-4),
-        "t>1e-6": ([0, 0, 0], 1e-6),
-        "normal": (pytest.approx([6e-5, 0, 8e-5]), 0),
-        "ulps": (by_ulps, 0),
-    }
-
-
 @pytest.mark.parametrize("panel", stability.PANELS, ids=lambda panel: panel.title)
 def test_the_tracer_holds_at_the_hard_end_of_every_axis(panel: stability.Panel) -> None:
     found = stability.measure(panel, {"this tracer": render}, panel.at[-1:])["this tracer"]

@@ -138,7 +138,7 @@ def test_no_one_reads_the_output(small: Path, unread: int, what: list[str]) -> N
     "kind",
     [
         signal.SIGINT,
-        signal.SIGTERM,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
         pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
         pytest.param(signal.SIGQUIT, marks=pytest.mark.slow),
     ],
@@ -181,16 +181,6 @@ def test_what_is_of_another_kind_stays(
     assert other.is_fifo() or other.read_text() == "<scene>"
     assert names(small.parent) == {"other", "small.xml"}
     use()
-
-
-@pytest.mark.parametrize(("named", "bad"), [("x.png", "x.exr"), ("x.exr", "x.png")])
-def test_the_file_that_cannot_be_written_is_the_one_told(
-    small: Path, capsys: pytest.CaptureFixture[str], named: str, bad: str
-) -> None:
-    folder = small.with_name(bad)
-    folder.mkdir()
-    assert main(["--render", str(small), "-o", str(small.with_name(named))]) == 1
-    assert capsys.readouterr().err == f"{folder}: cannot be written: not a regular file\n"
 
 
 @pytest.mark.parametrize(
