@@ -26,7 +26,7 @@ import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.variant import LLVM, SCALAR, mi, use
 from reference import plain
 from reference.charts import HALO, LOOKS, End, headline, label_ends, label_losses, plt, save
-from reference.command import need_table, parser, result, run
+from reference.command import need_scenes, need_table, parser, result, run
 from reference.tables import measured_on, read_csv, write_csv
 from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
 
@@ -325,6 +325,7 @@ def main() -> None:
     """Measure, and write the chart."""
     used = parser("reference.stability", __doc__, quick="every third point only", redraw=True)
     options = used.parse_args()
+    need_scenes(used)
     chart = result("stability.csv", quick=options.quick)
     if options.redraw:
         need_table(used, chart)
