@@ -82,12 +82,6 @@ def indices(mask: NDArray[Any]) -> Ints:
     return found
 
 
-def index_where(mask: Bools) -> Ints | slice:
-    """Index of the elements where the mask holds; if everywhere, a slice, which copies nothing."""
-    index = indices(mask)
-    return slice(None) if index.size == mask.size else index
-
-
 def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
     """For each i, counts[i] pairs of i and a place: start[i], start[i] + 1, ..."""
     return np.arange(counts.size).repeat(counts), ranges(start, counts)

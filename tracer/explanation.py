@@ -12,7 +12,7 @@ import numpy as np
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
 from tracer.arrays import Triple as Vectors
-from tracer.light.lighting import Highlights, Lighting, incoming_at, lighting_of, radiance_at
+from tracer.light.lighting import Lighting, incoming_at, lighting_of, radiance_at
 from tracer.picture.png import to_codes
 from tracer.scene.model import Scene
 from tracer.scene.objects import unit
@@ -203,7 +203,6 @@ def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterat
     """Each light's part at the one point that is hit."""
     owner, materials = int(hits.own[0]), lighting.materials
     shader = lighting.shader[owner]
-    highlights = Highlights.of(lighting, hits, hits.groups[0])
     incoming = incoming_at(lighting, hits)
     for number, light in enumerate(scene.lights):
         towards = unit(np.subtract(light.position, hit.point[0]))
@@ -214,8 +213,8 @@ def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterat
         if not occluders:
             cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
             diffuse = lighting.intensities[number] * materials.diffuse[:, shader] * cosine
-            if highlights.present:
-                power = highlights.of_light(number, incoming, slice(None))
+            if materials.glossy[shader]:
+                power = incoming.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
                 specular = lighting.intensities[number] * materials.specular[:, shader] * power
         yield LightPart(
             line=light.line,

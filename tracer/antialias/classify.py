@@ -17,10 +17,9 @@ from tracer.antialias.lines import Lines
 from tracer.antialias.margins import Sheets, fitted
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.light.lighting import (
-    Highlights,
     Lighting,
+    ids_of,
     incoming_at,
-    key_of,
     narrow_highlights,
     radiance_at,
     shade,
@@ -80,7 +79,7 @@ class Classification(NamedTuple):
     radiance : (3, n)
         Of the sample in each cell's middle.
     id : (n,)
-        Of object, face and lights there, see `key_of`; -1 where nothing is seen.
+        Of object, face and lights there, see `ids_of`; -1 where nothing is seen.
     lines : Lines
         What divides the cells.
     unresolved : (n,)
@@ -98,7 +97,7 @@ def radiance_in(lighting: Lighting, x: Floats, y: Floats) -> tuple[Floats, Ints]
     radiance, ids, found = np.empty((3, x.size)), *np.full((2, x.size), -1)
     if x.size:
         samples, order = Scattered.of(x, y)
-        radiance[:, order] = radiance_at(lighting, samples, key=found)
+        radiance[:, order] = radiance_at(lighting, samples, ids=found)
         ids[order] = found
     return radiance, ids
 
@@ -116,24 +115,20 @@ def classify(
     radiance, ids = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
     hits, behind = visible_and_behind(lighting.view, samples, cells.size)
-    incoming = incoming_at(lighting, hits)
+    incoming, place = incoming_at(lighting, hits), cell[hits.sample]
     facing = incoming.n_dot_l > 0
     footprint = footprints_of(hits, cells.size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
     wide = np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0)
-    unresolved[cell[hits.sample[wide]]] = True
+    unresolved[place[wide]] = True
     blocked, found = shadow_edges(lighting.occluders, hits, facing, np.where(wide, 0, footprint))
     lit = facing & ~blocked
-    for group in hits.groups:
-        inside, part = cell[group.sample], group.part
-        here, reached = incoming.part(part), lit[:, part]
-        highlights = Highlights.of(lighting, hits, group)
-        for channel, values in zip(radiance, shade(highlights, here, reached), strict=True):
-            channel[inside] = values
-        ids[inside] = key_of(group, reached)
-        for places in narrow_highlights(highlights, here, facing[:, part], footprint[part]):
-            unresolved[inside[places]] = True
-    seen = Seen(lighting, hits, Sheets.of(hits), cell[hits.sample], footprint, cells.size)
+    for channel, values in zip(radiance, shade(incoming, lit), strict=True):
+        channel[place] = values
+    ids[place] = ids_of(hits, lit)
+    for narrow in narrow_highlights(incoming, facing, footprint):
+        unresolved[place[narrow]] = True
+    seen = Seen(lighting, hits, Sheets.of(hits), place, footprint, cells.size)
     x, y = cells.x[cells.cell], cells.y[cells.cell]
     margins = chain(
         silhouettes(lighting.view, cells.cell, cells.owner, x, y, cells.size),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from tracer.arrays import (
     Ints,
     Triple,
     dot,
-    each,
-    index_where,
     indices,
     pick,
     scaled,
@@ -64,10 +62,12 @@ class Lighting(NamedTuple):
 
 
 class Incoming(NamedTuple):
-    """Light as it comes in at points, whatever lies between.
+    """Light as it comes in at hits, whatever lies between.
 
     Attributes
     ----------
+    lighting : Lighting
+    hits : Visible
     n_dot_l : (lights, n)
         n . l, with the unit normal n and the vector l to the light, not of unit length; minus
         infinity where the object is seen from inside and the light is not inside it.
@@ -75,66 +75,36 @@ class Incoming(NamedTuple):
         l . l
     """
 
+    lighting: Lighting
+    hits: Visible
     n_dot_l: Floats
     length2: Floats
 
-    def part(self, place: slice) -> Incoming:
-        """The light at some of the points."""
-        return Incoming(*(m[:, place] for m in self))
+    def glossy(self, group: Group) -> Any:
+        """Whether there is a highlight at all on the points of a group: (n,), or one for all."""
+        return group.of(self.lighting.materials.glossy[self.lighting.shader])
 
+    def exponent(self, group: Group) -> Any:
+        """Exponents of highlights on a group: (n,), or one for all."""
+        return group.of(self.lighting.materials.exponent[self.lighting.shader])
 
-class Highlights(NamedTuple):
-    """Highlights on a group.
-
-    Attributes
-    ----------
-    lighting : Lighting
-    p : (3, n)
-        See `Visible`.
-    group : Group
-    present : bool
-        Whether there are any.
-    glossy, exponent
-        Numbers, or (n,).
-    distance, n_dot_v : (n,)
-        See `Visible.distance_and_cosine`; empty without highlights.
-    """
-
-    lighting: Lighting
-    p: Floats
-    group: Group
-    present: bool
-    glossy: Bools
-    exponent: Floats
-    distance: Floats
-    n_dot_v: Floats
-
-    @classmethod
-    def of(cls, lighting: Lighting, hits: Visible, group: Group) -> Highlights:
-        """Gather what is needed."""
-        p, shader = hits.p[:, group.part], lighting.shader[group.owner]
-        glossy, exponent = lighting.materials.glossy[shader], lighting.materials.exponent[shader]
-        present, none = bool(glossy.any()), np.zeros(0)
-        of_eye = hits.distance_and_cosine(group) if present else (none, none)
-        spread = group.spread
-        return cls(lighting, p, group, present, spread(glossy), spread(exponent), *of_eye)
-
-    def of_light(self, number: int, incoming: Incoming, at: Ints | slice) -> Floats:
-        """(n.h)^exponent of a light at some points; `incoming`: at all of the group."""
-        p, light = pick(self.p, at), self.lighting.local[number].tolist()
+    def highlight(self, number: int, group: Group, at: Ints) -> Floats:
+        """(n.h)^exponent of a light at some points of a group."""
+        p, light = pick(self.hits.p[:, group.part], at), self.lighting.local[number].tolist()
         to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
-        length, distance = np.sqrt(incoming.length2[number][at]), self.distance[at]
+        length = np.sqrt(self.length2[number, group.part][at])
+        distance = np.sqrt(dot(p, p))
 
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
-            n = pick(pick(self.group.n, at), some)
             wi = scaled(pick(to_light, some), 1 / length[some])
-            return n, wi, scaled(pick(p, some), -1 / distance[some])
+            wo = scaled(pick(p, some), -1 / distance[some])
+            return pick(pick(group.n, at), some), wi, wo
 
         return highlight(
-            incoming.n_dot_l[number][at] / length,
-            self.n_dot_v[at],
+            self.n_dot_l[number, group.part][at] / length,
+            select(group.height, at) / distance,
             dot(to_light, p) / (-distance * length),
-            select(self.exponent, at),
+            select(self.exponent(group), at),
             vectors,
         )
 
@@ -157,44 +127,44 @@ def radiance_at(
     lighting: Lighting,
     samples: Samples,
     out: Floats | None = None,
-    key: Ints | None = None,
+    ids: Ints | None = None,
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given.
 
-    If `key` (n,) is given, what `key_of` says is put there; what sees nothing is left as it is.
+    If `ids` (n,) is given, `ids_of` is put there; what sees nothing is left as it is.
     """
     radiance = np.zeros((3, samples.size)) if out is None else out
     hits = visible(lighting.view, samples)
     incoming = incoming_at(lighting, hits)
     lit = incoming.n_dot_l > 0
     lit &= ~occlusion(lighting.occluders, hits, lit)
-    for group in hits.groups:
-        part = group.part
-        shaded = shade(Highlights.of(lighting, hits, group), incoming.part(part), lit[:, part])
-        for channel, values in zip(radiance, shaded, strict=True):
-            channel[group.sample] = values
-        if key is not None:
-            key[group.sample] = key_of(group, lit[:, part])
+    sample = hits.sample
+    for channel, values in zip(radiance, shade(incoming, lit), strict=True):
+        channel[sample] = values
+    if ids is not None:
+        ids[sample] = ids_of(hits, lit)
     return radiance
 
 
-def key_of(group: Group, lit: Bools) -> Ints:
+def ids_of(hits: Visible, lit: Bools) -> Ints:
     """A number (n,) for the object, its face, and the lights that reach it: `lit` (lights, n)."""
-    key: Ints = group.spread(group.owner * 4) + group.face
+    ids = np.empty(hits.p.shape[1], dtype=np.intp)
+    for group in hits.groups:
+        ids[group.part] = group.spread(group.owner * 4) + group.face
     for bit in lit:
         # An odd factor: with more lights than bits, the first are not shifted out.
-        key = key * 3 + bit
-    return key
+        ids = ids * 3 + bit
+    return ids
 
 
 def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
     """The light that comes in at all hits."""
     occluders = lighting.occluders
-    result = Incoming(*np.empty((2, len(lighting.local), hits.p.shape[1])))
+    result = Incoming(lighting, hits, *np.empty((2, len(lighting.local), hits.p.shape[1])))
     for number, light in enumerate(lighting.local.tolist()):
         kept_out = lighting.view.eye_inside & (occluders.side[number] != INSIDE)
         for group in hits.groups:
-            n_dot_l, length2 = (m[number, group.part] for m in result)
+            n_dot_l, length2 = (m[number, group.part] for m in (result.n_dot_l, result.length2))
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
             group.height_of(lighting.positions[number], to_light, n_dot_l)
@@ -206,58 +176,35 @@ def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
     return result
 
 
-def shade(highlights: Highlights, incoming: Incoming, lit: Bools) -> Triple:
-    """Radiance, three (n,), of a group towards the eye.
-
-    `highlights`: of the group.  `incoming`, `lit` (lights, n): what comes in there, and whether it
-    reaches the points.
-    """
-    lighting, group = highlights.lighting, highlights.group
-    # Sums over the lights, without the shaders' colours: intensity times n.l, and times highlight.
-    diffuse: list[Floats] = []
-    specular: list[Floats] = []
-    for number, reached in enumerate(lit):
-        if not reached.any():
-            continue
-        intensity = lighting.intensities[number].tolist()
-        cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
-        _add(diffuse, intensity, cosine if reached.all() else np.where(reached, cosine, 0.0))
-        if highlights.present:
-            at = index_where(reached & highlights.glossy)
-            power = highlights.of_light(number, incoming, at)
-            if not isinstance(at, slice):
-                everywhere = np.zeros(cosine.size)
-                everywhere[at] = power
-                power = everywhere
-            _add(specular, intensity, power)
-    materials, shader = lighting.materials, lighting.shader[group.owner]
-    radiance = _reflected(diffuse, materials.diffuse[:, shader], group)
-    if specular:
-        glossy = _reflected(specular, materials.specular[:, shader], group)
-        radiance = each(np.add, radiance, glossy)
+def shade(incoming: Incoming, lit: Bools) -> Floats:
+    """Radiance (3, n) of hits towards the eye; `lit` (lights, n): whether lights reach them."""
+    lighting, materials = incoming.lighting, incoming.lighting.materials
+    radiance, specular = np.zeros((2, 3, lit.shape[1]))
+    for group in incoming.hits.groups:
+        glossy, shader = incoming.glossy(group), lighting.shader[group.owner]
+        diffuse, shine = radiance[:, group.part], specular[:, group.part]
+        for number, reached in enumerate(lit[:, group.part]):
+            if not reached.any():
+                continue
+            n_dot_l, length2 = (m[number, group.part] for m in (incoming.n_dot_l, incoming.length2))
+            cosine = np.where(reached, n_dot_l / np.sqrt(length2), 0)
+            for channel, strength in zip(diffuse, lighting.intensities[number], strict=True):
+                channel += strength * cosine
+            at = indices(reached & glossy)
+            if at.size:
+                power = incoming.highlight(number, group, at)
+                for channel, strength in zip(shine, lighting.intensities[number], strict=True):
+                    channel[at] += strength * power
+        # Without the shaders' colours so far.
+        for k in range(3):
+            diffuse[k] *= group.spread(materials.diffuse[k, shader])
+            if np.any(glossy):
+                diffuse[k] += shine[k] * group.spread(materials.specular[k, shader])
     return radiance
 
 
-def _add(total: list[Floats], intensity: list[float], weight: Floats) -> None:
-    """Add one more light, with a weight (n,) for each point, to three channels."""
-    if not total:
-        total.extend(strength * weight for strength in intensity)
-        return
-    for channel, strength in zip(total, intensity, strict=True):
-        channel += strength * weight
-
-
-def _reflected(total: list[Floats], colors: Floats, group: Group) -> Triple:
-    """The light, if there is any, times the surfaces' colours, (3,) or (3, spans)."""
-    total = total or [np.zeros(group.sample.size)] * 3
-    r, g, b = (light * group.spread(color) for light, color in zip(total, colors, strict=True))
-    return r, g, b
-
-
-def narrow_highlights(
-    highlights: Highlights, incoming: Incoming, facing: Bools, footprint: Floats
-) -> Iterator[Ints]:
-    """Points whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
+def narrow_highlights(incoming: Incoming, facing: Bools, footprint: Floats) -> Iterator[Ints]:
+    """Hits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
     All lights that they face count: one that does not reach a point may reach
     other parts of its footprint.
@@ -266,14 +213,18 @@ def narrow_highlights(
     the angle a between normal and half vector.  That changes as the surface
     curves, and as the directions to light and eye turn.
     """
-    if not highlights.present:
-        return
-    group = highlights.group
-    bending = 1 / highlights.distance + group.of(highlights.lighting.view.curvature)
-    scale = np.where(highlights.glossy, np.sqrt(highlights.exponent / 2), 0)
-    for number, faces in enumerate(facing):
-        change = footprint * (bending + 1 / np.sqrt(incoming.length2[number])) * scale
-        at = indices((change > _SMOOTH) & faces)
-        if at.size:
-            power = highlights.of_light(number, incoming, at)
-            yield at[np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT]
+    for group in incoming.hits.groups:
+        glossy, part = incoming.glossy(group), group.part
+        if not np.any(glossy):
+            continue
+        distance, _ = incoming.hits.distance_and_cosine(group)
+        bending = 1 / distance + group.of(incoming.lighting.view.curvature)
+        scale = np.where(glossy, np.sqrt(incoming.exponent(group) / 2), 0)
+        for number, faces in enumerate(facing[:, part]):
+            turn = bending + 1 / np.sqrt(incoming.length2[number, part])
+            change = footprint[part] * turn * scale
+            at = indices((change > _SMOOTH) & faces)
+            if at.size:
+                power = incoming.highlight(number, group, at)
+                shows = np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
+                yield part.start + at[shows]
