@@ -40,7 +40,7 @@ def each(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     return x, y, z
 
 
-def dot(a: Triple, b: Triple, out: Floats | None = None) -> Floats:
+def dot(a: Triple, b: Triple | Vector, out: Floats | None = None) -> Floats:
     """Dot product, element by element."""
     total: Floats = np.multiply(a[0], b[0], out=out)
     # In place: memory that is in cache already.

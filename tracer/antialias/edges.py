@@ -146,7 +146,7 @@ class Seen(NamedTuple):
             low, high = (m[box - surfaces.sphere_count] for m in (surfaces.min_pt, surfaces.max_pt))
             position = lighting.positions[number]
             normals, _ = silhouette_planes(box_corners(low, high, position), position, low, high)
-            u, v, w = (dot((x, y, z), normals) for x, y, z in self.hits.view.raster.axes)
+            u, v, w = self.hits.view.raster.vector_to_camera(normals)
             return u[:, place], v[:, place], w[:, place]
 
         yield from _silhouettes(lighting.view, self.cell[point], occluder, q, apex, planes)

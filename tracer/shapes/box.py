@@ -35,7 +35,7 @@ from tracer.shapes.rounding import (
     SURFACE_TOLERANCE,
     tolerance_at,
 )
-from tracer.shapes.silhouette import silhouette_planes
+from tracer.shapes.silhouette import box_corners, silhouette_planes
 from tracer.shapes.sphere import LEAST_SLOPE
 from tracer.view.camera import Raster
 
@@ -74,7 +74,7 @@ class Boxes:
     def of(cls, raster: Raster, surfaces: Surfaces) -> Boxes:
         """Prepare the boxes of a scene to be seen."""
         low, high, eye = surfaces.min_pt, surfaces.max_pt, raster.eye
-        corners = _local_corners(raster, low, high)
+        corners = raster.vector_to_camera(box_corners(low, high, eye))
         inside: Bools = np.all((low <= eye) & (eye <= high), axis=1)
         frames = _frames(raster, corners)
         planes, slack = _planes_in_view(raster, frames, corners, low, high, inside)
@@ -164,19 +164,15 @@ class Boxes:
         span: Ints | slice,
         p: Floats,
         t: Floats,
-        detail: Index,
+        detail: NDArray[np.int8],
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
-        """See `Spheres.surface`; `detail` may be a number, if the face is the same for all."""
-        # The same face for all boxes, or one for each sample.
-        one = isinstance(detail, int)
-        face: Index = detail >> 1 if isinstance(detail, int) else detail.astype(np.intp) >> 1
+        """See `Spheres.surface`."""
+        face = detail.astype(np.intp) >> 1
         sign = np.where(detail & 1, 1.0, -1.0)
-        own = owner - self.first if one else select(owner - self.first, span)
+        own = select(owner - self.first, span)
         low, high = entries(self.min_pt, own, face), entries(self.max_pt, own, face)
         level = np.where(self.eye_inside[own] == (sign > 0), low, high)
         height = sign * (raster.eye[face] - level)
-        if one:
-            level, height = select(level, span), select(height, span)
         x, y, z = (np.asarray(sign * axis[face]) for axis in raster.axes)
         return face, sign, level, (x, y, z), height
 
@@ -326,21 +322,8 @@ def _slopes(low: Floats, high: Floats, inside: Bools) -> Floats:
     return np.asarray(np.clip(farthest / least, LEAST_SLOPE, _MOST_SLOPE))
 
 
-def _local_corners(raster: Raster, min_pt: Floats, max_pt: Floats) -> Triple:
-    """Corners (8, n) as in `box_corners`, seen from the eye in the camera's axes."""
-    ends = (np.array([min_pt, max_pt]) - raster.eye).transpose(2, 0, 1)
-
-    def component(axis: list[float]) -> Floats:
-        # The four corners in each of the two planes across an axis share one product.
-        x, y, z = (end * a for end, a in zip(ends, axis, strict=True))
-        return np.asarray(x + y[:, None] + z[:, None, None]).reshape(8, -1)
-
-    u, v, w = map(component, raster.axes.tolist())
-    return u, v, w
-
-
 def _frames(raster: Raster, corners: Triple) -> Frames:
-    """Bounds of boxes, given their `_local_corners`."""
+    """Bounds of boxes, given their corners (8, n) in the camera's axes."""
     x, y, z = corners
     behind, ahead, ends = z.min(axis=0) <= 0, z.max(axis=0) >= 0, []
     for corner, place in ((y, raster.row), (x, raster.column)):
@@ -354,7 +337,7 @@ def _frames(raster: Raster, corners: Triple) -> Frames:
 def _planes_in_view(
     raster: Raster, frames: Frames, corners: Triple, low: Floats, high: Floats, inside: Bools
 ) -> tuple[Triple, Floats]:
-    """`Boxes.planes` and `Boxes.slack`, given `_local_corners` and in which boxes the eye is."""
+    """`Boxes.planes` and `Boxes.slack`; `corners` (8, n) in the camera's axes; is the eye `inside`?"""
     planes, (rounding, beside) = silhouette_planes(corners, raster.eye, low, high)
     slope, tilt, level = planes
     # A box is seen from inside on its side of the faces that the eye is on.

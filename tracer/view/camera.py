@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Triple, cross
+from tracer.arrays import Floats, Triple, cross, dot
 from tracer.scene.objects import Camera, unit
 
 
@@ -46,11 +46,12 @@ class Raster(NamedTuple):
 
     def to_camera(self, points: Floats) -> Triple:
         """Points (n, 3) of the scene in the camera's axes, as seen from the eye."""
-        relative = points - self.eye
-        u, v, w = (
-            relative[:, 0] * a + relative[:, 1] * b + relative[:, 2] * c
-            for a, b, c in self.axes.tolist()
-        )
+        x, y, z = (points - self.eye).T
+        return self.vector_to_camera((x, y, z))
+
+    def vector_to_camera(self, vector: Triple) -> Triple:
+        """Turn a vector from the scene's axes into the camera's."""
+        u, v, w = (dot(vector, (a, b, c)) for a, b, c in self.axes.tolist())
         return u, v, w
 
     def vector_to_scene(self, vector: Triple) -> Triple:
@@ -67,8 +68,7 @@ class Raster(NamedTuple):
     def scene_component(self, vector: Triple, axis: int) -> Floats:
         """One component, along an axis of the scene, of a vector in the camera's axes."""
         u, v, w = self.axes[:, axis].tolist()
-        component: Floats = vector[0] * u + vector[1] * v + vector[2] * w
-        return component
+        return dot(vector, (u, v, w))
 
     def across(self, x: Floats) -> Floats:
         """First component of the direction, at x pixels from the left."""

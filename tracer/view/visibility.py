@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -189,29 +188,18 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
     return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
-def _by_face(group: _Fragments) -> Iterator[tuple[_Fragments, Any]]:
-    """Split many fragments on planes by face: fragments, and their detail or one face's."""
-    if not group.shape.flat or group.t.size < _LARGE:
-        yield group, group.detail
-        return
-    for face in range(6):
-        part = group.where(group.detail == face)
-        if part.t.size:
-            yield part, face
-
-
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
-    """Visible of fragments that are seen, in groups, face by face."""
+    """Visible of fragments that are seen."""
     raster, g = view.raster, view.raster.down(samples.y)
-    parts = [part for group in fragments if group.t.size for part in _by_face(group)]
-    ends = np.cumsum([0] + [part.t.size for part, _ in parts]).tolist()
+    parts = [group for group in fragments if group.t.size]
+    ends = np.cumsum([0] + [part.t.size for part in parts]).tolist()
     p, groups = np.empty((3, ends[-1])), []
-    for (part, detail), start, end in zip(parts, ends, ends[1:], strict=False):
+    for part, start, end in zip(parts, ends, ends[1:], strict=False):
         here, owner, span = p[:, start:end], part.owner, part.span
         np.multiply(part.t, part.s, out=here[0])
         np.multiply(part.t, select(g[part.row], span), out=here[1])
         np.multiply(part.t, raster.depth, out=here[2])
-        surface = part.shape.surface(raster, owner, span, here, part.t, detail)
+        surface = part.shape.surface(raster, owner, span, here, part.t, part.detail)
         groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
     first, owner, begin = _runs(view, samples, groups, p[2])
     x, y = samples.at(begin)
