@@ -27,11 +27,11 @@ def footprints_of(hits: Visible, size: float) -> Floats:
     raster = hits.view.raster
     # Under this angle, in radians, the eye sees half the diagonal of a cell.
     angle = 0.5 * size * float(np.hypot(raster.step_u, raster.step_v)) / raster.depth
-    halves = hits.p[2] * angle
+    halves, distance = hits.p[2] * angle, hits.distance
     footprints = np.empty(halves.size)
     for group in hits.groups:
         half, footprint = halves[group.part], footprints[group.part]
-        _, n_dot_v = hits.distance_and_cosine(group)
+        n_dot_v = group.height / distance[group.part]
         np.divide(half, n_dot_v, out=footprint)
         if group.flat:
             # The far end of the cell sees the face at a smaller cosine: by up to the angle.
@@ -73,22 +73,18 @@ def _silhouettes(
     at = indices(owner < view.boxes.first)
     if at.size:
         center = each(np.subtract, pick(view.spheres.local, owner[at]), pick(apex, at))
-        yield cell[at], sphere_margins(_columns(q, at), center, view.spheres.radius[owner[at]])
+        some, radius = each(lambda m: m[:, at], q), view.spheres.radius[owner[at]]
+        yield cell[at], sphere_margins(some, center, radius)
     at = indices(owner >= view.boxes.first)
     if at.size:
         some = planes(at)
-        value = box_margins(some, _columns(q, at))
+        value = box_margins(some, each(lambda m: m[:, at], q))
         most, middle = span(value), value[0]
         # An edge ends where the planes beside it begin.
         near = (np.abs(middle) <= most) & (middle >= -most).all(axis=0)
         # A silhouette of four edges has the first two again as its last.
         near[4:] &= np.any([m[4:] != m[:2] for m in some], axis=0)
         yield cell[at[near.nonzero()[1]]], value[:, near]
-
-
-def _columns(d: Triple, at: Ints) -> Triple:
-    """Some of the rays."""
-    return d[0][:, at], d[1][:, at], d[2][:, at]
 
 
 class Seen(NamedTuple):

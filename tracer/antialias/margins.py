@@ -23,7 +23,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.antialias.lines import Lines
-from tracer.arrays import Floats, Ints, Triple, dot, indices, pick
+from tracer.arrays import Floats, Ints, Triple, dot, each, indices, pick
 from tracer.view.camera import Raster
 from tracer.view.hits import Visible
 
@@ -146,7 +146,7 @@ class Sheets(NamedTuple):
         linear = dot(self.k, d)
         at = indices(self.w)
         if at.size:
-            x, y, z = (m[:, at] for m in d)
-            square = linear[:, at] ** 2 - self.w[at] * dot((x, y, z), (x, y, z))
+            some = each(lambda m: m[:, at], d)
+            square = linear[:, at] ** 2 - self.w[at] * dot(some, some)
             linear[:, at] += np.sqrt(np.maximum(square, 0))
         return linear

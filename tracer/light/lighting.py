@@ -213,12 +213,12 @@ def narrow_highlights(incoming: Incoming, facing: Bools, footprint: Floats) -> I
     the angle a between normal and half vector.  That changes as the surface
     curves, and as the directions to light and eye turn.
     """
+    distance = incoming.hits.distance
     for group in incoming.hits.groups:
         glossy, part = incoming.glossy(group), group.part
         if not np.any(glossy):
             continue
-        distance, _ = incoming.hits.distance_and_cosine(group)
-        bending = 1 / distance + group.of(incoming.lighting.view.curvature)
+        bending = 1 / distance[part] + group.of(incoming.lighting.view.curvature)
         scale = np.where(glossy, np.sqrt(incoming.exponent(group) / 2), 0)
         for number, faces in enumerate(facing[:, part]):
             turn = bending + 1 / np.sqrt(incoming.length2[number, part])

@@ -337,7 +337,7 @@ def _frames(raster: Raster, corners: Triple) -> Frames:
 def _planes_in_view(
     raster: Raster, frames: Frames, corners: Triple, low: Floats, high: Floats, inside: Bools
 ) -> tuple[Triple, Floats]:
-    """`Boxes.planes` and `Boxes.slack`; `corners` (8, n) in the camera's axes; is the eye `inside`?"""
+    """`Boxes.planes` and `Boxes.slack`; `inside`: the boxes (n,) that the eye is in."""
     planes, (rounding, beside) = silhouette_planes(corners, raster.eye, low, high)
     slope, tilt, level = planes
     # A box is seen from inside on its side of the faces that the eye is on.

@@ -77,7 +77,7 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> Hits:
         seen = visible(view, samples)
         place = start + order[seen.sample]
         found.surface[place] = file_index[seen.own]
-        found.distance[place] = np.sqrt((seen.p * seen.p).sum(axis=0))
+        found.distance[place] = seen.distance
         point[place] = np.transpose(seen.points(slice(None)))
         for group in seen.groups:
             at = start + order[group.sample]

@@ -112,11 +112,11 @@ class Visible(NamedTuple):
         """The sample (n,) that each point is seen by."""
         return np.concatenate([np.zeros(0, dtype=np.intp), *(g.sample for g in self.groups)])
 
-    def distance_and_cosine(self, group: Group) -> tuple[Floats, Floats]:
-        """Distance from the eye, and cosine between the normal and the way to the eye, (n,)."""
-        x, y, z = self.p[:, group.part]
-        distance = np.sqrt(dot((x, y, z), (x, y, z)))
-        return distance, group.height / distance
+    @property
+    def distance(self) -> Floats:
+        """Distance (n,) of each point from the eye."""
+        x, y, z = self.p
+        return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def points(self, index: Ints | slice) -> Triple:
         """Some of the points in the scene's axes."""

@@ -50,8 +50,8 @@ class _Fragments(NamedTuple):
     shape : Spheres or Boxes
     owner : int, or (spans,)
         An object of that shape.
-    row : (spans,)
-        See `Covered`.
+    g : (spans,)
+        The second component of the rays' directions.
     span : (n,), or a slice
         Which span each lies in; of scattered samples, each in its own.
     sample, s, t : (n,)
@@ -63,7 +63,7 @@ class _Fragments(NamedTuple):
 
     shape: Shape
     owner: Index
-    row: Ints
+    g: Floats
     span: Ints | slice
     sample: Ints
     s: Floats
@@ -79,7 +79,7 @@ class _Fragments(NamedTuple):
         if index.size == self.t.size:
             return self
         if isinstance(self.span, slice):
-            spans = self._replace(owner=select(self.owner, index), row=self.row[index])
+            spans = self._replace(owner=select(self.owner, index), g=self.g[index])
         else:
             spans = self._replace(span=self.span[index])
         return spans._replace(
@@ -96,7 +96,8 @@ class _Fragments(NamedTuple):
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     """Find all pairs of samples and objects that spans do not rule out."""
-    raster, s, found = view.raster, samples.across(view.raster), []
+    raster, found = view.raster, []
+    s, down = samples.across(raster), raster.down(samples.y)
     for shape in view.shapes:
         owners, rows, first, counts = samples.covered(partial(shape.spans, raster, pad=_PAD))
         size = np.bincount(owners, counts, minlength=len(view.surfaces))
@@ -109,16 +110,14 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
                 span, sample = slice(None), first[part]
             else:
                 span, sample = expand(counts[part], first[part])
-            row, across = rows[part], s.take(sample)
-            t, detail = shape.hit(raster, owner, raster.down(samples.y[row]), across, span)
-            found.append(_Fragments(shape, owner, row, span, sample, across, t, detail))
+            g, across = down[rows[part]], s.take(sample)
+            t, detail = shape.hit(raster, owner, g, across, span)
+            found.append(_Fragments(shape, owner, g, span, sample, across, t, detail))
     return found
 
 
-def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
-    """The distance (n,) of each sample's nearest fragment; None if all are of one large object."""
-    if len(groups) == 1 and isinstance(groups[0].owner, int):
-        return None
+def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
+    """The distance (n,) of each sample's nearest fragment."""
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for group in groups:
@@ -130,11 +129,8 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats | None:
     return nearest
 
 
-def _seen(view: View, groups: list[_Fragments], nearest: Floats | None) -> list[_Fragments]:
+def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragments]:
     """Of all fragments those that are seen, given the distance of each sample's nearest."""
-    if nearest is None:
-        # Nothing can hide a lone object.
-        return [groups[0].where(groups[0].t < np.inf)]
     first = [group.where(group.t == nearest.take(group.sample)) for group in groups]
     seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
     return first if sum(g.t.size for g in first) == seen else _first_of_equals(view, first)
@@ -145,12 +141,10 @@ def _close_behind(
     samples: Samples,
     groups: list[_Fragments],
     seen: list[_Fragments],
-    nearest: Floats | None,
+    nearest: Floats,
     size: float,
 ) -> list[_Fragments]:
     """Fragments so close behind the nearest of their samples: see `visible_and_behind`."""
-    if nearest is None:
-        return []
     raster = view.raster
     pixel = size * max(raster.step_u, raster.step_v)
     ahead = np.full(samples.size, LEAST_SLOPE)
@@ -190,14 +184,14 @@ def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
 
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     """Visible of fragments that are seen."""
-    raster, g = view.raster, view.raster.down(samples.y)
+    raster = view.raster
     parts = [group for group in fragments if group.t.size]
     ends = np.cumsum([0] + [part.t.size for part in parts]).tolist()
     p, groups = np.empty((3, ends[-1])), []
     for part, start, end in zip(parts, ends, ends[1:], strict=False):
         here, owner, span = p[:, start:end], part.owner, part.span
         np.multiply(part.t, part.s, out=here[0])
-        np.multiply(part.t, select(g[part.row], span), out=here[1])
+        np.multiply(part.t, select(part.g, span), out=here[1])
         np.multiply(part.t, raster.depth, out=here[2])
         surface = part.shape.surface(raster, owner, span, here, part.t, part.detail)
         groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
