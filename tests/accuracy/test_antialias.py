@@ -25,9 +25,9 @@ SLOW = {"two-boxes", "sunflower", "sticks-axonometric", "sticks-orthographic", "
 
 
 def small(path: Path) -> Scene:
-    """A scene of the project, some 100 pixels wide."""
+    """A scene of the project, 64 pixels wide."""
     scene = load_scene(path)
-    width = 96
+    width = 64
     return replace(scene, width=width, height=round(width * scene.height / scene.width))
 
 

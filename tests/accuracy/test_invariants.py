@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -54,9 +54,12 @@ def test_shifted(kind: str, shift: tuple[float, float, float]) -> None:
         assert judged.sure.mean() > 0.9
 
 
-def tied(kind: str, scene: Scene) -> bool:
-    """Whether the floor's inner side is seen, which ties with the bottom of what stands on it."""
-    return kind in ("touching", "duplicated") and -1 <= scene.camera.view_point[1] <= 0
+def untied(kind: str, scenes: Iterable[Scene]) -> list[Scene]:
+    """Those in which nobody sees the floor's inner side, which ties with what stands on it."""
+    ties = kind in ("touching", "duplicated")
+    some = [m for m in scenes if not (ties and -1 <= m.camera.view_point[1] <= 0)]
+    assert some
+    return some
 
 
 def in_order(scene: Scene, order: NDArray[np.intp]) -> Scene:
@@ -69,9 +72,7 @@ def in_order(scene: Scene, order: NDArray[np.intp]) -> Scene:
 @pytest.mark.parametrize("kind", KINDS)
 def test_objects_in_another_order(kind: str) -> None:
     rng = np.random.default_rng(1)
-    for scene in scenes_of(kind, 5):
-        if tied(kind, scene):
-            continue
+    for scene in untied(kind, scenes_of(kind, 5)):
         image = render(in_order(scene, np.arange(len(scene.surfaces))))
         assert np.array_equal(render(in_order(scene, rng.permutation(len(scene.surfaces)))), image)
 
@@ -106,7 +107,7 @@ def test_first_of_equals_is_seen() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_lights_in_another_order(kind: str) -> None:
-    for scene in scenes_of(kind, 6):
+    for scene in scenes_of(kind, 4):
         backward = render(replace(scene, lights=scene.lights[::-1]))
         # Three terms, all positive: two roundings each way.
         np.testing.assert_allclose(backward, render(scene), rtol=4 * EPS, atol=0)
@@ -133,10 +134,7 @@ def test_antialiased_in_another_order_and_in_tiles(
     # Of edges in one place any may be found first.
     rng = np.random.default_rng(1)
     size = (12, 8) if kind == "crowd" else (36, 24)
-    for seed in (0, 18):
-        scene = random_scene(kind, seed, *size)
-        if tied(kind, scene):
-            continue
+    for scene in untied(kind, (random_scene(kind, seed, *size) for seed in (0, 18))):
         image = render(in_order(scene, np.arange(len(scene.surfaces))), 16, processes=1)
         shuffled = in_order(scene, rng.permutation(len(scene.surfaces)))
         assert np.array_equal(render(shuffled, 16, processes=1), image)

@@ -283,8 +283,14 @@ def test_either_file_of_a_rendering_may_be_named(
     ("flavour", "line"),
     [
         ("exact", "one-sphere: agrees"),
-        ("stock", "one-sphere, diffuse light by stock plugins: agrees"),
-        ("stock-lights", "one-sphere, stock-lights flavour: is similar\n  SSIM 0.99"),
+        pytest.param(
+            "stock", "one-sphere, diffuse light by stock plugins: agrees", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "stock-lights",
+            "one-sphere, stock-lights flavour: is similar\n  SSIM 0.99",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_check_reports_and_writes_the_comparison(tmp_path: Path, flavour: str, line: str) -> None:

@@ -47,7 +47,13 @@ def rendered_with(library: str) -> str:
     return child.stdout
 
 
-@pytest.mark.parametrize("there", [False, True], ids=["no library", "a file that is none"])
+@pytest.mark.parametrize(
+    "there",
+    [
+        pytest.param(False, id="no library", marks=pytest.mark.slow),
+        pytest.param(True, id="a file that is none"),
+    ],
+)
 def test_without_a_library_the_scalar_variant_is_left(tmp_path: Path, there: bool) -> None:
     fake = tmp_path / "libLLVM.so"
     if there:
