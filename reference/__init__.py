@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from types import TracebackType
 
+from converters import need_command
+
 __all__: list[str] = []
 
 
@@ -24,3 +26,4 @@ def _told(kind: type[BaseException], error: BaseException, trace: TracebackType 
 # library keeps their own hook.
 if sys.argv[:1] == ["-m"]:
     sys.excepthook = _told
+    need_command()

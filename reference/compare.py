@@ -15,8 +15,9 @@ import re
 import stat
 import sys
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +40,8 @@ _WINDOW = 7
 _OVER = 1e-3
 # Smaller panels are enlarged, pixel by pixel.
 _PANEL = 300
+# So many pictures take longer than to start a second process.
+_MANY = 8
 # Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 _LOSSY = ("JPEG", "WEBP")
@@ -205,10 +208,11 @@ def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
 
 
 class Picture(NamedTuple):
-    """A picture's codes (h, w, 3), and a note on what its format may have done to them, or ""."""
+    """A picture's codes (h, w, 3), a note on what its format did to them, and whether it did."""
 
     codes: NDArray[np.uint8]
-    note: str
+    note: str = ""
+    lossy: bool = False
 
 
 def read_picture(path: Path) -> Picture:
@@ -224,7 +228,7 @@ def read_picture(path: Path) -> Picture:
     if not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
     if path.suffix.lower() == ".xml":
-        return Picture(to_codes(render(load_scene(path))), "")
+        return Picture(to_codes(render(load_scene(path))))
     try:
         opened = Image.open(path, formats=_FORMATS)
     except Image.DecompressionBombError as error:
@@ -232,21 +236,21 @@ def read_picture(path: Path) -> Picture:
     with opened as image:
         if image.mode.startswith("I"):  # grey of 16 bits
             grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
-            return Picture(np.repeat(grey[:, :, None], 3, axis=2), "")
+            return Picture(np.repeat(grey[:, :, None], 3, axis=2))
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
         if any(_deep(codec, coding) for codec, _, _, coding in image.tile):
             raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
-        note = ""
+        note, lossy = "", image.format in _LOSSY or image.mode in ("P", "PA")
         if image.format in _LOSSY:
             note = f"is a {image.format}, which changes levels: save it as PNG."
-        elif image.mode in ("P", "PA"):
+        elif lossy:
             note = "has a palette, of 256 colours at most: save it as RGB."
         elif rgba.getchannel("A").getextrema() != (255, 255):
             note = "is transparent in places, which counts as black: save it as RGB."
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
-    return Picture(np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note)
+    return Picture(np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note, lossy)
 
 
 def _deep(codec: str, coding: Any) -> bool:
@@ -258,9 +262,8 @@ def _deep(codec: str, coding: Any) -> bool:
     return re.search(r";16[BLN]", str(coding)) is not None
 
 
-@dataclass(frozen=True, slots=True)
-class _Result:
-    """What is found of a picture; the fields, but for the last, are those of `--json`."""
+class _Result(NamedTuple):
+    """Names and values of `--json`; the lines that a pair alone is told in are not among them."""
 
     picture: str
     right: str | None = None
@@ -272,9 +275,9 @@ class _Result:
     lines: tuple[str, ...] = ()
 
     def row(self) -> dict[str, object]:
-        return {field.name: getattr(self, field.name) for field in fields(self)[:-1]}
+        return {name: value for name, value in self._asdict().items() if name != "lines"}
 
-    def __str__(self) -> str:
+    def line(self) -> str:
         """A line for a list of many."""
         if self.error:
             return f"unread   {printable(self.picture)}: {self.error}"
@@ -300,21 +303,13 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if all are within the tolerances, 1 if some are not, 2 for wrong"
         " usage, 3 if some cannot be read.  Without a tolerance, no difference is tolerated.",
     )
-    parser.add_argument("a", metavar="A", type=Path, help="the picture in question, or a folder")
-    parser.add_argument(
-        "b", metavar="B", type=Path, help="the right picture, a scene file, or a folder of these"
-    )
-    parser.add_argument("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
-    parser.add_argument(
-        "--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated"
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=file_name,
-        metavar="PATH",
-        help="the comparison (A.compare.png), or a folder, for which PATH may end in /",
-    )
+    add = parser.add_argument
+    add("a", metavar="A", type=Path, help="the picture in question, or a folder")
+    add("b", metavar="B", type=Path, help="the right picture, a scene file, or a folder of these")
+    add("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
+    add("--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated")
+    where = "the comparison (A.compare.png), or a folder, for which PATH may end in /"
+    add("-o", "--output", type=file_name, metavar="PATH", help=where)
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print a list with an object a picture")
     form.add_argument("--csv", action="store_true", help="print the same as a table")
@@ -326,30 +321,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     many = options.a.is_dir()
-    pictures = [options.a]
-    if many:
-        pictures = sorted(path for path in options.a.rglob("*") if _is_hand_in(path))
-        if not pictures:
-            parser.error(printable(f"{options.a}: holds no pictures"))
-        if options.output is not None and not is_folder(options.output):
-            wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
-            parser.error(printable(wrong))
-    elif options.b.is_dir():
-        many = False
-    rights = _rights(options.b)
-    pairs = {picture: rights.get(_key(picture)) for picture in pictures}
-    if not options.b.is_dir():
-        pairs = dict.fromkeys(pictures, options.b)
+    pictures = sorted(filter(_is_hand_in, options.a.rglob("*"))) if many else [options.a]
+    if not pictures:
+        parser.error(printable(f"{options.a}: holds no pictures"))
+    if many and options.output is not None and not is_folder(options.output):
+        wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
+        parser.error(printable(wrong))
+    rights: list[Path | None] = [options.b] * len(pictures)
+    if options.b.is_dir():
+        # A picture comes before a scene of the same name.
+        known = [
+            *sorted(options.b.glob("*.xml")),
+            *filter(_is_hand_in, sorted(options.b.iterdir())),
+        ]
+        by_name = {_key(path): path for path in known}
+        rights = [by_name.get(_key(picture)) for picture in pictures]
     outputs = _outputs(options, pictures, many)
-    spare_inputs(parser, outputs, (*pictures, *filter(None, pairs.values())))
+    spare_inputs(parser, outputs, (*pictures, *filter(None, rights)))
     results = []
-    for (picture, right), output in zip(pairs.items(), outputs, strict=True):
-        results.append(_result(picture, right, output, options, many=many))
+    for result in _shared_out(partial(_judge, options, many), pictures, rights, outputs):
+        results.append(result)
         if many and not (options.json or options.csv):
-            print_line(sys.stdout, str(results[-1]))
-    agree, unread = (
-        sum(map(bool, found)) for found in ([r.agrees for r in results], [r.error for r in results])
-    )
+            print_line(sys.stdout, result.line())
+    agree, unread = sum(r.agrees for r in results), sum(r.error is not None for r in results)
     if options.json:
         print_line(sys.stdout, json.dumps([r.row() for r in results], indent=1))
     elif options.csv:
@@ -370,6 +364,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 3 if unread else int(agree < len(results))
 
 
+def _shared_out(job: Callable[..., _Result], *arguments: Sequence[Any]) -> Iterator[_Result]:
+    """The results of a job, in order; of many by two processes."""
+    if len(arguments[0]) < _MANY or os.cpu_count() == 1:
+        yield from map(job, *arguments)
+    else:
+        with ProcessPoolExecutor(2) as pool:
+            yield from pool.map(job, *arguments)
+
+
 def _key(path: Path) -> str:
     """What a picture and the right one have in common: the name, without `.png` and `.xml`."""
     return path.name.removesuffix(path.suffix).removesuffix(".xml").lower()
@@ -380,96 +383,64 @@ def _is_hand_in(path: Path) -> bool:
     return name.endswith(_SUFFIXES) and not name.endswith(".compare.png") and path.is_file()
 
 
-def _rights(folder: Path) -> dict[str, Path]:
-    """The right pictures in a folder, or the scenes of which there is none."""
-    if not folder.is_dir():
-        return {}
-    found = {_key(path): path for path in sorted(folder.glob("*.xml"))}
-    return found | {_key(path): path for path in sorted(folder.iterdir()) if _is_hand_in(path)}
-
-
 def _outputs(options: argparse.Namespace, pictures: list[Path], many: bool) -> list[Path]:
     """Where the comparison of each picture goes; none to another's place."""
-    beside = [path.with_name(f"{path.stem}.compare.png") for path in pictures]
-    taken = Counter(beside)  # a.png and a.jpg
-    named = [
-        path if taken[path] == 1 else picture.with_name(f"{picture.name}.compare.png")
-        for path, picture in zip(beside, pictures, strict=True)
-    ]
-    if options.output is None:
-        return named
-    if not many and not is_folder(options.output):
+    if options.output is not None and not many and not is_folder(options.output):
         return [Path(options.output)]
+    taken = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
+    names = [
+        picture.stem if taken[picture.with_suffix("")] == 1 else picture.name
+        for picture in pictures
+    ]
+    outputs = [p.with_name(f"{n}.compare.png") for p, n in zip(pictures, names, strict=True)]
+    if options.output is None:
+        return outputs
     above = options.a if many else options.a.parent
-    return [Path(options.output, path.relative_to(above)) for path in named]
+    return [Path(options.output, path.relative_to(above)) for path in outputs]
 
 
 _read_right = lru_cache(maxsize=8)(read_picture)
 
 
-def _result(
-    picture: Path, right: Path | None, output: Path, options: argparse.Namespace, *, many: bool
+def _judge(
+    options: argparse.Namespace, many: bool, picture: Path, right: Path | None, output: Path
 ) -> _Result:
-    """Compare one picture."""
-    fail = partial(_Result, str(picture), None if right is None else str(right))
+    """Compare a picture; of many, a comparison is written only of those that differ."""
+    result = partial(_Result, str(picture), None if right is None else str(right))
     if right is None:
-        return fail(error=printable(f"{picture}: {options.b} has no picture of this name"))
-    found = []
-    for path, read in ((picture, read_picture), (right, _read_right)):
-        try:
-            found.append(read(path))
-        except SceneFileError as error:
-            return fail(error=str(error))
-        except MemoryError:
-            return fail(error=printable(f"{path}: not enough memory to read it"))
-        except (OSError, SyntaxError, ValueError) as error:  # the second is Pillow's, of a PNG
-            reason = getattr(error, "strerror", None) or error
-            return fail(error=printable(f"{path}: cannot be read: {reason}"))
+        return result(error=printable(f"{picture}: {options.b} has no picture of this name"))
     try:
-        return _compared(fail, found, output, options, always=not many)
-    except MemoryError:
-        wrong = f"{picture}: not enough memory to compare it; compare a part"
-        return fail(error=printable(wrong))
-    except OSError as error:
-        return fail(error=printable(f"{output}: cannot be written: {error.strerror or error}"))
-
-
-def _compared(
-    result: partial[_Result],
-    pictures: list[Picture],
-    output: Path,
-    options: argparse.Namespace,
-    *,
-    always: bool,
-) -> _Result:
-    """Compare two pictures that are read; `always`: write the comparison even if they agree."""
-    lossy = any(
-        "changes levels" in picture.note or "palette" in picture.note for picture in pictures
-    )
-    diagnosis = diagnose(pictures[0].codes, pictures[1].codes, lossy=lossy)
-    same = diagnosis.kind == "identical"
-    notes = [] if same else [f"{n} {p.note}" for n, p in zip("AB", pictures, strict=True) if p.note]
-    words = (*notes, diagnosis.text)
-    if diagnosis.kind == "size":
-        return result(diagnosis=" ".join(words), lines=words)
-    a, b = (linear(picture.codes) for picture in pictures)
-    measured = figures(a, b)
-    agrees = same
-    if options.ssim is not None or options.max is not None:
-        agrees = (options.ssim is None or measured.ssim >= options.ssim) and (
-            options.max is None or measured.max <= options.max
-        )
-    if always or not agrees:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        left, right = (printable(Path(name).name) for name in result.args)
-        write_comparison(output, a, b, (left, right))
-    return result(
-        agrees=agrees,
-        ssim=measured.ssim,
-        max=measured.max,
-        diagnosis=" ".join(words),
-        lines=(str(measured), *words, printable(str(output))),
-    )
+        where, what = picture, "read"
+        pictures = [read_picture(picture)]
+        where = right
+        pictures.append(_read_right(right))
+        where, what = picture, "compared"
+        lossy = any(picture.lossy for picture in pictures)
+        diagnosis = diagnose(pictures[0].codes, pictures[1].codes, lossy=lossy)
+        words = [f"{n} {p.note}" for n, p in zip("AB", pictures, strict=True) if p.note]
+        words = [*(words if diagnosis.kind != "identical" else ()), diagnosis.text]
+        result.keywords["diagnosis"] = " ".join(words)
+        if diagnosis.kind == "size":
+            return result(lines=(*words,))
+        a, b = (linear(picture.codes) for picture in pictures)
+        found = figures(a, b)
+        agrees = diagnosis.kind == "identical"
+        if options.ssim is not None or options.max is not None:
+            near = options.max is None or found.max <= options.max
+            agrees = near and (options.ssim is None or found.ssim >= options.ssim)
+        where, what = output, "written"
+        if not (many and agrees):
+            output.parent.mkdir(parents=True, exist_ok=True)
+            write_comparison(output, a, b, (printable(picture.name), printable(right.name)))
+    except SceneFileError as error:
+        return result(diagnosis=None, error=str(error))
+    except (MemoryError, OSError, SyntaxError, ValueError) as error:
+        # Pillow's of a PNG is a SyntaxError.
+        memory = "not enough memory; compare a part" if isinstance(error, MemoryError) else error
+        reason = getattr(error, "strerror", None) or memory
+        return result(diagnosis=None, error=printable(f"{where}: cannot be {what}: {reason}"))
+    lines = (str(found), *words, printable(str(output)))
+    return result(agrees=agrees, ssim=found.ssim, max=found.max, lines=lines)
 
 
 if __name__ == "__main__":
