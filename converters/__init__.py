@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from pathlib import Path
 
 __all__ = ["need_command"]
 
@@ -17,11 +18,11 @@ def need_command() -> None:
         return
     name = sys.orig_argv[-len(sys.argv)].removeprefix("-m")
     spec = importlib.util.find_spec(name)
-    if spec and spec.origin and not spec.submodule_search_locations:
-        with open(spec.origin, encoding="utf-8") as source:
-            if '__name__ == "__main__"' not in source.read():
-                print(f"{name} is no command; it is only imported by others", file=sys.stderr)
-                raise SystemExit(2)
+    if spec is None or not spec.origin or spec.submodule_search_locations:
+        return
+    if '__name__ == "__main__"' not in Path(spec.origin).read_text(encoding="utf-8"):
+        print(f"{name} is no command; it is only imported by others", file=sys.stderr)
+        raise SystemExit(2)
 
 
 need_command()

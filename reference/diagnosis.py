@@ -258,11 +258,14 @@ def _unlike(a: Codes, b: Codes) -> Floats:
 def _rearranged(a: Codes, b: Codes) -> tuple[Codes, list[Diagnosis]]:
     """A as it would be if it were not turned over, with its channels in B's order."""
     image, unlike, found = a, _unlike(a, b), []
-    limit = min(0.15, 0.4 * unlike.min())
+    limit, step = min(0.15, 0.4 * unlike.min()), _step(b)
+    edges, right = _edges(a[::step, ::step]), _edges(b[::step, ::step])
+    off = max(_shared(edges, right)) < 0.9
     for kind, (text, turn) in _TURNS.items():
         if (turned := turn(a)).shape == b.shape:
             other = _unlike(turned, b)
-            if other.min() < min(limit, unlike.min()):
+            by_edges = off and max(_shared(turn(edges), right)) > 0.95
+            if other.min() < (unlike.min() if by_edges else min(limit, unlike.min())):
                 image, unlike, found = turned, other, [Diagnosis(kind, text)]
     best = int(unlike.argmin())
     if unlike[best] < min(0.15, 0.5 * unlike[0] - 1e-3):

@@ -11,11 +11,13 @@ import struct
 import subprocess
 import sys
 import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 from skimage.metrics import structural_similarity
@@ -28,39 +30,57 @@ ROOT = Path(__file__).resolve().parents[2]
 Floats = NDArray[np.float64]
 PNG = b"\x89PNG\r\n\x1a\n"
 Image8 = NDArray[np.uint8]
+Compare = Callable[..., tuple[int, list[str], str]]
 
 
-@pytest.fixture(scope="module")
-def light() -> Floats:
-    return render(load_scene(SCENES / "four-spheres.xml"))
+RIGHT = render(load_scene(SCENES / "four-spheres.xml"))
+CODES = to_codes(RIGHT)
 
 
-@pytest.fixture(scope="module")
-def right(light: Floats) -> Image8:
-    return to_codes(light)
-
-
-def save(path: Path, image: Image8) -> str:
+def save(path: Path, image: Image8) -> Path:
     Image.fromarray(np.ascontiguousarray(image)).save(path)
-    return str(path)
+    return path
 
 
 @pytest.fixture
-def black(tmp_path: Path) -> str:
+def black(tmp_path: Path) -> Path:
     """A small picture that is saved."""
     return save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
 
 
-def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "reference.compare", *arguments],
+@pytest.fixture
+def right(tmp_path: Path) -> Path:
+    return save(tmp_path / "b.png", CODES)
+
+
+@pytest.fixture
+def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
+    """The command in this process: its status, the lines of its output, its errors."""
+
+    def call(*arguments: str | Path) -> tuple[int, list[str], str]:
+        try:
+            status = main([*map(str, arguments)])
+        except SystemExit as wrong:
+            status = int(wrong.code or 0)
+        told = capsys.readouterr()
+        return status, told.out.splitlines(), told.err
+
+    return call
+
+
+def run(
+    *arguments: str | Path, module: str = "reference.compare", **environment: str
+) -> tuple[int, str, str]:
+    """A command as a process of its own: its status, output and errors."""
+    done = subprocess.run(
+        [sys.executable, "-m", module, *arguments],
         capture_output=True,
         text=True,
         cwd=ROOT,
         env=os.environ | environment,
         timeout=60,
     )
+    return done.returncode, done.stdout, done.stderr
 
 
 def test_figures_by_hand() -> None:
@@ -138,28 +158,25 @@ def test_comparisons_are_enlarged_by_their_longer_side(
 @pytest.mark.parametrize(
     ("tolerances", "status"),
     [
-        ([], 1),
-        (["--max", "0.2"], 0),
-        (["--max", "1e-4"], 1),
-        (["--ssim", "0.9"], 0),
-        (["--ssim", "0.9", "--max", "1e-4"], 1),
-        (["--ssim", "1"], 1),
+        ("", 1),
+        ("--max 0.2", 0),
+        ("--max 1e-4", 1),
+        ("--ssim 0.9", 0),
+        ("--ssim 0.9 --max 1e-4", 1),
+        ("--ssim 1", 1),
     ],
 )
 def test_exit_status(
-    tmp_path: Path, light: Floats, right: Image8, tolerances: list[str], status: int
+    tmp_path: Path, right: Path, compare: Compare, tolerances: str, status: int
 ) -> None:
-    a = save(tmp_path / "a.png", to_codes(1.05 * light))
-    b = save(tmp_path / "b.png", right)
-    assert main([a, b, *tolerances]) == status
+    a = save(tmp_path / "a.png", to_codes(1.05 * RIGHT))
+    assert compare(a, right, *tolerances.split())[0] == status
 
 
-def test_command(tmp_path: Path, right: Image8) -> None:
-    a = save(tmp_path / "a.png", right[:, ::-1])
-    b = save(tmp_path / "b.png", right)
-    done = run(a, b)
-    assert (done.returncode, done.stderr) == (1, "")
-    figures_line, words, path = done.stdout.splitlines()
+def test_command(tmp_path: Path, right: Path) -> None:
+    status, told, error = run(save(tmp_path / "a.png", CODES[:, ::-1]), right)
+    assert (status, error) == (1, "")
+    figures_line, words, path = told.splitlines()
     assert figures_line.startswith("SSIM 0.")
     assert words == "A is mirrored: left and right are swapped."
     assert Path(path) == tmp_path / "a.compare.png"
@@ -169,48 +186,42 @@ def test_command(tmp_path: Path, right: Image8) -> None:
 
 @pytest.mark.parametrize("module", ["PIL", "skimage"])
 def test_a_missing_package_does_not_pass_for_a_difference(
-    tmp_path: Path, black: str, module: str
+    tmp_path: Path, black: Path, module: str
 ) -> None:
     stub = f"raise ModuleNotFoundError('No module named {module}')"
     (tmp_path / f"{module}.py").write_text(stub)
-    done = run(black, black, PYTHONPATH=str(tmp_path))
     told = f"No module named {module}; install it with pip install -e '.[reference]'\n"
-    assert (done.returncode, done.stderr) == (2, told)
+    assert run(black, black, PYTHONPATH=str(tmp_path)) == (2, "", told)
+
+
+@pytest.mark.parametrize("module", ["reference.tables", "converters.flavours"])
+def test_a_module_that_is_no_command_says_so(module: str) -> None:
+    told = f"{module} is no command; it is only imported by others\n"
+    assert run(module=module) == (2, "", told)
 
 
 @pytest.mark.parametrize(
     ("name", "mode", "note"),
     [
-        ("a.jpg", "RGB", "A is a JPEG, which changes levels: save it as PNG."),
-        ("a.gif", "P", "A has a palette, of 256 colours at most: save it as RGB."),
-        ("a.png", "RGB", None),
+        ("a.jpg", "RGB", ["A is a JPEG, which changes levels: save it as PNG."]),
+        ("a.gif", "P", ["A has a palette, of 256 colours at most: save it as RGB."]),
+        ("a.png", "RGB", []),
     ],
 )
 def test_a_format_is_noted_and_hides_nothing(
-    tmp_path: Path,
-    right: Image8,
-    name: str,
-    mode: str,
-    note: str | None,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, right: Path, compare: Compare, name: str, mode: str, note: list[str]
 ) -> None:
-    path = tmp_path / name
-    Image.fromarray(np.ascontiguousarray(right[::-1])).convert(mode).save(path)
-    assert main([str(path), save(tmp_path / "b.png", right), "-o", f"{tmp_path}"]) == 1
-    assert capsys.readouterr().out.splitlines()[1:] == [
-        *filter(None, [note]),
-        "A is upside down: row 0 should be the top.",
-        str(tmp_path / "a.compare.png"),
-    ]
+    Image.fromarray(np.ascontiguousarray(CODES[::-1])).convert(mode).save(tmp_path / name)
+    status, told, _ = compare(tmp_path / name, right, "-o", tmp_path)
+    words = "A is upside down: row 0 should be the top."
+    assert (status, told[1:]) == (1, [*note, words, str(tmp_path / "a.compare.png")])
 
 
-def test_transparency_that_was_not_meant(
-    tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]
-) -> None:
-    nothing = np.zeros((*right.shape[:2], 1), dtype=np.uint8)
-    clear = save(tmp_path / "a.png", np.concatenate([right, nothing], axis=2))
-    assert main([clear, save(tmp_path / "b.png", right)]) == 1
-    assert capsys.readouterr().out.splitlines()[1:-1] == [
+def test_transparency_that_was_not_meant(tmp_path: Path, right: Path, compare: Compare) -> None:
+    nothing = np.zeros((*CODES.shape[:2], 1), dtype=np.uint8)
+    clear = save(tmp_path / "a.png", np.concatenate([CODES, nothing], axis=2))
+    assert not read_picture(clear).codes.any()
+    assert compare(clear, right)[1][1:-1] == [
         "A is transparent in places, which counts as black: save it as RGB.",
         "A is black, and B is not.",
     ]
@@ -221,23 +232,22 @@ def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
     pictures = []
     for name in ("x" * 200, "x" * 300):
         write_comparison(tmp_path / "c.png", black, black + 0.5, (name, "right"))
-        with Image.open(tmp_path / "c.png") as picture:
-            pictures.append(np.asarray(picture))
+        pictures.append(read_picture(tmp_path / "c.png").codes)
     np.testing.assert_array_equal(*pictures)
     gap = pictures[0][: 8 + 24, 8 + 320 : 2 * 8 + 320]  # panels of 40 pixels, 8 times as large
     assert (gap == 250).all()
 
 
-def test_names_that_are_not_text_are_escaped(tmp_path: Path, black: str) -> None:
+def test_names_that_are_not_text_are_escaped(tmp_path: Path, black: Path) -> None:
     a = shutil.copy(black, os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png"))
-    done = run(a, black, PYTHONIOENCODING="utf-8")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.endswith(f"{tmp_path}/\\udcff.compare.png\n")
+    status, told, error = run(a, black, PYTHONIOENCODING="utf-8")
+    assert (status, error) == (0, "")
+    assert told.endswith(f"{tmp_path}/\\udcff.compare.png\n")
 
 
 @pytest.mark.parametrize("where", ["full", "closed", "ascii"])
 def test_what_cannot_be_printed_does_not_change_the_status(
-    tmp_path: Path, black: str, unread: int, where: str
+    tmp_path: Path, black: Path, unread: int, where: str
 ) -> None:
     output = tmp_path / "\u00f6.png"
     with Path("/dev/full").open("w") as full:
@@ -247,65 +257,58 @@ def test_what_cannot_be_printed_does_not_change_the_status(
             stderr=subprocess.PIPE,
             cwd=ROOT,
             env=os.environ | {"PYTHONIOENCODING": "ascii"},
-            check=False,
         )
     assert (done.returncode, done.stderr) == (0, b"")
     assert output.exists()
 
 
-def test_sizes_exit_1(tmp_path: Path, right: Image8, capsys: pytest.CaptureFixture[str]) -> None:
-    a, b = save(tmp_path / "a.png", right[:10]), save(tmp_path / "b.png", right)
-    assert main([a, b, "--max", "2"]) == 1
-    assert capsys.readouterr().out.startswith("Different sizes")
+def test_sizes_exit_1(tmp_path: Path, right: Path, compare: Compare) -> None:
+    status, told, _ = compare(save(tmp_path / "a.png", CODES[:10]), right, "--max", "2")
+    assert status == 1
+    assert told[0].startswith("Different sizes")
 
 
 @pytest.mark.parametrize("what", ["missing", "empty", "text", "cut", "wrong length of a chunk"])
-def test_unreadable(
-    tmp_path: Path, right: Image8, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    good = save(tmp_path / "b.png", right)
+def test_unreadable(tmp_path: Path, right: Path, compare: Compare, what: str) -> None:
+    whole = right.read_bytes()
+    before, after = whole.split(b"IDAT", 1)
+    contents = {
+        "empty": b"",
+        "text": b"no picture",
+        "cut": whole[: len(whole) // 2],
+        "wrong length of a chunk": before[:-4] + b"\0\0\0\5IDAT" + after,
+    }
     bad = tmp_path / "a.png"
-    if what != "missing":
-        whole = Path(good).read_bytes()
-        before, after = whole.split(b"IDAT", 1)
-        contents = {
-            "empty": b"",
-            "text": b"no picture",
-            "cut": whole[: len(whole) // 2],
-            "wrong length of a chunk": before[:-4] + b"\0\0\0\5IDAT" + after,
-        }
+    if what in contents:
         bad.write_bytes(contents[what])
-    assert main([str(bad), good]) == 3
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith(f"{bad}: cannot be read: ")
-    assert captured.err.count("\n") == 1
+    status, told, error = compare(bad, right)
+    assert (status, told, error.count("\n")) == (3, [], 1)
+    assert error.startswith(f"{bad}: cannot be read: ")
 
 
-def test_what_is_no_regular_file_is_not_read(tmp_path: Path, black: str) -> None:
-    """In a process of its own: opening a pipe that none writes to waits without end."""
+def test_pipes_are_neither_read_nor_replaced(tmp_path: Path, black: Path) -> None:
+    """In processes of their own: opening a pipe that none writes to waits without end."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    done = run(black, str(pipe))
-    told = f"{pipe}: cannot be read: not a regular file\n"
-    assert (done.returncode, done.stderr) == (3, told)
+    assert run(black, pipe) == (3, "", f"{pipe}: cannot be read: not a regular file\n")
+    told = f"{pipe}: cannot be written: not a regular file\n"
+    assert run(black, black, "-o", pipe) == (3, "", told)
+    assert pipe.is_fifo()
 
 
 def test_too_little_memory_is_told(
-    black: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    black: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
     def fail(*_arguments: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr("reference.compare.figures", fail)
-    assert main([black, black]) == 3
-    told = f"{black}: not enough memory to compare it; compare a part\n"
-    assert capsys.readouterr().err == told
+    told = f"{black}: cannot be compared: not enough memory; compare a part\n"
+    assert compare(black, black) == (3, [], told)
 
 
 def test_grey_of_sixteen_bits_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "deep.png"
-    Image.fromarray(np.array([[0, 257, 65535, 30000]], dtype=np.uint16)).save(path)
+    path = save(tmp_path / "deep.png", np.array([[0, 257, 65535, 30000]], dtype=np.uint16))
     assert read_picture(path).codes[0].tolist() == [[k] * 3 for k in (0, 1, 255, 117)]
 
 
@@ -322,18 +325,11 @@ def deep_png(colour_type: int, channels: int) -> bytes:
     )
 
 
-def deep_tiff(order: str) -> bytes:
+def deep_tiff(order: Literal["<", ">"]) -> bytes:
     """A pixel of 16 bits a channel, in either byte order."""
-    bits = 8 + 2 + 8 * 12 + 4  # where they are told: after the header and eight tags
-    tags = ((256, 1, 1), (257, 1, 1), (258, 3, bits), (259, 1, 1),
-            (262, 1, 2), (273, 1, bits + 12), (277, 1, 3), (279, 1, 6))  # fmt: skip
-    return b"".join(
-        (
-            struct.pack(order + "2sHIH", b"II" if order == "<" else b"MM", 42, 8, len(tags)),
-            *(struct.pack(order + "HHII", tag, 4, count, value) for tag, count, value in tags),
-            struct.pack(order + "I3I3H", 0, 16, 16, 16, 1, 2, 3),
-        )
-    )
+    data = io.BytesIO()
+    tifffile.imwrite(data, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
+    return data.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -361,69 +357,55 @@ def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> 
 @pytest.mark.parametrize("suffix", ["bmp", "gif", "png", "ppm", "tga", "tif"])
 def test_eight_bits_are_read(tmp_path: Path, suffix: str) -> None:
     picture = np.array([[(1, 2, 3), (200, 100, 50)]], dtype=np.uint8)
-    assert (read_picture(Path(save(tmp_path / f"a.{suffix}", picture))).codes == picture).all()
+    assert (read_picture(save(tmp_path / f"a.{suffix}", picture)).codes == picture).all()
 
 
-def test_transparency_is_black(tmp_path: Path) -> None:
-    path = tmp_path / "clear.png"
-    Image.new("RGBA", (2, 2), (200, 100, 50, 0)).save(path)
-    assert not read_picture(path).codes.any()
-
-
-def test_a_new_folder_is_made(tmp_path: Path, black: str) -> None:
-    assert main([black, black, "-o", f"{tmp_path}/new/folder/"]) == 0
+def test_a_new_folder_is_made(tmp_path: Path, black: Path, compare: Compare) -> None:
+    assert compare(black, black, "-o", f"{tmp_path}/new/folder/")[0] == 0
     assert (tmp_path / "new" / "folder" / "a.compare.png").exists()
 
 
 @pytest.fixture
-def hand_ins(tmp_path: Path, right: Image8) -> tuple[Path, Path]:
-    """Hand-ins of three, in folders of their own, and the right picture as picture and scene."""
-    others, rights = tmp_path / "class", tmp_path / "right"
-    for name in ("ada", "bob", "cy"):
-        (others / name).mkdir(parents=True)
-    rights.mkdir()
-    save(others / "ada" / "four-spheres.png", right)
-    save(others / "bob" / "four-spheres.xml.png", right[::-1])
-    save(others / "bob" / "four-spheres.jpg", right[:, ::-1])
+def hand_ins(tmp_path: Path) -> Path:
+    """Hand-ins of three, in folders of their own, and beside them the right pictures."""
+    others = tmp_path / "class"
+    for folder in ("ada", "bob", "cy", "../right"):
+        (others / folder).mkdir(parents=True)
+    save(others / "ada" / "four-spheres.png", CODES)
+    save(others / "bob" / "four-spheres.xml.png", CODES[::-1])
+    save(others / "bob" / "four-spheres.jpg", CODES[:, ::-1])
     (others / "cy" / "four-spheres.png").write_bytes(b"no picture")
-    save(others / "cy" / "other.png", right)
-    save(rights / "four-spheres.png", right)
-    return others, rights
+    save(others / "cy" / "other.png", CODES)
+    save(tmp_path / "right" / "four-spheres.png", CODES)
+    return others
 
 
 @pytest.mark.parametrize("scene", [False, True])
-def test_a_class(
-    hand_ins: tuple[Path, Path], capsys: pytest.CaptureFixture[str], *, scene: bool
-) -> None:
-    others, rights = hand_ins
+def test_a_class(hand_ins: Path, compare: Compare, *, scene: bool) -> None:
+    rights = hand_ins.with_name("right")
     if scene:
         (rights / "four-spheres.png").unlink()
         shutil.copy(SCENES / "four-spheres.xml", rights)
-    assert main([str(others), str(rights)]) == 3
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[:-1]] == [
-        "agrees", "differs", "differs", "unread", "unread",
-    ]  # fmt: skip
+    status, lines, _ = compare(hand_ins, rights)
+    assert status == 3
+    words = [line.split()[0] for line in lines[:-1]]
+    assert words == ["agrees", "differs", "differs", "unread", "unread"]
     assert "A is mirrored" in lines[1]
     assert "A is upside down" in lines[2]
     assert "has no picture of this name" in lines[4]
     assert lines[5] == "5 pictures: 1 agree, 2 differ, 2 cannot be compared"
-    written = sorted(str(path.relative_to(others)) for path in others.rglob("*.compare.png"))
+    written = sorted(str(path.relative_to(hand_ins)) for path in hand_ins.rglob("*.compare.png"))
     assert written == ["bob/four-spheres.compare.png", "bob/four-spheres.xml.compare.png"]
-    assert main([str(others), str(rights)]) == 3  # comparisons are no hand-ins
-    assert len(capsys.readouterr().out.splitlines()) == 6
+    assert compare(hand_ins, rights) == (3, lines, "")  # comparisons are no hand-ins
 
 
-def test_results_for_scripts(
-    hand_ins: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    others, scene = hand_ins[0] / "bob", SCENES / "four-spheres.xml"
-    save(others / "four-spheres.gif", read_picture(others / "four-spheres.xml.png").codes)
-    assert main([str(others), str(scene), "--json", "-o", f"{tmp_path}/new/"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert [list(one) for one in found] == 3 * [
-        ["picture", "right", "agrees", "ssim", "max", "diagnosis", "error"]
-    ]
+def test_results_for_scripts(hand_ins: Path, compare: Compare, tmp_path: Path) -> None:
+    others, scene = hand_ins / "bob", SCENES / "four-spheres.xml"
+    save(others / "four-spheres.gif", CODES[::-1])
+    status, told, _ = compare(others, scene, "--json", "-o", f"{tmp_path}/new/")
+    found = json.loads("".join(told))
+    names = ["picture", "right", "agrees", "ssim", "max", "diagnosis", "error"]
+    assert (status, [list(one) for one in found]) == (1, 3 * [names])
     assert found[2]["diagnosis"] == "A is upside down: row 0 should be the top."
     assert (found[2]["agrees"], found[2]["right"], found[2]["error"]) == (False, str(scene), None)
     assert 0 < found[2]["ssim"] < 1
@@ -433,19 +415,30 @@ def test_results_for_scripts(
         "four-spheres.jpg.compare.png",
         "four-spheres.xml.compare.png",
     ]
-    assert main([str(others), str(scene), "--csv"]) == 1
-    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
-    assert [row["picture"] for row in rows] == [one["picture"] for one in found]
+    status, told, _ = compare(others, scene, "--csv")
+    rows = list(csv.DictReader(told))
+    assert (status, [row["picture"] for row in rows]) == (1, [one["picture"] for one in found])
 
 
-def test_a_scene_with_a_fault_is_told(
-    tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_many_are_shared_by_processes(tmp_path: Path, black: Path, compare: Compare) -> None:
+    """In order, and those that cannot be read are told as ever."""
+    folder = tmp_path / "many"
+    folder.mkdir()
+    for k in range(12):
+        shutil.copy(black, folder / f"{k:02}.png")
+    (folder / "05.png").write_bytes(b"no picture")
+    status, lines, _ = compare(folder, black)
+    assert (status, len(lines)) == (3, 13)
+    for k, line in enumerate(lines[:-1]):
+        assert line.startswith("unread" if k == 5 else "agrees")
+        assert f"{folder}/{k:02}.png: " in line
+
+
+def test_a_scene_with_a_fault_is_told(tmp_path: Path, black: Path, compare: Compare) -> None:
     (tmp_path / "bad.xml").write_text("<scene/>")
-    assert main([black, str(tmp_path / "bad.xml")]) == 3
-    assert f"{tmp_path}/bad.xml:1" in capsys.readouterr().err
-    with pytest.raises(SystemExit, match="2"):
-        main([str(tmp_path), black, "-o", f"{tmp_path}/no-folder.png"])
+    status, _, error = compare(black, tmp_path / "bad.xml")
+    assert status == 3
+    assert f"{tmp_path}/bad.xml:1" in error
 
 
 @pytest.mark.parametrize(
@@ -453,36 +446,21 @@ def test_a_scene_with_a_fault_is_told(
     [("a.compare.png", []), ("b.png", ["a.png"]), ("b.png", ["link.png"]), ("b.png", ["./b.png"])],
 )
 def test_inputs_are_not_replaced(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    b: str,
-    output: list[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare, b: str, output: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link.png").symlink_to("b.png")
     for name, level in (("a.png", 0), (b, 200)):
         save(tmp_path / name, np.full((4, 4, 3), level, dtype=np.uint8))
     before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.name != "link.png"}
-    with pytest.raises(SystemExit, match="2"):
-        main(["a.png", b, *(["-o", *output] if output else [])])
-    assert "this would replace an input; choose another with -o" in capsys.readouterr().err
+    status, _, error = compare("a.png", b, *(["-o", *output] if output else []))
+    assert status == 2
+    assert "this would replace an input; choose another with -o" in error
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_a_working_folder_that_is_gone(
-    no_working_folder: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["a.png", "b.png"])
-    assert capsys.readouterr().err == no_working_folder
-
-
 def test_what_cannot_be_written_whole_leaves_what_was_there(
-    tmp_path: Path,
-    black: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, black: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
     def fail(_image: Image.Image, file: IO[bytes], **_options: object) -> None:
         file.write(b"half")
@@ -491,22 +469,16 @@ def test_what_cannot_be_written_whole_leaves_what_was_there(
     output = tmp_path / "out.png"
     output.write_bytes(PNG + b"precious")
     monkeypatch.setattr(Image.Image, "save", fail)
-    assert main([black, black, "-o", str(output)]) == 3
-    assert capsys.readouterr().err == f"{output}: cannot be written: the disk is full\n"
+    told = f"{output}: cannot be written: the disk is full\n"
+    assert compare(black, black, "-o", output) == (3, [], told)
     assert output.read_bytes() == PNG + b"precious"
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_pipe_is_not_replaced(
-    tmp_path: Path, black: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    assert main([black, black, "-o", str(pipe)]) == 3
-    assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
-    assert pipe.is_fifo()
+def test_wrong_usage(tmp_path: Path, black: Path, compare: Compare) -> None:
+    assert compare("only-one.png")[0] == 2
+    assert compare(tmp_path, black, "-o", f"{tmp_path}/no-folder.png")[0] == 2
 
 
-def test_wrong_usage() -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["only-one.png"])
+def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:
+    assert compare("a.png", "b.png") == (2, [], no_working_folder)

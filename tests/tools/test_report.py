@@ -8,17 +8,17 @@ import itertools
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import need
 from numpy.typing import NDArray
 from PIL import Image
 from scene_files import overflowing, small_one
@@ -30,10 +30,6 @@ from reference.report import main, page
 
 ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 8, 6
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-in_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
 
 
 def colours(blue: int) -> NDArray[np.uint8]:
@@ -42,6 +38,7 @@ def colours(blue: int) -> NDArray[np.uint8]:
     return np.dstack([10 + 30 * column, 10 + 40 * row, np.full_like(row, blue)]).astype(np.uint8)
 
 
+Report = Callable[..., tuple[int, str, str]]
 TRACER, MITSUBA = colours(blue=40), colours(blue=200)
 
 
@@ -102,17 +99,27 @@ def test_pictures_are_exact() -> None:
     assert difference[5, 7].tolist() == [76, 76, 76]
 
 
+@pytest.fixture
+def report(capsys: pytest.CaptureFixture[str]) -> Report:
+    """The command, in Mitsuba's plainest variant: its status, its errors, and the page."""
+
+    def call(output: Path | str, *arguments: Path | str) -> tuple[int, str, str]:
+        status = main(["--variant", "scalar_rgb", *map(str, arguments), "-o", str(output)])
+        made = Path(output)
+        text = made.read_text(encoding="utf-8") if made.is_file() else ""
+        return status, capsys.readouterr().err, text
+
+    return call
+
+
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    good, bad = ROOT / "scenes" / "one-sphere.xml", tmp_path / "bad.xml"
-    bad.write_text("<scene/>")
     output = tmp_path / "new" / "report.html"
-    arguments = ["--variant", "scalar_rgb", "-o", str(output)]
-    assert main([str(good), *arguments]) == 0
+    scene = ROOT / "scenes" / "one-sphere.xml"
+    assert main([str(scene), "--variant", "scalar_rgb", "-o", str(output)]) == 0
     assert capsys.readouterr().out == f"{output}\n"
-    assert "The unit sphere, lit from the upper left" in output.read_text(encoding="utf-8")
-    assert "All agree." in output.read_text(encoding="utf-8")
-    assert main([str(bad), *arguments]) == 1
-    assert f"{bad}:" in capsys.readouterr().err
+    text = output.read_text(encoding="utf-8")
+    assert "The unit sphere, lit from the upper left" in text
+    assert "All agree." in text
 
 
 @pytest.fixture
@@ -130,13 +137,13 @@ def small(tmp_path: Path) -> Path:
     ],
 )
 def test_what_a_scene_shows_is_its_first_comment(
-    tmp_path: Path, encoding: str, before: str, within: str, shown: str
+    tmp_path: Path, report: Report, encoding: str, before: str, within: str, shown: str
 ) -> None:
     scene = f"<image>9 9</image><camera/>{within}<surface type='Sphere'/>"
     text = f"<?xml version='1.0' encoding='{encoding}'?>{before}<scene>{scene}</scene>"
     (tmp_path / "a.xml").write_text(text, encoding=encoding)
     folder = tmp_path / "new"
-    assert main(["--variant", "scalar_rgb", str(tmp_path / "a.xml"), "-o", f"{folder}/"]) == 0
+    assert report(f"{folder}/", tmp_path / "a.xml")[:2] == (0, "")
     html = (folder / "report.html").read_text(encoding="utf-8")
     assert shown in html
     assert "ask somebody" not in html
@@ -154,132 +161,108 @@ def test_scenes_are_not_replaced(
     assert small.read_bytes() == before
 
 
-def test_a_pipe_is_not_replaced(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_is_not_replaced(small: Path, report: Report) -> None:
     pipe = small.with_name("pipe")
     os.mkfifo(pipe)
-    assert main([str(small), "--variant", "scalar_rgb", "-o", str(pipe)]) == 1
-    assert capsys.readouterr().err == f"{pipe}: cannot be written: not a regular file\n"
+    told = f"{pipe}: cannot be written: not a regular file\n"
+    assert report(pipe, small) == (1, told, "")
     assert pipe.is_fifo()
 
 
-def test_bad_scenes_are_told_and_spare_the_others(
-    small: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, pipe, missing = (small.with_name(name) for name in ("folder", "pipe", "missing.xml"))
+def test_bad_scenes_are_told_and_spare_the_others(small: Path, report: Report) -> None:
+    folder, pipe, missing, bad = map(small.with_name, ("folder", "pipe", "missing.xml", "no.xml"))
     folder.mkdir()
     os.mkfifo(pipe)
-    bright, output = overflowing(small), small.with_name("report.html")
-    scenes = (bright, folder, missing, pipe, small)
-    assert main([*map(str, scenes), "--variant", "scalar_rgb", "-o", str(output)]) == 1
-    assert capsys.readouterr().err.splitlines() == [
-        f"{bright}: Mitsuba's radiance is not finite;"
-        " keep the colours and lights of the scene closer to 1",
+    bad.write_text("<scene/>")
+    bright = overflowing(small)
+    scenes = (bright, folder, missing, bad, pipe, small)
+    status, error, text = report(small.with_name("report.html"), *scenes)
+    assert status == 1
+    for words in (
+        f"{bright}: Mitsuba's radiance is not finite; keep the colours and lights of the scene",
         f"{folder}: is a folder; name a scene file in it",
         f"{missing}: cannot be read: No such file or directory; check the path and its permissions",
+        f"{bad}:1: scene: has no image",
         f"{pipe}: is not a regular file; save the scene to one",
-    ]
-    text = output.read_text(encoding="utf-8")
+    ):
+        assert error.count(words) == 1
+    assert len(error.splitlines()) == 6  # <scene/> has two faults
     assert text.count('<section class="scene"') == 1
     assert "The unit sphere, lit from the upper left" in text
     assert "All agree." not in text
     assert "<p>1 scene, " in text
     assert f"Not compared: {folder}: is a folder; name a scene file in it<" in text
-    assert text.count("Not compared: ") == 4
+    assert text.count("Not compared: ") == 5
 
 
-def test_no_place_for_errors(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_place_for_errors(small: Path, report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a shell closes it: `2>&-`."""
-    output = small.with_name("report.html")
     monkeypatch.setattr(sys, "stderr", None)
-    assert main([str(small), "--variant", "scalar_rgb", "-o", str(output)]) == 0
-    assert output.exists()
+    status, _, text = report(small.with_name("report.html"), small)
+    assert status == 0
+    assert "All agree." in text
 
 
-def test_scenes_of_one_name_are_told_apart(small: Path) -> None:
+def test_scenes_of_one_name_are_told_apart(small: Path, report: Report) -> None:
     other = small.parent / "other" / small.name
     other.parent.mkdir()
     text = small.read_text(encoding="utf-8")
     other.write_text(text.replace("The unit sphere", "The same again"), encoding="utf-8")
-    output = small.with_name("report.html")
-    scenes = [small, other, small]
-    assert main([*map(str, scenes), "--variant", "scalar_rgb", "-o", str(output)]) == 0
-    text = output.read_text(encoding="utf-8")
+    status, _, text = report(small.with_name("report.html"), small, other, small)
     ids = re.findall(r' id="([^"]*)"', text)
-    assert len(ids) == len(set(ids)) == 2
+    assert (status, len(ids), len(set(ids))) == (0, 2, 2)
     assert re.findall(r' href="#([^"]*)"', text) == ids
     assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small, other)))
     assert text.count("The unit sphere") == text.count("The same again") == 1
 
 
-def test_names_are_escaped_once() -> None:
-    text = page([result("<b>&")], {})
+def test_names_are_escaped_once_and_ids_unique() -> None:
+    text = page([result("<b>&"), result("a room"), result("a room")], {})
     assert 'alt="&lt;b&gt;&amp; by the tracer"' in text
     assert "&amp;lt;" not in text
+    ids = re.findall(r' id="([^"]*)"', text)
+    assert len(ids) == len(set(ids)) == 3
+    assert not any(" " in name for name in ids)
 
 
 def test_says_what_the_oracle_says() -> None:
     asked = replace(result(), asked=20, differing=30, agreed=19)
-    assert '<p class="soft">Exact arithmetic, asked about 20 of the 30 pixels that' in page(
-        [asked], {}
-    )
+    told = '<p class="soft">Exact arithmetic, asked about 20 of the 30 pixels that'
+    assert told in page([asked], {})
     judged = replace(result(), differing=30, asked=30, agreed=30)
     assert "Mitsuba errs on 30 pixels, says exact arithmetic" in page([judged], {})
 
 
-def test_ids_are_unique_and_have_no_spaces() -> None:
-    text = page([result("a room"), result("a room")], {})
-    ids = re.findall(r' id="([^"]*)"', text)
-    assert len(ids) == len(set(ids)) == 2
-    assert not any(" " in name for name in ids)
-
-
 @pytest.mark.parametrize("name", [b"\xff.xml", b"a\nb.xml"])
-def test_names_that_are_not_text_are_escaped(small: Path, name: bytes) -> None:
+def test_names_that_are_not_text_are_escaped(small: Path, report: Report, name: bytes) -> None:
     odd = Path(os.fsdecode(os.fsencode(small.parent) + b"/" + name))
     small.rename(odd)
-    output = odd.with_name("report.html")
-    assert main([str(odd), "--variant", "scalar_rgb", "-o", str(output)]) == 0
-    escaped = repr(odd.stem)[1:-1]
-    assert f"<h2>{escaped}</h2>" in output.read_text(encoding="utf-8")
+    status, _, text = report(odd.with_name("report.html"), odd)
+    assert status == 0
+    assert f"<h2>{repr(odd.stem)[1:-1]}</h2>" in text
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral"])
-def test_a_variant_that_cannot_run_is_told_once(
-    small: Path, capsys: pytest.CaptureFixture[str], variant: str
-) -> None:
-    output = small.with_name("report.html")
-    assert main([str(small), str(small), "--variant", variant, "-o", str(output)]) == 1
-    error = capsys.readouterr().err
+def test_a_variant_that_cannot_run_is_told_once(small: Path, report: Report, variant: str) -> None:
+    status, error, text = report(small.with_name("report.html"), small, "--variant", variant)
     assert error.startswith(f"Mitsuba cannot run: {variant} is no RGB variant; choose one of ")
-    assert error.count("\n") == 1
-    assert not output.exists()
+    assert (status, error.count("\n"), text) == (1, 1, "")
 
 
 class Browser:
     """Chromium on the DevTools protocol, by a pair of pipes."""
 
-    def __init__(self, profile: Path) -> None:
+    def __init__(self, program: str, profile: Path) -> None:
         read_theirs, self._write = os.pipe()
         self._read, write_theirs = os.pipe()
-        assert CHROMIUM is not None
-        flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-        flags += ["--disable-sync", "--no-first-run", "--hide-scrollbars"]
-        flags += [
-            "--window-size=1280,1000",
-            "--remote-debugging-pipe",
-            f"--user-data-dir={profile}",
-        ]
+        flags = "--headless --no-sandbox --disable-gpu --disable-background-networking"
+        flags += " --disable-sync --no-first-run --hide-scrollbars --window-size=1280,1000"
+        command = [program, *flags.split(), "--remote-debugging-pipe"]
         # The protocol is read from descriptor 3 and written to 4.
-        start = (
-            "import fcntl, os, sys\n"
-            "ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]\n"
-            "os.dup2(ends[0], 3), os.dup2(ends[1], 4)\n"
-            "os.execv(sys.argv[3], sys.argv[3:])"
-        )
-        ends = (read_theirs, write_theirs)
+        move = f'exec 8<&{read_theirs} 9>&{write_theirs}; exec 3<&8 4>&9; exec "$@"'
         self.process = subprocess.Popen(
-            [sys.executable, "-c", start, *map(str, ends), CHROMIUM, *flags, "about:blank"],
-            pass_fds=ends,
+            ["bash", "-c", move, "bash", *command, f"--user-data-dir={profile}", "about:blank"],
+            pass_fds=(read_theirs, write_theirs),
             stderr=subprocess.DEVNULL,
         )
         os.close(read_theirs)
@@ -355,9 +338,7 @@ class Browser:
 
     def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         left, top, width, height = self.box(selector)
-        x, y = left + at[0] * width, top + at[1] * height
-        for kind in ("mousePressed", "mouseReleased"):
-            self.mouse(kind, x, y, button="left", buttons=1, clickCount=1)
+        self.drag((left + at[0] * width, top + at[1] * height))
 
     def key(self, key: str, code: int = 0) -> None:
         more: dict[str, Any] = {"key": key, "code": key, "windowsVirtualKeyCode": code}
@@ -365,22 +346,29 @@ class Browser:
         self.call("Input.dispatchKeyEvent", type="keyDown", **more, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", **more)
 
+    def focus(self, selector: str) -> None:
+        self.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
+
+    def drag(self, *path: tuple[float, float]) -> None:
+        """From the first of these points to the last."""
+        self.mouse("mousePressed", *path[0], button="left", buttons=1, clickCount=1)
+        for x, y in path[1:]:
+            self.mouse("mouseMoved", x, y, button="left", buttons=1)
+        self.mouse("mouseReleased", *path[-1], button="left", clickCount=1)
+
     def text(self, selector: str) -> str:
         return str(self.evaluate(f"document.querySelector({json.dumps(selector)}).textContent"))
 
     def close(self) -> None:
         os.close(self._write)
         os.close(self._read)
-        try:
-            self.process.wait(10)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        self.process.kill()
+        self.process.wait()
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    chromium = Browser(tmp_path_factory.mktemp("profile"))
+    chromium = Browser(need("chromium"), tmp_path_factory.mktemp("profile"))
     yield chromium
     chromium.close()
 
@@ -393,14 +381,10 @@ def opened(browser: Browser, tmp_path: Path) -> Browser:
     return browser
 
 
-def focus(browser: Browser, selector: str) -> None:
-    browser.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
-
-
 HOME, END, RIGHT = 36, 35, 39
 
 
-@in_browser
+@pytest.mark.slow
 def test_opens_alone(opened: Browser) -> None:
     """No request but for the file itself, no message on the console, every picture there."""
     opened.evaluate("1")
@@ -415,20 +399,20 @@ def test_opens_alone(opened: Browser) -> None:
     assert opened.evaluate("[...document.images].map(i => i.naturalWidth)") == [8, 8, 8, 20]
 
 
-@in_browser
+@pytest.mark.slow
 def test_slider(opened: Browser) -> None:
     """In the middle half of each; at its ends all of one.  By keyboard alone."""
     middle = opened.shot()
     np.testing.assert_array_equal(middle[:, :4], TRACER[:, :4])
     np.testing.assert_array_equal(middle[:, 4:], MITSUBA[:, 4:])
-    focus(opened, "input")
+    opened.focus("input")
     opened.key("End", END)
     np.testing.assert_array_equal(opened.shot(), TRACER)
     opened.key("Home", HOME)
     np.testing.assert_array_equal(opened.shot(), MITSUBA)
 
 
-@in_browser
+@pytest.mark.slow
 def test_slider_follows_the_mouse(opened: Browser) -> None:
     opened.click("input", (0.75, 0.5))
     shown = opened.shot()
@@ -448,7 +432,7 @@ def seen_for(browser: Browser, seconds: float) -> list[int]:
     return seen
 
 
-@in_browser
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["button", "key"])
 def test_flicker(opened: Browser, way: str) -> None:
     """Each picture whole, in turn; slower than three flashes a second; it stops when told."""
@@ -457,7 +441,7 @@ def test_flicker(opened: Browser, way: str) -> None:
         if way == "button":
             opened.click(".flicker")
         else:
-            focus(opened, ".panel")
+            opened.focus(".panel")
             opened.key("f")
 
     toggle()
@@ -472,7 +456,7 @@ def test_flicker(opened: Browser, way: str) -> None:
     np.testing.assert_array_equal(opened.shot()[:, 4:], MITSUBA[:, 4:])
 
 
-@in_browser
+@pytest.mark.slow
 def test_flicker_without_motion(opened: Browser) -> None:
     """Who wants no motion sees the other picture at each press, and nothing moves by itself."""
     still = [{"name": "prefers-reduced-motion", "value": "reduce"}]
@@ -483,10 +467,10 @@ def test_flicker_without_motion(opened: Browser) -> None:
     opened.call("Emulation.setEmulatedMedia", features=[])
 
 
-@in_browser
+@pytest.mark.slow
 def test_click_zooms_to_the_pixel(opened: Browser) -> None:
     """Each click doubles, about the place clicked: (5.5, 2.5) pixels stays where it is."""
-    focus(opened, "input")
+    opened.focus("input")
     opened.key("End", END)
     at = (5.5 / WIDTH, 2.5 / HEIGHT)
     for times in (2, 4, 8, 16):
@@ -502,11 +486,11 @@ def test_click_zooms_to_the_pixel(opened: Browser) -> None:
     assert len({*map(tuple, opened.shot(1).reshape(-1, 3).tolist())}) == 1
 
 
-@in_browser
+@pytest.mark.slow
 def test_zoom_and_move_by_keyboard(opened: Browser) -> None:
-    focus(opened, "input")
+    opened.focus("input")
     opened.key("End", END)
-    focus(opened, ".panel")
+    opened.focus(".panel")
     opened.key("+")
     # Twice as large about the centre: columns 2 ... 5, rows 1.5 ... 4.5.
     shown = opened.shot()
@@ -519,17 +503,14 @@ def test_zoom_and_move_by_keyboard(opened: Browser) -> None:
     np.testing.assert_array_equal(opened.shot(), TRACER)
 
 
-@in_browser
+@pytest.mark.slow
 def test_drag_moves(opened: Browser) -> None:
-    focus(opened, "input")
+    opened.focus("input")
     opened.key("End", END)
     opened.click(".in")
     left, top, width, height = opened.box(".panel")
     x, y = left + width / 2, top + height / 2
-    opened.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
-    for step in (0.25, 0.5):
-        opened.mouse("mouseMoved", x - step * width, y, button="left", buttons=1)
-    opened.mouse("mouseReleased", x - width / 2, y, button="left", clickCount=1)
+    opened.drag(*((x - step * width, y) for step in (0, 0.25, 0.5)))
     # Half a panel to the left is a quarter of the picture at twice its size.
     assert opened.text(".scale") == "2×"
     np.testing.assert_array_equal(opened.shot()[0, :, 0], TRACER[0, [4, 4, 5, 5, 6, 6, 7, 7], 0])
@@ -538,7 +519,7 @@ def test_drag_moves(opened: Browser) -> None:
     np.testing.assert_array_equal(opened.shot(), TRACER)
 
 
-@in_browser
+@pytest.mark.slow
 def test_all_is_reached_by_tab(opened: Browser) -> None:
     reached = []
     for _ in range(9):
@@ -559,15 +540,12 @@ def test_all_is_reached_by_tab(opened: Browser) -> None:
     ]
 
 
-@in_browser
+@pytest.mark.slow
 def test_the_seam_can_be_dragged(opened: Browser) -> None:
     """From the middle to a quarter, and the slider with it; the picture stays where it is."""
     left, top, width, height = opened.box(".panel")
     y = top + height / 4
-    opened.mouse("mousePressed", left + width / 2 + 9, y, button="left", buttons=1, clickCount=1)
-    for part in (0.4, 0.25):
-        opened.mouse("mouseMoved", left + part * width, y, button="left", buttons=1)
-    opened.mouse("mouseReleased", left + width / 4, y, button="left", clickCount=1)
+    opened.drag((left + width / 2 + 9, y), *((left + part * width, y) for part in (0.4, 0.25)))
     shown = opened.shot()
     np.testing.assert_array_equal(shown[:, :2], TRACER[:, :2])
     np.testing.assert_array_equal(shown[:, 2:], MITSUBA[:, 2:])
@@ -575,7 +553,7 @@ def test_the_seam_can_be_dragged(opened: Browser) -> None:
     assert opened.text(".scale") == "1×"
 
 
-@in_browser
+@pytest.mark.slow
 def test_on_a_phone(opened: Browser) -> None:
     """The table scrolls in its own box, the page does not, and fingers meet the controls."""
     phone = {"width": 375, "height": 700, "deviceScaleFactor": 2, "mobile": True}
