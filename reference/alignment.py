@@ -275,7 +275,8 @@ def _far(a: Codes, b: Codes, still: Pair) -> Iterator[_Motion]:
         moved = ndimage.affine_transform(images[1], matrix, offset, order=1, cval=np.nan)
         return _correlation(images[0], moved)
 
-    motions = [_shift(scale * phase_cross_correlation(*fine, normalization=None)[0][::-1])]
+    shift = phase_cross_correlation(*fine, normalization=None, upsample_factor=10)[0][::-1]
+    motions = [_shift(scale * shift)]
     for kind, grid in (_zoom, (slice(-2, 2.1, 0.125),) * 2), (_roll, (slice(-3.1, 3.1, 0.1),)):
 
         def cost(by: Floats, images: list[Floats], kind: Any = kind) -> float:
