@@ -51,6 +51,12 @@ _BEYOND = 64
 # So many listed objects are tried at a time.
 _AT_ONCE = 1 << 17
 
+# A cell has four lists, by where it is in the rectangle of an object (see `_cells`): in its first
+# row, in its first corner, in its first column, and elsewhere.  These are their numbers, and from
+# which list on, and before which, a ball finds all that it has not found in another cell.
+_LIST = np.array([3, 2, 0, 1])
+_SHARED = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
+
 # Directions from a light are rounded, and points snapped to planes, by less than this part of its
 # distance: little enough for suns, which see a whole scene under an angle of 1e-9 and less.
 _FROM_LIGHT = 1e-13
@@ -73,12 +79,10 @@ class LightGrid(NamedTuple):
         Cells along each side of a field.
     origin, scale : (2, fields)
         Octahedral coordinates of each field's corner, and cells to their unit.
-    first : (fields * side**2 + 1,)
-        Where each cell's list begins in `listed`.
+    first : (4 * fields * side**2 + 1,)
+        Where the four lists of each cell begin in `listed`: see `_LISTS`.
     listed : (m,)
         Parts of objects, each in one octant of one light.
-    corner : (m,)
-        Where the cell is among those of the part: see `_cells`.
     owner : (parts,)
         The object.
     wedge : (parts, 8)
@@ -92,7 +96,6 @@ class LightGrid(NamedTuple):
     scale: Floats
     first: Ints
     listed: Ints
-    corner: NDArray[np.uint8]
     owner: Ints
     wedge: Floats
 
@@ -110,15 +113,13 @@ class LightGrid(NamedTuple):
         wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
         field = self.field[octant * lights + way // count]
         ball, cell, corner = _cells(self._in_cells(rect, field), field, self.side)
-        some = indices(self.first[cell + 1] > self.first[cell])
-        ball, cell, corner = ball[some], cell[some], corner[some]
-        start = self.first[cell]
-        length = self.first[cell + 1] - start
+        # A pair is found in the first of the cells that it shares.
+        start, stop = (self.first[4 * cell + m[corner]] for m in _SHARED)
+        some = indices(stop > start)
+        ball, start, length = ball[some], start[some], (stop - start)[some]
         for batch in batches(length, _AT_ONCE):
             which, place = expand(length[batch], start[batch])
-            # A pair is found in the first of the cells that it shares.
-            at = indices((corner[batch][which] | self.corner.take(place)) == 3)
-            which, part = ball[batch][which[at]], self.listed[place[at]]
+            which, part = ball[batch][which], self.listed[place]
             meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
             # The eight answers of a row as one integer: much faster than all(axis=1).
             at = indices(meet.view(np.uint64) == 0x0101010101010101)
@@ -166,7 +167,6 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
         scale=1 / extents[:, 2:].T,
         first=np.zeros(1, dtype=np.intp),
         listed=some[:0],
-        corner=np.zeros(0, dtype=np.uint8),
         owner=owner[some],
         wedge=-wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]],
     )
@@ -176,13 +176,12 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     side = max(1, int(min(_SIDE_EACH * sqrt(slack.size), _SIDE_MOST, sqrt(_PAIRS / covered))))
     grid = grid._replace(side=side, scale=side * grid.scale)
     place, cell, corner = _cells(grid._in_cells(rect, number), number, side)
-    counts = np.bincount(cell, minlength=begin.size * side**2)
+    cell = 4 * cell + _LIST[corner]
+    counts = np.bincount(cell, minlength=4 * begin.size * side**2)
     # By the low 16 bits, then by the high ones: NumPy's radix sort takes no more.
     order = (cell & 0xFFFF).astype(np.uint16).argsort(kind="stable")
     order = order[(cell[order] >> 16).astype(np.uint16).argsort(kind="stable")]
-    return grid._replace(
-        first=np.append(0, counts.cumsum()), listed=place[order], corner=corner[order]
-    )
+    return grid._replace(first=np.append(0, counts.cumsum()), listed=place[order])
 
 
 def _repeated(surfaces: Surfaces) -> Bools:
