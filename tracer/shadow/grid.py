@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,9 @@ _AT_ONCE = 1 << 17
 # which list on, and before which, a ball finds all that it has not found in another cell.
 _LIST = np.array([3, 2, 0, 1])
 _SHARED = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
+
+# If all fields are wider than this, wedges need no more than half of their bytes.
+_NARROW = 1e-4
 
 # Directions from a light are rounded, and points snapped to planes, by less than this part of its
 # distance: little enough for suns, which see a whole scene under an angle of 1e-9 and less.
@@ -97,7 +100,7 @@ class LightGrid(NamedTuple):
     first: Ints
     listed: Ints
     owner: Ints
-    wedge: Floats
+    wedge: NDArray[np.floating[Any]]
 
     def query(
         self, middle: Triple, radius: Floats, owner: Ints, asked: Bools
@@ -111,21 +114,23 @@ class LightGrid(NamedTuple):
         to_light = self.light - np.array(middle)[:, None]
         octant, way, rect, wedge = _octants(to_light - radius, to_light + radius, self.field, asked)
         wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
+        wedge = wedge.astype(self.wedge.dtype)
         field = self.field[octant * lights + way // count]
         ball, cell, corner = _cells(self._in_cells(rect, field), field, self.side)
         # A pair is found in the first of the cells that it shares.
-        start, stop = (self.first[4 * cell + m[corner]] for m in _SHARED)
+        start, stop = (self.first.take(4 * cell + m.take(corner)) for m in _SHARED)
         some = indices(stop > start)
-        ball, start, length = ball[some], start[some], (stop - start)[some]
+        ball, start, length = ball.take(some), start.take(some), (stop - start).take(some)
         for batch in batches(length, _AT_ONCE):
             which, place = expand(length[batch], start[batch])
-            which, part = ball[batch][which], self.listed[place]
+            which, part = ball[batch].take(which), self.listed.take(place)
             meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
             # The eight answers of a row as one integer: much faster than all(axis=1).
             at = indices(meet.view(np.uint64) == 0x0101010101010101)
-            occluder, (light, which) = self.owner[part[at]], np.divmod(way[which[at]], count)
-            kept = indices(occluder != owner[which])
-            yield light[kept], which[kept], occluder[kept]
+            occluder = self.owner.take(part.take(at))
+            light, which = np.divmod(way.take(which.take(at)), count)
+            kept = indices(occluder != owner.take(which))
+            yield light.take(kept), which.take(kept), occluder.take(kept)
 
     def _in_cells(self, rect: Floats, field: Ints) -> Floats:
         """Rectangles (4, n) in cells of fields (n,), from octahedral coordinates."""
@@ -168,7 +173,10 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
         first=np.zeros(1, dtype=np.intp),
         listed=some[:0],
         owner=owner[some],
-        wedge=-wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]],
+        # Rounding keeps the order, so that no bound fails.
+        wedge=-wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]].astype(
+            np.float32 if extents[:, 2:].min() > _NARROW else np.float64
+        ),
     )
     number, rect = field[octant[some]], rect[:, some]
     u0, u1, v0, v1 = np.clip(grid._in_cells(rect, number), 0, 1)
@@ -176,12 +184,12 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     side = max(1, int(min(_SIDE_EACH * sqrt(slack.size), _SIDE_MOST, sqrt(_PAIRS / covered))))
     grid = grid._replace(side=side, scale=side * grid.scale)
     place, cell, corner = _cells(grid._in_cells(rect, number), number, side)
-    cell = 4 * cell + _LIST[corner]
+    cell = 4 * cell + _LIST.take(corner)
     counts = np.bincount(cell, minlength=4 * begin.size * side**2)
     # By the low 16 bits, then by the high ones: NumPy's radix sort takes no more.
     order = (cell & 0xFFFF).astype(np.uint16).argsort(kind="stable")
-    order = order[(cell[order] >> 16).astype(np.uint16).argsort(kind="stable")]
-    return grid._replace(first=np.append(0, counts.cumsum()), listed=place[order])
+    order = order.take((cell.take(order) >> 16).astype(np.uint16).argsort(kind="stable"))
+    return grid._replace(first=np.append(0, counts.cumsum()), listed=place.take(order))
 
 
 def _repeated(surfaces: Surfaces) -> Bools:
@@ -290,8 +298,10 @@ def _cells(bounds: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.
     strip, column = expand(wide, left)
-    part, cell = expand(tall[strip], (field[strip] * side + column) * side + top[strip])
-    first = (column == left[strip])[part]
-    part = strip[part]
+    part, cell = expand(
+        tall.take(strip), (field.take(strip) * side + column) * side + top.take(strip)
+    )
+    first = (column == left.take(strip)).take(part)
+    part = strip.take(part)
     row = cell % side
-    return part, cell, first.view(np.uint8) | (row == top[part]).view(np.uint8) << 1
+    return part, cell, first.view(np.uint8) | (row == top.take(part)).view(np.uint8) << 1
