@@ -13,7 +13,6 @@ import numpy as np
 from tracer.antialias.margins import Margins, Sheets, rays, span
 from tracer.arrays import Floats, Ints, Triple, columns, dot, each, indices, pick, select
 from tracer.light.lighting import Incoming, Lighting
-from tracer.shadow.occlusion import ShadowEdges
 from tracer.shapes.silhouette import box_corners, box_margins, silhouette_planes, sphere_margins
 from tracer.view.hits import Visible
 from tracer.view.view import View
@@ -127,10 +126,10 @@ class Seen(NamedTuple):
         d, inverse = self.rays(at)
         yield self.cell[at], inverse - Sheets.of(behind).inverse(d)
 
-    def shadows(self, found: ShadowEdges) -> Iterator[Margins]:
-        """Edges of shadows, given what may shade around hits."""
+    def shadows(self, found: tuple[Ints, Ints, Ints]) -> Iterator[Margins]:
+        """Edges of shadows, given lights, hits and objects that may shade around these."""
         lighting, surfaces = self.lighting, self.lighting.view.surfaces
-        point, light, occluder = found.point, found.light, found.occluder
+        light, point, occluder = found
         d, inverse = self.rays(point)
         apex = columns(lighting.local, light)
         q = each(lambda d, place: d - place * inverse, d, apex)

@@ -164,6 +164,7 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     field[octant[some[begin]]] = np.arange(begin.size)
     extents = np.array([_middle_part(rect[:, part]) for part in np.split(some, begin[1:])])
     some = indices((field[octant] >= 0) & may_shade[owner])
+    bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
     grid = LightGrid(
         light=light,
         field=field,
@@ -174,9 +175,7 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
         listed=some[:0],
         owner=owner[some],
         # Rounding keeps the order, so that no bound fails.
-        wedge=-wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]].astype(
-            np.float32 if extents[:, 2:].min() > _NARROW else np.float64
-        ),
+        wedge=bounds.astype(np.float32 if extents[:, 2:].min() > _NARROW else np.float64),
     )
     number, rect = field[octant[some]], rect[:, some]
     u0, u1, v0, v1 = np.clip(grid._in_cells(rect, number), 0, 1)

@@ -17,7 +17,6 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
-    Triple,
     batches,
     changes,
     columns,
@@ -33,50 +32,34 @@ from tracer.shapes.rounding import ON
 from tracer.view.hits import Visible
 from tracer.view.view import Shape
 
-__all__ = ["ShadowEdges", "occlusion", "shadow_edges"]
+__all__ = ["occlusion", "shadow_edges"]
 
 # Long packets are cut into packets of at most so many points.
 _SHORT = 6
 
 
-class ShadowEdges(NamedTuple):
-    """Where shadows may have an edge near some points, each on its own object.
-
-    Attributes
-    ----------
-    point, light, occluder : (m,)
-        Objects that may keep a light from some of what is near a point; the pairs ascend by light,
-        then by point.
-    """
-
-    point: Ints
-    light: Ints
-    occluder: Ints
-
-
 class _Pairs(NamedTuple):
-    """Pairs of a point and an object that may keep a light from it.
+    """Triples of a light, a point and an object of a shape that may come between.
 
     Attributes
     ----------
     shape : Spheres or Boxes
-        Of all objects.
-    point, light, occluder : (m,)
+    light, point, occluder : (m,)
     closely : (m,)
         See `Spheres.occludes`.
     """
 
     shape: Shape
-    point: Ints
     light: Ints
+    point: Ints
     occluder: Ints
     closely: Bools
 
     def take(self, index: Ints) -> _Pairs:
         """Some of them."""
-        shape, point, light, occluder, closely = self
+        shape, light, point, occluder, closely = self
         return _Pairs(
-            shape, point.take(index), light.take(index), occluder.take(index), closely.take(index)
+            shape, light.take(index), point.take(index), occluder.take(index), closely.take(index)
         )
 
 
@@ -88,29 +71,26 @@ def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
     for umbra, pairs in _candidates(occluders, hits, frontlit):
-        blocked |= umbra
         block = _blocks(occluders, hits, pairs)
         put(blocked, pairs.light[block], pairs.point[block], True)
+        blocked |= umbra
     return blocked
 
 
 def shadow_edges(
-    occluders: Occluders,
-    hits: Visible,
-    frontlit: Bools,
-    footprint: Floats,
-) -> tuple[Bools, ShadowEdges]:
+    occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats
+) -> tuple[Bools, tuple[Ints, Ints, Ints]]:
     """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
 
-    Listed are the objects whose shadow's edge may be as near as that.  They block as they are, or
-    when grown by the footprint, or have the light within it of their surface; and they do not block
-    when shrunk by it.  Where any object does even then, nothing near is lit.
+    Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
+    near as that, each on the point's own object.  These block as they are, or when grown by the
+    footprint, or have the light within it of their surface; and they do not block when shrunk by
+    it.  Where any object does even then, nothing near is lit.
     """
     blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    none = np.zeros(0, dtype=np.intp)
-    edges = [(none, none, none)]
+    none, count, objects = np.zeros(0, dtype=np.intp), frontlit.shape[1], occluders.slack.size
+    found = [none]
     for dark, pairs in _candidates(occluders, hits, frontlit, footprint):
-        umbra |= dark
         reach = footprint[pairs.point]
         grown = _blocks(occluders, hits, pairs, reach)
         # An object grown by more than the gap holds the light.  It may then hold the whole of a
@@ -125,22 +105,16 @@ def shadow_edges(
         shrunk &= entries(occluders.side, pairs.light, pairs.occluder) != ON
         put(blocked, pairs.light[itself], pairs.point[itself], True)
         put(umbra, pairs.light[shrunk], pairs.point[shrunk], True)
+        umbra |= dark
         changing = ~shrunk & (grown | itself | (np.abs(gap) <= reach))
-        edge = indices(changing & entries(frontlit, pairs.light, pairs.point))
-        edges.append((pairs.light[edge], pairs.point[edge], pairs.occluder[edge]))
-    light, point, occluder = (np.concatenate(m) for m in zip(*edges, strict=True))
-    kept = indices(~entries(umbra, light, point))
+        edge = pairs.take(indices(changing & entries(frontlit, pairs.light, pairs.point)))
+        found.append((edge.light * count + edge.point) * objects + edge.occluder)
     # A pair may have been found in several octants of the grid.
-    objects = occluders.slack.size
-    pair = np.sort(((light * hits.first[-1] + point) * objects + occluder)[kept])
-    place, occluder = np.divmod(pair[changes(pair)], objects)
-    light, point = np.divmod(place, hits.first[-1])
-    found = ShadowEdges(
-        point=point,
-        light=light,
-        occluder=occluder,
-    )
-    return blocked | umbra, found
+    triple = np.sort(np.concatenate(found))
+    place, occluder = np.divmod(triple[changes(triple)], objects)
+    kept = indices(~umbra.reshape(-1).take(place))
+    light, point = np.divmod(place[kept], count)
+    return blocked | umbra, (light, point, occluder[kept])
 
 
 def _blocks(
@@ -153,17 +127,47 @@ def _blocks(
 
 
 def _candidates(
-    occluders: Occluders,
-    hits: Visible,
-    frontlit: Bools,
-    footprint: Floats | None = None,
+    occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None = None
 ) -> Iterator[tuple[Bools, _Pairs]]:
     """All that may keep lights from points.
 
-    Yields, some at a time, points (lights, n) that are certainly in shadow, and pairs to be tested.
-    With a `footprint` (n,) they are those that may shade anything on a point's own object within
-    this distance of it.
+    Yields, again and again, one growing table of points (lights, n) that are certainly in shadow,
+    and more pairs to be tested.  With a `footprint` (n,) all are as for anything on a point's own
+    object within this distance of it.
     """
+    umbra = np.zeros(frontlit.shape, dtype=np.bool_)
+    for shape, light, packets, occluder in _asking(occluders, hits, frontlit, footprint):
+        for short in (False, True) if packets.length.max(initial=0) > _SHORT else (False,):
+            if short:
+                packets, parent = cut(hits, occluders.slack, packets, _SHORT)
+                light, occluder = light[parent], occluder[parent]
+            end = columns(occluders.lights, light)
+            meets, cuts = shape.capsules(occluder, packets.middle, end, packets.radius)
+            start, length = packets.start[cuts], packets.length[cuts]
+            put(umbra, light[cuts].repeat(length), ranges(start, length), True)
+            near = indices(meets & ~cuts)
+            packets, light, occluder = packets.take(near), light[near], occluder[near]
+        # A short packet is in umbra as a whole, so its first point tells.
+        near = indices(~entries(umbra, light, packets.start))
+        packets, light, occluder = packets.take(near), light[near], occluder[near]
+        around = packets.radius + occluders.slack[occluder]
+        closely = shape.touches(occluder, packets.middle, around)
+        closely |= entries(occluders.near_light, light, occluder)
+        length = packets.length
+        pairs = _Pairs(
+            shape=shape,
+            light=light.repeat(length),
+            point=ranges(packets.start, length),
+            occluder=occluder.repeat(length),
+            closely=closely.repeat(length),
+        )
+        yield umbra, pairs
+
+
+def _asking(
+    occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None
+) -> Iterator[tuple[Shape, Ints, Packets, Ints]]:
+    """Lights, packets of points, and objects of a shape that may come between, some at a time."""
     if occluders.grid is None or not frontlit.any():
         return
     # Scattered points stand close together: their packets are short from the start.
@@ -187,48 +191,4 @@ def _candidates(
                 some, packet = kind[batch][part], order[place]
                 lit = indices(entries(asked, light[some], packet))
                 some, found = some[lit], packets.take(packet[lit])
-                yield _narrowed(occluders, hits, shape, found, light[some], occluder[some])
-
-
-def _narrowed(
-    occluders: Occluders,
-    hits: Visible,
-    shape: Shape,
-    packets: Packets,
-    light: Ints,
-    occluder: Ints,
-) -> tuple[Bools, _Pairs]:
-    """Cut packets (m,) that may be shaded by objects of a shape into short ones, and into points.
-
-    Returns what `_candidates` yields.
-    """
-    umbra = np.zeros((len(occluders.lights), hits.p.shape[1]), dtype=np.bool_)
-    for short in (False, True) if packets.length.max(initial=0) > _SHORT else (False,):
-        if short:
-            packets, parent = cut(hits, occluders.slack, packets, _SHORT)
-            light, occluder = light[parent], occluder[parent]
-        end = columns(occluders.lights, light)
-        meets, cuts = shape.capsules(occluder, packets.middle, end, packets.radius)
-        start, length = packets.start[cuts], packets.length[cuts]
-        put(umbra, light[cuts].repeat(length), ranges(start, length), True)
-        # A packet is in umbra as a whole, so its first point tells.
-        near = indices(meets & ~entries(umbra, light, packets.start))
-        packets, light, occluder = packets.take(near), light[near], occluder[near]
-    length = packets.length
-    closely = _closely(occluders, shape, packets.middle, packets.radius, light, occluder)
-    return umbra, _Pairs(
-        shape=shape,
-        point=ranges(packets.start, length),
-        light=light.repeat(length),
-        occluder=occluder.repeat(length),
-        closely=closely.repeat(length),
-    )
-
-
-def _closely(
-    occluders: Occluders, shape: Shape, middle: Triple, radius: Floats, light: Ints, occluder: Ints
-) -> Bools:
-    """Whether objects need to be looked at closely from balls, or from lights."""
-    touches = shape.touches(occluder, middle, radius + occluders.slack[occluder])
-    touches |= entries(occluders.near_light, light, occluder)
-    return touches
+                yield shape, light[some], found, occluder[some]
