@@ -99,11 +99,8 @@ def test_the_probe_finds_no_kernels_at_home(
     assert choose("import os; assert not os.listdir(os.path.expanduser('~'))").variant == LLVM
 
 
-def test_the_probe_runs_once_a_process() -> None:
+def test_the_probe_runs_once_a_process_and_scalar_can_always_be_asked_for() -> None:
     assert use() is use()
-
-
-def test_the_scalar_variant_can_always_be_asked_for() -> None:
     assert use(SCALAR).variant == SCALAR
     use()
 
