@@ -17,8 +17,7 @@ from tracer.scene.model import Scene, Surfaces
 from tracer.scene.objects import Phong
 from tracer.shapes.rounding import INSIDE
 from tracer.view.camera import Raster, raster_of
-from tracer.view.hits import Group
-from tracer.view.view import Shape, view_of
+from tracer.view.view import Group, Shape, view_of
 
 
 @np.errstate(all="ignore")

@@ -18,8 +18,7 @@ from tracer.scene.model import Scene
 from tracer.scene.objects import unit
 from tracer.view.camera import raster_of
 from tracer.view.first_hits import Hits, first_hits
-from tracer.view.hits import Visible
-from tracer.view.view import view_of
+from tracer.view.view import Visible, view_of
 from tracer.view.visibility import visible
 
 __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]

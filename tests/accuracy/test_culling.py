@@ -20,9 +20,8 @@ from tracer.arrays import Floats
 from tracer.light import lighting
 from tracer.picture import bands
 from tracer.view.camera import raster_of
-from tracer.view.hits import Visible
 from tracer.view.samples import Samples, Scattered
-from tracer.view.view import View, view_of
+from tracer.view.view import View, Visible, view_of
 
 
 def assert_same(scene: Scene) -> None:

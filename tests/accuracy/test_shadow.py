@@ -16,7 +16,7 @@ from tracer.shadow import grid
 from tracer.shadow.occluders import Occluders
 from tracer.shadow.occlusion import shadow_edges
 from tracer.shapes.sphere import Spheres
-from tracer.view.hits import Visible
+from tracer.view.view import Visible
 
 
 def candidates(scene: Scene) -> int:

@@ -128,13 +128,14 @@ def classify(
     ids[place] = ids_of(hits, lit)
     for narrow in narrow_highlights(incoming, facing, footprint):
         unresolved[place[narrow]] = True
-    seen = Seen(lighting, hits, Sheets.of(hits), place, footprint, cells.size)
+    lights, sheets = (lighting.positions, lighting.local), Sheets.of(hits)
+    seen = Seen(hits, *lights, sheets, place, footprint, cells.size)
     x, y = cells.x[cells.cell], cells.y[cells.cell]
     margins = chain(
         silhouettes(lighting.view, cells.cell, cells.owner, x, y, cells.size),
         seen.intersections(behind),
-        seen.shadows(found),
-        seen.terminators(incoming),
+        seen.shadows(*found),
+        seen.terminators(incoming.n_dot_l, incoming.length2),
         seen.creases(),
     )
     lines, curved = fitted(margins, cells.tolerance)

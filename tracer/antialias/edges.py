@@ -12,10 +12,8 @@ import numpy as np
 
 from tracer.antialias.margins import Margins, Sheets, rays, span
 from tracer.arrays import Floats, Ints, Triple, columns, dot, each, indices, pick, select
-from tracer.light.lighting import Incoming, Lighting
 from tracer.shapes.silhouette import box_corners, box_margins, silhouette_planes, sphere_margins
-from tracer.view.hits import Visible
-from tracer.view.view import View
+from tracer.view.view import View, Visible
 
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
@@ -91,8 +89,9 @@ class Seen(NamedTuple):
 
     Attributes
     ----------
-    lighting : Lighting
     hits : Visible
+    lights, local : (lights, 3)
+        Where the lights are: in the scene's axes, and in the camera's, seen from the eye.
     sheets : Sheets
         The surfaces that are seen.
     cell : (n,)
@@ -103,8 +102,9 @@ class Seen(NamedTuple):
         Width of the cells, in pixels.
     """
 
-    lighting: Lighting
     hits: Visible
+    lights: Floats
+    local: Floats
     sheets: Sheets
     cell: Ints
     footprint: Floats
@@ -126,12 +126,11 @@ class Seen(NamedTuple):
         d, inverse = self.rays(at)
         yield self.cell[at], inverse - Sheets.of(behind).inverse(d)
 
-    def shadows(self, found: tuple[Ints, Ints, Ints]) -> Iterator[Margins]:
+    def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[Margins]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""
-        lighting, surfaces = self.lighting, self.lighting.view.surfaces
-        light, point, occluder = found
+        view, surfaces = self.hits.view, self.hits.view.surfaces
         d, inverse = self.rays(point)
-        apex = columns(lighting.local, light)
+        apex = columns(self.local, light)
         q = each(lambda d, place: d - place * inverse, d, apex)
 
         def planes(at: Ints) -> Triple:
@@ -139,20 +138,20 @@ class Seen(NamedTuple):
             pair, place = np.unique(light[at] * len(surfaces) + occluder[at], return_inverse=True)
             number, box = np.divmod(pair, len(surfaces))
             low, high = (m[box - surfaces.sphere_count] for m in (surfaces.min_pt, surfaces.max_pt))
-            position = lighting.positions[number]
+            position = self.lights[number]
             normals, _ = silhouette_planes(box_corners(low, high, position), position, low, high)
-            u, v, w = self.hits.view.raster.vector_to_camera(normals)
+            u, v, w = view.raster.vector_to_camera(normals)
             return u[:, place], v[:, place], w[:, place]
 
-        yield from _silhouettes(lighting.view, self.cell[point], occluder, q, apex, planes)
+        yield from _silhouettes(view, self.cell[point], occluder, q, apex, planes)
 
-    def terminators(self, incoming: Incoming) -> Iterator[Margins]:
-        """Lines at which lights, and their highlights, begin on spheres."""
-        view, own = self.lighting.view, self.hits.own
+    def terminators(self, n_dot_l: Floats, length2: Floats) -> Iterator[Margins]:
+        """Lines at which lights, and their highlights, begin on spheres: see `Incoming`."""
+        view, own = self.hits.view, self.hits.own
         turn = self.footprint * view.curvature[own]
-        number, at = np.nonzero(incoming.n_dot_l**2 < turn * turn * incoming.length2)
+        number, at = np.nonzero(n_dot_l**2 < turn * turn * length2)
         d, inverse = self.rays(at)
-        center, light = pick(view.spheres.local, own[at]), columns(self.lighting.local, number)
+        center, light = pick(view.spheres.local, own[at]), columns(self.local, number)
         # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
         n = each(lambda d, c: d - c * inverse, d, center)
         to_light = each(lambda d, c: c * inverse - d, d, light)
@@ -160,7 +159,7 @@ class Seen(NamedTuple):
 
     def creases(self) -> Iterator[Margins]:
         """Edges between faces of boxes that are both seen."""
-        view, eye = self.lighting.view, self.hits.view.raster.eye
+        view, eye = self.hits.view, self.hits.view.raster.eye
         for group in self.hits.groups:
             if not group.flat:
                 continue

@@ -25,7 +25,7 @@ import numpy as np
 from tracer.antialias.lines import Lines
 from tracer.arrays import Floats, Ints, Triple, dot, each, indices, pick
 from tracer.view.camera import Raster
-from tracer.view.hits import Visible
+from tracer.view.view import Visible
 
 Margins: TypeAlias = tuple[Ints, Floats]
 """Cells (n,), and the margins of edges at the six points of each (6, n); NaN: no telling."""

@@ -23,9 +23,8 @@ from tracer.scene.model import Scene
 from tracer.shadow.occluders import Occluders, occluders_of
 from tracer.shadow.occlusion import occlusion
 from tracer.shapes.rounding import INSIDE
-from tracer.view.hits import Group, Visible
 from tracer.view.samples import Samples
-from tracer.view.view import View
+from tracer.view.view import Group, View, Visible
 from tracer.view.visibility import visible
 
 # On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where

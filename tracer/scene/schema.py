@@ -14,9 +14,7 @@ from dataclasses import fields
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
-
-from tracer.arrays import Floats, Ints
+from numpy.typing import ArrayLike, NDArray
 
 _Made = TypeVar("_Made")
 
@@ -25,6 +23,9 @@ MAX_PIXELS = 1 << 28
 
 # Between these in size are lengths and coordinates other than 0: float64 holds fourth powers.
 _SMALLEST, _LARGEST = 1e-75, 1e75
+
+
+Floats: TypeAlias = NDArray[np.float64]
 
 
 def number(value: float) -> str:
@@ -188,7 +189,7 @@ def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
         yield i, f"must not exceed max_pt, but {has}; swap these"
 
 
-def integers(value: ArrayLike, name: str) -> Ints:
+def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
     """Return a copy (n,) of whole numbers."""
     given = _floats(value, name).ravel()
     with np.errstate(invalid="ignore"):

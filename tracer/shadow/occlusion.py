@@ -29,8 +29,7 @@ from tracer.arrays import (
 from tracer.shadow.occluders import LONGEST, Occluders
 from tracer.shadow.packets import Packets, cut, packets_of, tiles_of
 from tracer.shapes.rounding import ON
-from tracer.view.hits import Visible
-from tracer.view.view import Shape
+from tracer.view.view import Shape, Visible
 
 __all__ = ["occlusion", "shadow_edges"]
 

@@ -23,7 +23,7 @@ from tracer.arrays import (
     pick,
 )
 from tracer.shadow.grid import SLACK
-from tracer.view.hits import Visible
+from tracer.view.view import Visible
 
 __all__ = ["Packets", "cut", "packets_of", "tiles_of"]
 

@@ -26,7 +26,6 @@ from tracer.arrays import (
     select,
 )
 from tracer.scene.model import Surfaces
-from tracer.shapes.frames import Frames, Spans
 from tracer.shapes.rounding import (
     INSIDE,
     NEARLY_PARALLEL,
@@ -36,8 +35,7 @@ from tracer.shapes.rounding import (
     tolerance_at,
 )
 from tracer.shapes.silhouette import box_corners, silhouette_planes
-from tracer.shapes.sphere import LEAST_SLOPE
-from tracer.view.camera import Raster
+from tracer.view.camera import LEAST_SLOPE, Frames, Raster, Spans
 
 # Slopes (`Spheres.slope`) count as at most so steep.
 _MOST_SLOPE = 8192.0

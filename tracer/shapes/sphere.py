@@ -31,7 +31,6 @@ from tracer.arrays import (
     select,
 )
 from tracer.scene.model import Surfaces
-from tracer.shapes.frames import Frames, Spans
 from tracer.shapes.rounding import (
     NEARLY_ZERO_POWER,
     ON,
@@ -41,13 +40,10 @@ from tracer.shapes.rounding import (
     side_of,
     tolerance_at,
 )
-from tracer.view.camera import Raster
+from tracer.view.camera import LEAST_SLOPE, Frames, Raster, Spans
 
 NO_FACE = 3
 """In place of the axis of a box's face."""
-
-LEAST_SLOPE = 32.0
-"""Slopes count as at least so steep; see `Spheres.slope`."""
 
 # Within so many rows of its leftmost or rightmost point a silhouette leans to neither side.
 _NEARBY = 0.5

@@ -9,8 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.arrays import Floats, Ints, changes, expand
-from tracer.shapes.frames import Spans
-from tracer.view.camera import Raster
+from tracer.view.camera import Raster, Spans
 
 Covered: TypeAlias = tuple[Ints, Ints, Ints, Ints]
 """Spans of samples in which objects may be seen: which object, the index of the span's y among

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Index, Ints, changes, expand, indices, select
-from tracer.shapes.sphere import LEAST_SLOPE
-from tracer.view.hits import Group, Visible
+from tracer.view.camera import LEAST_SLOPE
 from tracer.view.samples import Samples, Scattered
-from tracer.view.view import Shape, View
+from tracer.view.view import Group, Shape, View, Visible
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
