@@ -10,7 +10,7 @@ from typing import Any
 
 from converters.flavours import exact, stock
 from converters.variant import ensure, mi
-from tracer.scene.model import Scene
+from tracer import Scene
 
 __all__ = [
     "mitsuba_command",

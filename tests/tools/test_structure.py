@@ -1,0 +1,110 @@
+"""The weight of the project, and the order of its modules: whoever raises a budget says why."""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# Lines of a folder at most; these are to come down to 6,400, 1,300, 3,300 and 7,100.
+BUDGET = {"tracer": 7800, "converters": 1330, "reference": 4330, "tests": 9950}
+# Lines of code of the tracer (not blank, no comment, no docstring), lines of each module, and the
+# longest chain of modules that import each other.
+CODE, MODULE, DEPTH = 4700, 450, 12
+
+
+def modules(folder: str) -> dict[str, Path]:
+    """All modules below a folder by name."""
+    paths = sorted((ROOT / folder).rglob("*.py"))
+    return {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in paths}
+
+
+def lines(path: Path) -> int:
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def lines_of_code(path: Path) -> int:
+    """Lines that are not blank, no comment and no docstring."""
+    text = path.read_text(encoding="utf-8")
+    skipped: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(
+            node
+        ):
+            first = node.body[0]
+            skipped |= set(range(first.lineno, (first.end_lineno or 0) + 1))
+    code: set[int] = set()
+    blank = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in blank | {tokenize.ENDMARKER}:
+            code |= set(range(token.start[0], token.end[0] + 1))
+    return len(code - skipped)
+
+
+def imports(path: Path) -> set[str]:
+    """Every `module` and `module.name` that a module imports, wherever."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path}: a relative import"
+            found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+@pytest.mark.parametrize("folder", BUDGET)
+def test_no_folder_exceeds_its_budget(folder: str) -> None:
+    total = sum(map(lines, modules(folder).values()))
+    assert 0 < total <= BUDGET[folder]
+
+
+def test_the_tracer_is_small_enough_to_read() -> None:
+    paths = modules("tracer")
+    assert sum(map(lines_of_code, paths.values())) <= CODE
+    assert {name: lines(path) for name, path in paths.items() if lines(path) > MODULE} == {}
+
+
+def test_the_tracers_modules_import_downwards() -> None:
+    """No cycle, no long chains, and nothing through the face of a package."""
+    paths = modules("tracer")
+    faces = {name.removesuffix(".__init__") for name in paths if name.endswith(".__init__")}
+    uses = {name: imports(path) & set(paths) for name, path in paths.items()}
+
+    @cache
+    def depth(name: str, above: tuple[str, ...] = ()) -> int:
+        assert name not in above, f"a cycle: {above}"
+        return 1 + max((depth(other, (*above, name)) for other in uses[name]), default=0)
+
+    assert max(map(depth, paths)) <= DEPTH
+    for name, path in paths.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module in faces:
+                taken = {f"{node.module}.{alias.name}" for alias in node.names}
+                # A submodule is no name that the package gathers; the version stands at the top.
+                assert taken <= {*paths, "tracer.__version__"} | faces, name
+
+
+@pytest.mark.parametrize("folder", ["converters", "reference"])
+def test_other_packages_use_the_public_names_alone(folder: str) -> None:
+    import tracer
+
+    public = {f"tracer.{name}" for name in tracer.__all__} | {"tracer", "tracer.commands"}
+    for name, path in modules(folder).items():
+        used = {each for each in imports(path) if each.partition(".")[0] == "tracer"}
+        used = {each for each in used if not each.startswith("tracer.commands.")}
+        assert used <= public | {"tracer.__version__"}, name
+
+
+def test_converters_do_without_the_reference() -> None:
+    for name, path in modules("converters").items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        top = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
+        assert not [node for node in top if "reference" in ast.unparse(node)], name
