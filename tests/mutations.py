@@ -146,11 +146,11 @@ CHANGES = {
         "uses[place] > 1": "uses[place] > 2",
     },
     "tracer/explanation.py": {
-        "others[others != owner]": "others[others >= 0]",
+        "float(hit.normal[0] @ towards)": "float(hit.normal[0] @ -towards)",
         "n_dot_l[number] / np.sqrt(": "n_dot_l[number] * np.sqrt(",
     },
     "tracer/suspicions.py": {
-        "_LEAST_CODE = 10": "_LEAST_CODE = 100",
+        "_LEAST_CODE = 10": "_LEAST_CODE = 1000",
         "if not (seen >= 0).any()": "if (seen >= 0).any()",
     },
     # Converter: window, handedness, field of view, lights, highlights, flavours

@@ -150,6 +150,14 @@ def test_11_shadow_of_a_plate(side: int, edge: int) -> None:
     assert seen == pytest.approx(expected, abs=1e-12 if expected else 0.0)
 
 
+@pytest.mark.parametrize(("height", "lit"), [(1.0, 1), (-1.0, 1), (1 - 2.0**-30, 0)])
+def test_11b_shadow_ray_in_a_face(height: float, lit: int) -> None:
+    # From a wall, straight along a face of the cube: only what is within the cube blocks.
+    wall = Box(min_pt=(5, -9, -9), max_pt=(6, 9, 9))
+    seen = radiance_along((4, height, 0), (1, 0, 0), (-5, height, 0), CUBE, wall)
+    assert seen.tolist() == [lit] * 3
+
+
 def test_12_inverted_corners() -> None:
     with pytest.raises(SceneError, match=r"^surface 1: min_pt: must not exceed max_pt"):
         Surfaces(
