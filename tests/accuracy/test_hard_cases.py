@@ -275,6 +275,12 @@ def test_20_at_the_centre_of_a_sphere() -> None:
     assert render(scene) == pytest.approx(expected, abs=4 * EPS)
 
 
+def test_20b_eye_on_a_sphere() -> None:
+    # It sees the other side, from inside: there the light in the middle arrives straight.
+    seen = radiance_along((0, 0, 1), (0, 0, -1), (0, 0, 0), BALL)
+    assert seen.tolist() == [1, 1, 1]
+
+
 @pytest.mark.parametrize("light", [(0, 0, 5), (0, 0, -1), (0, 0, 1.0000001), (3, 2, -9)])
 def test_21_in_a_box_with_the_light_outside(light: Vector) -> None:
     # Its wall keeps out all light that is not strictly inside.
