@@ -15,7 +15,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 import tracer
 from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
-from tracer.picture.png import to_codes
 
 __all__ = ["main", "sheet"]
 
@@ -61,7 +60,7 @@ def _drawn(scene: tracer.Scene, width: int) -> Image.Image:
     """The scene at another size, anti-aliased."""
     height = round(scene.height * width / scene.width)
     sized = dataclasses.replace(scene, width=width, height=height)
-    return Image.fromarray(np.ascontiguousarray(to_codes(tracer.render(sized, _SAMPLES))))
+    return Image.fromarray(np.ascontiguousarray(tracer.to_codes(tracer.render(sized, _SAMPLES))))
 
 
 def main() -> None:

@@ -17,9 +17,10 @@ from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from converters.variant import LLVM, mi, use
@@ -30,11 +31,11 @@ from reference.tables import measured_on, read_csv, write_csv
 from reference.timing import Task, Timing, interleaved
 from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized
-from tracer import Scene, load_scene, render
-from tracer.arrays import Floats
-from tracer.picture.png import to_codes
+from tracer import Scene, load_scene, render, to_codes
 
 __all__ = ["Lead", "Point", "main", "measure"]
+
+Floats: TypeAlias = NDArray[np.float64]
 
 _OURS, _POVRAY = "this tracer", "POV-Ray adaptive"
 # The same with 9, 36, 144, ... samples a pixel: the others have powers of four.
