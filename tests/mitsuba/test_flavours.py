@@ -177,6 +177,17 @@ def test_projectors_light_as_the_tracer_does_at_any_distance(distance: float) ->
     assert distance > 1 or figures(falling, render(scene, samples=256)).rmse > 0.05
 
 
+def test_projectors_are_as_strong_at_any_scale() -> None:
+    scales = []
+    for scale in (1e7, 1e9):  # beyond what stays as it is in the file
+        scene = moved(load_scene(ONE_SPHERE), scale)
+        text, _ = convert(scene, "stock-lights", 4, "lights.pfm")
+        found = ET.fromstring(text).findall("emitter/float[@name='scale']")
+        scales.append([float(each.attrib["value"]) for each in found])
+    assert scales[0]
+    assert scales[0] == pytest.approx(scales[1], rel=1e-4)
+
+
 def test_boxes_keep_their_thickness_wherever_they_are() -> None:
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
