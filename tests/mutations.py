@@ -73,7 +73,6 @@ CHANGES = {
     },
     # Shadows: cells, packets, umbra
     "tracer/shadow/grid.py": {
-        "occluder != owner.take(which)": "occluder >= 0",
         "right - left + 1, bottom": "np.maximum(right - left, 1), bottom",
         "may_shade = ~_repeated(surfaces)": "may_shade = _repeated(surfaces)",
     },
