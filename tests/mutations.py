@@ -229,6 +229,8 @@ def failing(folder: Path, *arguments: str) -> str | None:
         text=True,
         check=False,
     )
+    if done.returncode < 0:
+        raise RuntimeError(f"pytest was ended by signal {-done.returncode}; run it again")
     if done.returncode == 0:
         return None
     lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
