@@ -193,8 +193,8 @@ def test_shadows_between_pixel_centres(occluder: str, receiver: str) -> None:
     assert np.array_equal(render(without)[5:7, 9:11], render(with_it)[5:7, 9:11])
 
 
-@pytest.mark.parametrize("name", ["one-sphere", "four-spheres"])
-def test_limbs_and_terminators_are_nearly_exact(name: str) -> None:
+@pytest.mark.parametrize(("name", "better"), [("one-sphere", 13), ("four-spheres", 18)])
+def test_limbs_and_terminators_are_nearly_exact(name: str, better: float) -> None:
     # Both are known in closed form, with how light falls off towards them.
     scene = small(SCENES[0].parent / f"{name}.xml")
     converged = uniform(scene, 41)
@@ -202,7 +202,7 @@ def test_limbs_and_terminators_are_nearly_exact(name: str) -> None:
         np.sqrt(((image - converged) ** 2).mean())
         for image in (render(scene, samples=16), uniform(scene, 4))
     )
-    assert rmse <= grid_rmse / 8
+    assert rmse <= grid_rmse / better
 
 
 @pytest.mark.usefixtures("pixels_are_split")
