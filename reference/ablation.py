@@ -10,47 +10,37 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pkgutil import resolve_name
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
 
-from reference.command import SCENES, need_scenes, parser, result, run
-from reference.tables import Ratio, Table, measured_on, write_tables
-from reference.timing import Task, Timing, interleaved
+from reference.command import SCENES, run
+from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
 
 __all__ = ["ANTIALIASING", "ONE_SAMPLE", "Part", "main", "without"]
 
-_ALL = "all as it is"
 _ALWAYS = 1 << 40
 
-_SAMPLES = 64
-
 # As many for all: the fastest of more rounds would be faster.
-_ROUNDS = 5
+_SAMPLES, _ROUNDS = 64, 5
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(NamedTuple):
     """Something that the tracer could do without.
 
-    Attributes
-    ----------
-    name : str
-    instead : mapping
-        What takes the place of what, below `tracer`: a value, or of a function a function that is
-        given the old one and its arguments.
-    processes : int
+    `instead` says what takes the place of what, below `tracer`: a value, or of a function one that
+    is given the old one and its arguments.
     """
 
     name: str
-    instead: Mapping[str, Any] = field(default_factory=dict)
+    instead: Mapping[str, Any] = MappingProxyType({})
     processes: int = 1
 
 
@@ -121,46 +111,14 @@ def without(part: Part) -> Iterator[None]:
         for name, value in part.instead.items():
             target, attribute = f"tracer.{name}".rsplit(".", 1)
             old = getattr(resolve_name(target), attribute)
-            # A plain function, so that it is bound to objects as the old one is.
             new = _in_place(value, old) if callable(value) else value
             stack.enter_context(mock.patch(f"tracer.{name}", new))
         yield
 
 
 def _in_place(value: Any, old: Any) -> Any:
-    def new(*arguments: Any, **keywords: Any) -> Any:
-        return value(old, *arguments, **keywords)
-
-    return new
-
-
-def _table(
-    title: str, scenes: dict[str, Scene], parts: Sequence[Part], samples: int, *, quick: bool
-) -> Table:
-    """Times, in the first row in milliseconds, and errors where pixels are antialiased."""
-    every = [Part(_ALL), *parts]
-    rows: list[list[object]] = [[part.name] for part in every]
-    header = ["change"]
-    for name, scene in scenes.items():
-        tasks: dict[str, Task] = {
-            part.name: partial(_render, scene, part, samples) for part in every
-        }
-        spent = interleaved(tasks, 1 if quick else _ROUNDS)
-        truth = Truth.of(scene, truth_side(quick)) if samples > 1 else None
-        header += [name, "RMSE"] if truth else [name]
-        for row, part in zip(rows, every, strict=True):
-            # The fastest: other work of the machine only ever adds to a time.
-            low, whole = spent[part.name].low, spent[_ALL].low
-            row.append(Timing(low, low, low) if part is every[0] else Ratio(low / whole))
-            if truth:
-                row.append(f"{truth.error(_render(scene, part, samples)):.6f}")
-    return Table(
-        title,
-        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times as"
-        " long it takes with a change.",
-        tuple(header),
-        [tuple(row) for row in rows],
-    )
+    # A plain function, so that it is bound to objects as the old one is.
+    return lambda *arguments, **keywords: value(old, *arguments, **keywords)
 
 
 def _render(scene: Scene, part: Part, samples: int) -> Any:
@@ -168,32 +126,56 @@ def _render(scene: Scene, part: Part, samples: int) -> Any:
         return render(scene, samples, processes=part.processes)
 
 
-def _scenes(*names: str, size: tuple[int, int]) -> dict[str, Scene]:
-    return {name: resized(load_scene(SCENES / f"{name}.xml"), *size) for name in names}
+def _table(
+    title: str, scenes: dict[str, Scene], parts: Sequence[Part], samples: int, *, quick: bool
+) -> Table:
+    """Times, in the first row in milliseconds, and errors where pixels are antialiased."""
+    every = [Part("all as it is"), *parts]
+    rows: list[list[object]] = [[part.name] for part in every]
+    header = ["change"]
+    for name, scene in scenes.items():
+        tasks: dict[int, Task] = {
+            row: partial(_render, scene, part, samples) for row, part in enumerate(every)
+        }
+        spent = interleaved(tasks, 1 if quick else _ROUNDS)
+        truth = Truth.of(scene, truth_side(quick)) if samples > 1 else None
+        header += [name, "RMSE"] if truth else [name]
+        for k, part in enumerate(every):
+            # The fastest: other work of the machine only ever adds to a time.
+            low = spent[k].low
+            rows[k].append(Ratio(low / spent[0].low) if k else Timing(low, low, low))
+            if truth:
+                rows[k].append(f"{truth.error(_render(scene, part, samples)):.6f}")
+    note = (
+        f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times as"
+        " long it takes with a change."
+    )
+    return Table(title, note, header, rows)
+
+
+def _tables(quick: bool) -> Iterator[Table]:
+    wide, small = ((64, 36), (64, 36)) if quick else ((1280, 720), (320, 180))
+    objects = {"1,000 small objects": resized(crowd(1000), *small)}
+
+    def scenes(size: tuple[int, int], *names: str) -> dict[str, Scene]:
+        loaded = {name: resized(load_scene(SCENES / f"{name}.xml"), *size) for name in names}
+        return loaded | objects
+
+    one = scenes(wide, "four-spheres", "sticks-perspective", "sunflower", "many-objects")
+    one["2,000 rods"] = resized(rods(2000), *small)
+    yield _table("One sample a pixel", one, ONE_SAMPLE, 1, quick=quick)
+    many = scenes(small, "four-spheres", "room", "sunflower")
+    yield _table(f"{_SAMPLES} samples a pixel", many, ANTIALIASING, _SAMPLES, quick=quick)
 
 
 def main() -> None:
     """Measure, and write the page."""
-    used = parser("reference.ablation", __doc__, quick="small pictures")
-    options = used.parse_args()
-    need_scenes(used)
-    wide, small = ((64, 36), (64, 36)) if options.quick else ((1280, 720), (320, 180))
-    one = _scenes("four-spheres", "sticks-perspective", "sunflower", "many-objects", size=wide)
-    one["1,000 small objects"] = resized(crowd(1000), *small)
-    one["2,000 rods"] = resized(rods(2000), *small)
-    many = _scenes("four-spheres", "room", "sunflower", size=small)
-    many["1,000 small objects"] = resized(crowd(1000), *small)
-    found = [
-        _table("One sample a pixel", one, ONE_SAMPLE, 1, quick=options.quick),
-        _table(f"{_SAMPLES} samples a pixel", many, ANTIALIASING, _SAMPLES, quick=options.quick),
-    ]
     head = (
         "# What each part buys\n\nMade by `python -m reference.ablation`: each line leaves out, or"
         " changes, one part of the tracer and keeps all others. One process, unless it says two."
-        f" {wide[0]}×{wide[1]}; the objects by number, and all antialiased pictures,"
-        f" {small[0]}×{small[1]}."
+        " 1280×720; the objects by number, and all antialiased pictures, 320×180."
     )
-    write_tables(result("ablation.md", quick=options.quick), head, measured_on(), found)
+    measure_page("ablation", __doc__, "small pictures", head, _tables)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ before the clock starts.
 from __future__ import annotations
 
 import gc
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -25,13 +26,12 @@ import numpy as np
 from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray, rivals
-from reference.command import SCENES, built, need_scenes, own_scenes, parser, result, run
-from reference.tables import Ratio, Table, measured_on, write_tables
-from reference.timing import Task, Timing, interleaved, process
+from reference.command import SCENES, built, own_scenes, run
+from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene
 
-__all__ = ["Section", "growth_exponent", "main", "peak", "tables"]
+__all__ = ["SECTIONS", "Section", "growth_exponent", "main", "peak"]
 
 _FEW = ("one-sphere", "four-spheres", "sticks-perspective")
 _SPEEDUPS = ("speedup over exact", "speedup over stock")
@@ -58,12 +58,11 @@ def _mitsuba(loaded: Any) -> Task:
     return lambda: np.array(mi.render(loaded))
 
 
-def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> tuple[Timing, Timing]:
+def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> list[Timing]:
     """Time the tracer and Mitsuba in turns, with no other scene of Mitsuba's alive."""
     gc.collect()
     tasks: dict[str, Task] = {"ours": partial(render, scene), "theirs": _mitsuba(load(scene))}
-    ours, theirs = interleaved(tasks, rounds).values()
-    return ours, theirs
+    return [*interleaved(tasks, rounds).values()]
 
 
 def whole_process(rounds: int, quick: bool) -> Table:
@@ -74,25 +73,25 @@ def whole_process(rounds: int, quick: bool) -> Table:
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            texts = {"exact": exact(scene), "stock": stock(scene, 1)}
-            paths = {kind: built(f"{name}.{kind}.xml") for kind in ("tracer", *texts)}
-            save_scene(scene, paths["tracer"])
-            for kind, text in texts.items():
-                paths[kind].write_text(text)
+            save_scene(scene, ours := built("tracer.xml"))
+            (exactly := built("exact.xml")).write_text(exact(scene))
+            (similar := built("stock.xml")).write_text(stock(scene, 1))
             commands = {
                 "import numpy": [sys.executable, "-c", "import numpy"],
-                "tracer": rivals.tracer_command(paths["tracer"], png),
-                "Mitsuba exact": rivals.mitsuba_command(paths["exact"], png),
-                "Mitsuba stock": rivals.mitsuba_command(paths["stock"], png),
-                "the same, scalar": rivals.mitsuba_command(paths["stock"], png, SCALAR),
+                "tracer": rivals.tracer_command(ours, png),
+                "Mitsuba exact": rivals.mitsuba_command(exactly, png),
+                "Mitsuba stock": rivals.mitsuba_command(similar, png),
+                "the same, scalar": rivals.mitsuba_command(similar, png, SCALAR),
             }
             if povray.installed():
                 commands["POV-Ray"] = povray.command(scene, png)
             tasks = {who: process(command) for who, command in commands.items()}
             found = interleaved(tasks, rounds, enough=2.0)
-            ours, stocks = found["tracer"], (found["Mitsuba stock"], found["the same, scalar"])
-            fastest = min(stocks, key=lambda spent: spent.median)
-            speedups = _speedup(ours, found["Mitsuba exact"]), _speedup(ours, fastest)
+            over_exact, *over_stock = (
+                _speedup(found["tracer"], found[rival])
+                for rival in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
+            )
+            speedups = over_exact, min(over_stock)
             rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
     return Table(
         "Whole process: from XML to PNG",
@@ -131,6 +130,14 @@ def rendering(rounds: int, quick: bool) -> Table:
     )
 
 
+def _first(path: Path) -> object:
+    return render(load_scene(path))
+
+
+def _first_of_mitsuba(text: str) -> object:
+    return np.array(mi.render(mi.load_string(text)))
+
+
 def growth_in_objects(rounds: int, quick: bool) -> Table:
     """Time N small objects, spread out, beside Mitsuba."""
     use()
@@ -140,27 +147,24 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     for count in counts:
         scene, path = crowd(count), built("many.xml")
         save_scene(scene, path)
-        text = exact(scene)
         tasks: dict[str, Task] = {
-            "first": lambda path=path: render(load_scene(path)),  # type: ignore[misc]
+            "first": partial(_first, path),
             "warm": partial(render, scene),
         }
         if count <= _MOST_OF_MITSUBA:
             gc.collect()
-            tasks["Mitsuba, first"] = lambda text=text: np.array(  # type: ignore[misc]
-                mi.render(mi.load_string(text))
-            )
-            tasks["Mitsuba, warm"] = _mitsuba(mi.load_string(text))
+            tasks["Mitsuba, first"] = partial(_first_of_mitsuba, exact(scene))
+            tasks["Mitsuba, warm"] = _mitsuba(rivals.mitsuba_exact(scene))
         found = interleaved(tasks, rounds)
         tasks.clear()
         timings.append(found["warm"])
-        theirs = found.get("Mitsuba, first"), found.get("Mitsuba, warm")
-        speedups = (
-            _speedup(ours, other) if other else "–"
-            for ours, other in zip((found["first"], found["warm"]), theirs, strict=True)
-        )
-        times = (found["first"], theirs[0] or "–", found["warm"], theirs[1] or "–")
-        rows.append((f"{count:,}", *times, *speedups))
+        row: list[object] = [f"{count:,}"]
+        speedups: list[object] = []
+        for kind in ("first", "warm"):
+            ours, theirs = found[kind], found.get(f"Mitsuba, {kind}")
+            row += (ours, theirs or "–")
+            speedups.append(_speedup(ours, theirs) if theirs else "–")
+        rows.append((*row, *speedups))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",
         "Milliseconds, first from a scene's text to its picture, then warm. Mitsuba has a shape per"
@@ -208,7 +212,7 @@ def peak(*command: str) -> float:
     together = 0.0
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watch:
         while watch.poll() is None:
-            together = max(together, sum(map(_resident, _descendants(watch.pid))))
+            together = max(together, _resident(watch.pid))
             sleep(0.005)
         alone, _ = watch.communicate()
     if watch.returncode:
@@ -217,22 +221,18 @@ def peak(*command: str) -> float:
     return max(int(alone) * (1 if sys.platform == "darwin" else 1024) / 1e6, together)
 
 
-def _descendants(pid: int) -> list[int]:
-    """All processes that a process has started, where the system tells."""
+def _resident(pid: int | str) -> float:
+    """Shares of resident memory (proportional set sizes), MB, of all that a process has started.
+
+    0 where the system does not tell, or one ends meanwhile.
+    """
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [p for child in map(int, children) for p in (child, *_descendants(child))]
-
-
-def _resident(pid: int) -> float:
-    """A process's share of resident memory (its proportional set size), MB."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+        shares = " ".join(Path(f"/proc/{child}/smaps_rollup").read_text() for child in children)
     except OSError:
         return 0.0
-    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1024 / 1e6
+    kibibytes = sum(map(int, re.findall(r"\bPss: +(\d+)", shares)))
+    return kibibytes * 1024 / 1e6 + sum(map(_resident, children))
 
 
 def memory(rounds: int, quick: bool) -> Table:
@@ -242,9 +242,8 @@ def memory(rounds: int, quick: bool) -> Table:
     if not quick:
         scenes["100,000 objects 640×360"] = crowd(100_000)
         scenes["sticks-perspective 8192×8192"] = resized(sticks, 8192, 8192)
-    rows: list[tuple[object, ...]] = []
+    rows, path = list[tuple[str, str]](), built("scene.xml")
     for name, scene in scenes.items():
-        path = built("scene.xml")
         save_scene(scene, path)
         rows.append((name, f"{peak(*rivals.tracer_command(path, built('out.png'))):.0f}"))
     base = peak(sys.executable, "-c", "import numpy")
@@ -257,17 +256,10 @@ def memory(rounds: int, quick: bool) -> Table:
     )
 
 
-SECTIONS: list[Section] = [
-    whole_process,
-    rendering,
-    growth_in_objects,
-    loading,
-    memory,
-]
+SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, memory]
 
 
-def tables(*, quick: bool) -> Iterator[Table]:
-    """All tables, as they are measured."""
+def _tables(quick: bool) -> Iterator[Table]:
     mi.set_log_level(mi.LogLevel.Error)
     for section in SECTIONS:
         yield section(2 if quick else 3, quick)
@@ -275,19 +267,12 @@ def tables(*, quick: bool) -> Iterator[Table]:
 
 def main() -> None:
     """Measure, and write the page."""
-    used = parser("reference.benchmark", __doc__, quick="small sizes, two rounds")
-    options = used.parse_args()
-    need_scenes(used)
-    found: list[Table] = []
-    for table in tables(quick=options.quick):
-        print(table.markdown(), flush=True)
-        found.append(table)
     head = (
         "# Benchmark\n\nMade by `python -m reference.benchmark`: median (fastest–slowest) of at"
         " least 3 rounds. A speedup is the other's time over the tracer's: below 1 the tracer is"
         " slower."
     )
-    write_tables(result("benchmark.md", quick=options.quick), head, measured_on(), found)
+    measure_page("benchmark", __doc__, "small sizes, two rounds", head, _tables)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
 from reference.compare import amplified
-from reference.tables import measured_on
+from reference.measurements import measured_on
 from tracer import to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
 

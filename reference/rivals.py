@@ -8,17 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact, stock
-from converters.variant import ensure, mi
+from converters.variant import mi
 from tracer import Scene
 
-__all__ = [
-    "mitsuba_command",
-    "mitsuba_exact",
-    "mitsuba_stock",
-    "mitsuba_text",
-    "tracer_command",
-]
+__all__ = ["mitsuba_command", "mitsuba_exact", "mitsuba_stock", "tracer_command"]
 
 # What anyone's script to render one scene with Mitsuba amounts to.
 _MITSUBA = """
@@ -32,10 +27,9 @@ mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
 
 
-def tracer_command(source: Path, target: Path, samples: int = 1) -> list[str]:
+def tracer_command(source: Path, target: Path) -> list[str]:
     """The tracer's own command, from a scene file to a PNG."""
-    options = ("--quiet", "--samples", str(samples), "-o", str(target))
-    return [sys.executable, "-m", "tracer", *options, str(source)]
+    return [sys.executable, "-m", "tracer", "--quiet", "-o", str(target), str(source)]
 
 
 def mitsuba_command(source: Path, target: Path, variant: str | None = None) -> list[str]:
@@ -43,44 +37,21 @@ def mitsuba_command(source: Path, target: Path, variant: str | None = None) -> l
     return [sys.executable, "-c", _MITSUBA, str(variant or mi.variant()), str(source), str(target)]
 
 
-def mitsuba_text(scene: Scene, samples: int = 1, samplers: Sequence[str] = ()) -> str:
-    """The exact flavour's XML, with a sensor for each of these samplers of Mitsuba's.
-
-    Without any, samples are stratified, and a single one is the pixel's centre.
-    """
-    text = exact(scene, samples)
-    if not samplers:
-        return text
-    count = f'<integer name="sample_count" value="{samples}"/>'
-
-    def with_samplers(sensor: re.Match[str]) -> str:
-        return "\n".join(
-            re.sub(
-                "<sampler .*?</sampler>",
-                f'<sampler type="{sampler}">{count}</sampler>',
-                sensor[0],
-                flags=re.DOTALL,
-            )
-            for sampler in samplers
-        )
-
-    return re.sub("<sensor .*?</sensor>", with_samplers, text, flags=re.DOTALL)
-
-
 def mitsuba_exact(scene: Scene, samplers: Sequence[str] = ()) -> Any:
     """The same picture from Mitsuba, by this project's plugins, in the current variant.
 
-    Mitsuba's kernels choose among all objects alive in the process: keep one scene at a time.
+    There is a sensor for each of these samplers of Mitsuba's; without any, a single sample is the
+    pixel's centre.  Mitsuba's kernels choose among all objects alive: keep one scene at a time.
     """
-    _plugins()
-    return mi.load_string(mitsuba_text(scene, samplers=samplers))
+    text = exact(scene)
+    (sensor,) = re.findall("<sensor .*?</sensor>", text, re.DOTALL)
+    sampled = [
+        re.sub("<sampler .*?</sampler>", f'<sampler type="{sampler}"/>', sensor, flags=re.DOTALL)
+        for sampler in samplers
+    ]
+    return mi.load_string(text.replace(sensor, "\n".join(sampled or [sensor])))
 
 
-def mitsuba_stock(scene: Scene, samples: int = 1) -> Any:
-    """A similar picture from Mitsuba's own plugins, which are compiled."""
-    ensure()
-    return mi.load_string(stock(scene, samples))
-
-
-def _plugins() -> None:
-    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+def mitsuba_stock(scene: Scene) -> Any:
+    """A similar picture from Mitsuba's own plugins, at one sample a pixel."""
+    return mi.load_string(stock(scene, 1))

@@ -12,10 +12,9 @@ lit or in shadow.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,14 +22,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import converters.plugins  # noqa: F401 (registers the light without fall-off)
+from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
 from reference import plain
-from reference.charts import HALO, LOOKS, End, headline, label_ends, label_losses, plt, save
-from reference.command import need_scenes, need_table, parser, result, run
-from reference.tables import measured_on, read_csv, write_csv
-from tracer import Camera, Phong, PointLight, Scene, Sphere, Surfaces, render
+from reference.charts import BACKED, LOOKS, headline, make_chart, plt
+from reference.command import run
+from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 
-__all__ = ["PANELS", "Panel", "measure", "methods_of"]
+__all__ = ["METHODS", "PANELS", "Panel", "measure"]
 
 Floats: TypeAlias = NDArray[np.float64]
 Vector: TypeAlias = tuple[float, float, float]
@@ -40,11 +39,6 @@ Method: TypeAlias = Callable[[Scene], Floats]
 _VISIBLE = 1 / 512
 # Smaller errors are drawn as this one; a curve ends where errors stay above the second.
 _DIGITS, _LOST = 1e-17, 0.3
-# Points above a panel for the names of curves that end there.
-_ROOM = 48
-
-
-# --- Scenes that get harder ------------------------------------------------------------
 
 
 def _scene(
@@ -53,19 +47,10 @@ def _scene(
     """Spheres under one light; `view`: the window's distance, width and height."""
     distance, width, height = view
     camera = Camera(
-        view_point=eye,
-        view_dir=ahead,
-        proj_distance=distance,
-        view_width=width,
-        view_height=height,
+        view_point=eye, view_dir=ahead, proj_distance=distance, view_width=width, view_height=height
     )
-    return Scene(
-        camera=camera,
-        width=pixels,
-        height=round(pixels * height / width),
-        lights=(PointLight(position=light),),
-        surfaces=Surfaces.of(spheres),
-    )
+    size = {"width": pixels, "height": round(pixels * height / width)}
+    return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
 def distant(distance: float) -> Scene:
@@ -117,9 +102,6 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
     return _scene(at(0, 1, 4), (0, 0, -1), at(4, 5, 3), ground, ball, view=view, pixels=128)
 
 
-# --- Methods ---------------------------------------------------------------------------
-
-
 def mitsuba_render(scene: Scene, variant: str) -> Floats:
     """Mitsuba's own sensor, shapes, material and shadow rays; a light without fall-off.
 
@@ -127,12 +109,9 @@ def mitsuba_render(scene: Scene, variant: str) -> Floats:
     """
     mi.set_variant(variant)
     mi.set_log_level(mi.LogLevel.Error)
-    camera = scene.camera
-    w = -np.array(camera.view_dir) / np.linalg.norm(camera.view_dir)
-    u = np.cross(camera.view_up, w)
-    u /= np.linalg.norm(u)
-    to_world = np.eye(4)
-    to_world[:3] = np.column_stack([-u, np.cross(w, u), -w, camera.view_point])
+    camera, window = scene.camera, window_of(scene.camera)
+    right, down, ahead = window.axes
+    to_world = np.vstack([np.transpose([-right, -down, ahead, window.eye]), (0, 0, 0, 1)])
     film = {"type": "hdrfilm", "width": scene.width, "height": scene.height}
     sensor = {
         "type": "perspective",
@@ -143,18 +122,18 @@ def mitsuba_render(scene: Scene, variant: str) -> Floats:
         "film": film | {"rfilter": {"type": "box"}, "component_format": "float32"},
         "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
     }
-    light: Any = {"type": "unattenuated_point", "intensity": [float(np.pi)] * 3}
+    light = {"type": "unattenuated_point", "position": [*scene.lights[0].position]}
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    light["position"] = [*scene.lights[0].position]
-    parts = {"integrator": {"type": "direct"}, "sensor": sensor, "light": light}
-    spheres = zip(scene.surfaces.center.tolist(), scene.surfaces.radius.tolist(), strict=True)
-    for k, (center, radius) in enumerate(spheres):
-        parts[f"{k}"] = {"type": "sphere", "center": center, "radius": radius, "bsdf": white}
+    parts = {"integrator": {"type": "direct"}, "sensor": sensor}
+    parts["light"] = light | {"intensity": [float(np.pi)] * 3}
+    for k, s in enumerate(scene.surfaces.center.tolist()):
+        radius = float(scene.surfaces.radius[k])
+        parts[f"{k}"] = {"type": "sphere", "center": s, "radius": radius, "bsdf": white}
     return np.array(mi.render(mi.load_dict({"type": "scene", **parts})), dtype=np.float64)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
-_ALL: dict[str, tuple[str, Method]] = {
+METHODS: dict[str, tuple[str, Method]] = {
     "this tracer": ("tracer", render),
     "float64, textbook": ("a", partial(plain.render, spheres="textbook")),
     "float64, multiplied out": ("a", partial(plain.render, spheres="expanded")),
@@ -171,15 +150,6 @@ _ALL: dict[str, tuple[str, Method]] = {
     "Mitsuba LLVM": ("g", partial(mitsuba_render, variant=LLVM)),
 }
 """The look of each method's curve, and its pictures."""
-
-
-def methods_of() -> dict[str, Method]:
-    """Every method that this machine can run, by the name the chart gives it."""
-    missing = set() if use().variant == LLVM else {"Mitsuba LLVM"}
-    return {name: method for name, (_, method) in _ALL.items() if name not in missing}
-
-
-# --- What is measured ------------------------------------------------------------------
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
@@ -255,26 +225,49 @@ def measure(panel: Panel, methods: dict[str, Method], at: Iterable[float]) -> di
     return {name: np.array(values) for name, values in found.items()}
 
 
-# --- The chart -------------------------------------------------------------------------
+def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
+    """Rows of the table; of the methods, those that this machine can run."""
+    missing = set() if use().variant == LLVM else {"Mitsuba LLVM"}
+    methods = {name: method for name, (_, method) in METHODS.items() if name not in missing}
+    for panel in tqdm(PANELS, disable=None):
+        at = panel.at[:: 3 if quick else 1].tolist()
+        unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
+        for name, values in measure(panel, methods, at).items():
+            for x, value in zip(at, values.tolist(), strict=True):
+                yield panel.title, panel.axis, x, name, unit, value
 
 
-def _draw(axes: Any, panel: Panel, at: NDArray[Any], found: dict[str, Floats]) -> None:
-    error = panel.judge is largest_error
-    first = panel.scene(float(at[0]))
-    floor, top = (_DIGITS, 1.0) if error else (25 / (first.width * first.height), 100.0)
+def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
+    """A figure with all panels, of the rows of the table."""
+    figure, grid = plt.subplots(4, 2, figsize=(14, 16.5))
+    figure.subplots_adjust(left=0.05, right=0.84, top=0.92, bottom=0.06, wspace=0.68, hspace=0.42)
+    headline(
+        figure,
+        "Error of ray tracing methods, from easy scenes to hard ones",
+        "Each point is a picture held against arithmetic of 80 digits. Left: largest error of the"
+        " radiance (✕: useless from there on). Right: share of pixels decided wrongly.",
+    )
+    for axes, panel in zip(grid.ravel(), PANELS, strict=True):
+        curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        for title, _, x, name, _, value in rows:
+            if title == panel.title:
+                curves[name].append((float(x), float(value)))
+        _panel(axes, panel, {name: np.array(points).T for name, points in curves.items()})
+    return figure
+
+
+def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
+    """Draw curves, each (2, n): where on the axis, and the verdict there."""
+    error, at = panel.judge is largest_error, curves["this tracer"][0]
+    scene = panel.scene(at[0])
+    floor, top = (_DIGITS, 1.0) if error else (25 / (scene.width * scene.height), 100.0)
     limits = {"xlim": (at[0], at[-1]), "ylim": (floor / 1.6, 1.6 * top)}
-    axes.set(xlabel=panel.axis, xscale="log", yscale="log", **limits)
-    axes.set_title(panel.title, pad=_ROOM if error else 10)
+    axes.set(title=panel.title, xlabel=panel.axis, xscale="log", yscale="log", **limits)
     if error:
-        axes.axhspan(_VISIBLE, 1.6, color="#fbe8dd", lw=0, zorder=0)
-        # In an SVG, ordinary spaces at the beginning do not count.
-        look = {"color": "#a04000", "fontsize": 8.5, "style": "italic", "path_effects": HALO}
-        axes.text(at[0], _VISIBLE, "\u00a0\u00a0visible in the picture", va="bottom", **look)
+        look = {"color": "#fbe8dd", "lw": 0, "zorder": 0}
+        axes.axhspan(_VISIBLE, 1.6, **look, label="visible in the picture")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
-        # Nothing is named above these, so they may be taller.
-        box, more = axes.get_position(), (_ROOM - 10) / 72 / axes.figure.get_figheight()
-        axes.set_position((box.x0, box.y0, box.width, box.height + more))
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
     for name, power, side in panel.guides:
@@ -282,65 +275,23 @@ def _draw(axes: Any, panel: Panel, at: NDArray[Any], found: dict[str, Floats]) -
             axes.plot(at, eps * at**power, color="#888888", lw=1, ls=(0, (1, 2.5)), zorder=1)
         k = len(at) // 3 if power == 2 else len(at) - 2
         place = {"xytext": (-3 * side, 9 * side - 4), "textcoords": "offset points"}
-        look = {"ha": "right" if side > 0 else "left", "color": "#555555", "path_effects": HALO}
-        axes.annotate(name, (at[k], eps * at[k] ** power), zorder=7, **place, **look)
-    ends, lost = list[End](), list[End]()
-    for name, values in found.items():
-        look = LOOKS[_ALL[name][0]]
-        shown = np.clip(values, floor, top)
-        kept = len(at) - int(np.argmax(shown[::-1] < _LOST)) if error else len(at)
-        dies = kept < len(at) or (error and shown[-1] >= _LOST)
-        last = min(kept, len(at) - 1)
-        axes.plot(at[: last + 1], shown[: last + 1], **look, clip_on=False)
-        end = (float(at[last]), float(shown[last]), name, str(look["color"]))
-        (lost if dies else ends).append(end)
-    label_ends(axes, ends)
-    label_losses(axes, lost)
-
-
-def _chart(path: Path) -> Any:
-    """The figure of a stored table."""
-    figure, grid = plt.subplots(4, 2, figsize=(14, 17))
-    figure.subplots_adjust(left=0.06, right=0.865, top=0.895, bottom=0.05, wspace=0.52, hspace=0.62)
-    headline(
-        figure,
-        "Error of ray tracing methods, from easy scenes to hard ones",
-        "Each point is a picture held against arithmetic of 80 digits.  Left: largest error of the"
-        " radiance (✕: useless from there on).  Right: share of pixels decided wrongly.",
-    )
-    where, rows = read_csv(path)
-    figure.text(0.03, 0.008, f"Measured on {where}.", color="#666666", fontsize=9)
-    for axes, panel in zip(grid.ravel(), PANELS, strict=True):
-        curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
-        for title, _, x, name, _, value in rows:
-            if title == panel.title:
-                curves[name].append((float(x), float(value)))
-        at = np.array([x for x, _ in curves["this tracer"]])
-        found = {name: np.array([value for _, value in points]) for name, points in curves.items()}
-        _draw(axes, panel, at, found)
-    return figure
+        look = {"ha": "right" if side > 0 else "left", "color": "#555555", "bbox": BACKED}
+        axes.annotate(name, (at[k], eps * at[k] ** power), zorder=4, **place, **look)
+    for name, (_, values) in curves.items():
+        look, shown = LOOKS[METHODS[name][0]], np.clip(values, floor, top)
+        # Points of the curve: up to where errors stay large.
+        kept = np.flatnonzero(shown < _LOST).max(initial=-1) + 2 if error else len(at)
+        axes.plot(at[:kept], shown[:kept], **look, label=name, clip_on=False)
+        if kept <= len(at) and error:
+            cross = {"color": look["color"], "ms": 11, "mew": 3, "clip_on": False, "zorder": 6}
+            axes.plot(at[kept - 1], shown[kept - 1], "x", **cross)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.03), fontsize=9)
 
 
 def main() -> None:
-    """Measure, and write the chart."""
-    used = parser("reference.stability", __doc__, quick="every third point only", redraw=True)
-    options = used.parse_args()
-    need_scenes(used)
-    chart = result("stability.csv", quick=options.quick)
-    if options.redraw:
-        need_table(used, chart)
-    else:
-        where = measured_on()
-        # All of them before the stored table is replaced.
-        rows: list[tuple[object, ...]] = []
-        for panel in tqdm(PANELS, disable=None):
-            at = panel.at[:: 3 if options.quick else 1].tolist()
-            unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
-            for name, values in measure(panel, methods_of(), at).items():
-                points = zip(at, values.tolist(), strict=True)
-                rows += ((panel.title, panel.axis, x, name, unit, value) for x, value in points)
-        write_csv(chart, where, ("panel", "axis", "at", "method", "measure", "value"), rows)
-    save(_chart(chart), chart.with_suffix(".svg"))
+    """Measure, and draw the chart."""
+    columns = ("panel", "axis", "at", "method", "measure", "value")
+    make_chart("stability", __doc__, "every third point only", columns, _measure_all, _draw)
 
 
 if __name__ == "__main__":

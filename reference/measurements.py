@@ -1,0 +1,220 @@
+"""Times of tasks that run in turns, and tables of them: for GitHub, as CSV, with their origin."""
+
+from __future__ import annotations
+
+import csv
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from statistics import median
+from time import perf_counter, sleep
+from typing import TypeAlias, TypeVar
+
+from reference.command import need_scenes, parser, result
+
+__all__ = [
+    "Ratio",
+    "Table",
+    "Task",
+    "Timing",
+    "interleaved",
+    "measure_page",
+    "measured_on",
+    "process",
+    "read_csv",
+    "write_csv",
+    "write_tables",
+]
+
+Task: TypeAlias = Callable[[], object]
+"""Work to be timed; the seconds that it took if it returns a float."""
+
+_Name = TypeVar("_Name", bound=Hashable)
+
+# Seconds between tasks: threads of the one before, Mitsuba's above all, spin for some 10 ms.
+_PAUSE = 0.02
+
+# Short times vary most: a task goes on until its times add up to the first, in seconds, for at most
+# the second times the rounds asked for.
+_ENOUGH, _MORE = 0.5, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Seconds over some rounds."""
+
+    median: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> Timing:
+        """Sum up what was measured."""
+        return cls(median(seconds), min(seconds), max(seconds))
+
+    def __str__(self) -> str:
+        if self.low == self.high:
+            return _ms(self.median)
+        return f"{_ms(self.median)} ({_ms(self.low)}–{_ms(self.high)})"
+
+
+def _ms(seconds: float) -> str:
+    ms = 1e3 * seconds
+    return f"{ms:,.0f}" if ms >= 100 else f"{ms:.1f}"
+
+
+class Ratio(float):
+    """Shown with two digits at least: 0.50×, 3.0×, 42×."""
+
+    def __str__(self) -> str:
+        places = 2 if self < 0.995 else 1 if self < 9.95 else 0
+        return f"{self:.{places}f}×"
+
+
+def interleaved(
+    tasks: dict[_Name, Task], rounds: int, *, enough: float = _ENOUGH
+) -> dict[_Name, Timing]:
+    """Time tasks in turns, each after a run to warm up: a round runs each once, after a pause.
+
+    A machine that is busy for a while then slows down all alike.
+    """
+    for task in tasks.values():
+        task()
+    taken: dict[_Name, list[float]] = {name: [] for name in tasks}
+    for number in range(_MORE * rounds):
+        for name, task in tasks.items():
+            if number < rounds or sum(taken[name]) < enough:
+                sleep(_PAUSE)
+                start = perf_counter()
+                seconds = task()
+                spent = perf_counter() - start
+                taken[name].append(seconds if isinstance(seconds, float) else spent)
+    return {name: Timing.of(seconds) for name, seconds in taken.items()}
+
+
+def process(command: Sequence[str]) -> Task:
+    """Run a process in silence; raises if it fails.
+
+    Python may keep what it compiles: the first run compiles the modules, and no other has to.
+    """
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table of a page; cells that are timings or ratios go to the CSV in full."""
+
+    title: str
+    note: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+
+    def markdown(self) -> str:
+        """As GitHub shows it."""
+        lines = [self.header, ["---"] * len(self.header), *self.rows]
+        table = ["| " + " | ".join(map(str, line)) + " |" for line in lines]
+        return "\n".join([f"## {self.title}", "", self.note, "", *table]) + "\n"
+
+    def records(self) -> Iterator[tuple[object, ...]]:
+        """A line for each cell: table, row, column, value (median), low, high."""
+        for row in self.rows:
+            for name, cell in zip(self.header[1:], row[1:], strict=True):
+                values = astuple(cell) if isinstance(cell, Timing) else (cell, "", "")
+                yield self.title, row[0], name, *values
+
+
+def measure_page(
+    name: str, doc: str | None, quick: str, head: str, tables: Callable[[bool], Iterable[Table]]
+) -> None:
+    """Run `python -m reference.NAME`: print tables as they are measured, then write the page.
+
+    `quick` says what `--quick` does, which `tables` is told.
+    """
+    used = parser(f"reference.{name}", doc, quick)
+    options = used.parse_args()
+    need_scenes(used)
+    where, found = measured_on(), []
+    for table in tables(options.quick):
+        print(table.markdown(), flush=True)
+        found.append(table)
+    write_tables(result(f"{name}.md", quick=options.quick), head, where, found)
+
+
+def write_tables(page: Path, head: str, where: str, tables: Sequence[Table]) -> None:
+    """Write a page of tables below its head, and the same numbers as CSV beside it."""
+    text = "\n".join([f"{head} Measured on {where}.\n", *(table.markdown() for table in tables)])
+    page.write_text(text, encoding="utf-8")
+    records = (record for table in tables for record in table.records())
+    header = ("table", "row", "column", "value", "low", "high")
+    write_csv(page.with_suffix(".csv"), where, header, records)
+
+
+def write_csv(
+    path: Path, where: str, header: Sequence[str], rows: Iterable[Sequence[object]]
+) -> None:
+    """Write numbers, under a comment that says where they were measured."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        file.write(f"# {where}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+
+
+def read_csv(path: Path) -> tuple[str, list[list[str]]]:
+    """Where a table was measured, and its rows without the header."""
+    with path.open(newline="", encoding="utf-8") as file:
+        where = file.readline().removeprefix("# ").rstrip("\n")
+        return where, list(csv.reader(file))[1:]
+
+
+def measured_on() -> str:
+    """One line: date, commit, processor, system, versions."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    povray = re.search(r"POV-Ray \d+(\.\d+)*", _output("povray", "--version"))
+    return ", ".join(
+        [
+            datetime.now(timezone.utc).strftime("%Y-%m-%d"),
+            _commit(),
+            f"{_processor()} ({cores} cores)",
+            platform.system(),
+            f"Python {platform.python_version()}",
+            *(
+                f"{package} {metadata.version(package)}"
+                for package in ("numpy", "mitsuba", "drjit")
+            ),
+            povray[0] if povray else "no POV-Ray",
+        ]
+    )
+
+
+def _output(*command: str) -> str:
+    """What a command prints; nothing if there is none."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return done.stdout + done.stderr if done.returncode == 0 else ""
+
+
+def _commit() -> str:
+    """The commit that is checked out, with + if a module has been changed since."""
+    git = ("git", "-C", str(Path(__file__).parent))
+    commit = _output(*git, "rev-parse", "--short=7", "HEAD").strip()
+    changed = _output(*git, "status", "--porcelain", "--", ":/*.py")
+    return f"commit {commit}{'+' if changed else ''}" if commit else "no commit"
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        text = ""
+    name = re.search(r"^model name\s*: (.*)", text, re.M)
+    return name[1] if name else platform.processor() or platform.machine()
