@@ -42,7 +42,9 @@ CHANGES = {
     },
     # What is seen: ties, spans, hits, the eye inside; and what shades: sides, slabs, capsules
     "tracer/view/visibility.py": {
-        "np.lexsort((order, sample))": "np.lexsort((-order, sample))",
+        "select(index[g.owner], g.span)": "select(-index[g.owner], g.span)",
+    },
+    "tracer/view/samples.py": {
         "_PAD = 0.5": "_PAD = -0.5",
     },
     "tracer/shapes/sphere.py": {

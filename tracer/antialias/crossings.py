@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.arrays import Floats, Ints, expand
+from tracer.view.samples import Spans
 from tracer.view.view import View
 
 # A line so near to the top or bottom of an object, in pixels, may touch it and no more.
@@ -18,18 +19,18 @@ def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     """Row, column and object: the pixels of a rectangle that an outline may cross.
 
     Being convex, an object fills the pixels of a row whose upper and lower sides it covers.  Its
-    outline may cross the others in which it is seen; or any of them, if it is not wholly known.
+    outline may cross the others in which it is seen.
     """
     lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
     top, bottom = view.frames.top, view.frames.bottom
     none = np.zeros(0, dtype=np.intp)
     found: list[tuple[Ints, Ints, Floats, Floats]] = [(none, none, np.zeros(0), np.zeros(0))]
     for shape in view.shapes:
-        owner, row, left, right = shape.spans(view.raster, lines[:-1], 1.0)
+        owner, row, left, right = Spans.of(shape, view.raster, lines[:-1], height=1.0)
         # Where a line just touches an object, rounding decides what that covers of it.
         fills = top[owner] < lines[row] - _TOUCHING
-        fills &= (bottom[owner] > lines[row + 1] + _TOUCHING) & shape.whole[owner - shape.first]
-        covering = shape.spans(view.raster, lines)
+        fills &= bottom[owner] > lines[row + 1] + _TOUCHING
+        covering = Spans.of(shape, view.raster, lines)
         # One number for line and object: spans are sorted by it.  Last, a span of nothing.
         key = np.append(covering.row * top.size + covering.owner, -1)
         begin, end = np.append(covering.left, np.inf), np.append(covering.right, -np.inf)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tracer.antialias.margins import Margins, Sheets, rays, span
 from tracer.arrays import Floats, Ints, Triple, columns, dot, each, indices, pick, select
-from tracer.shapes.silhouette import box_corners, box_margins, silhouette_planes, sphere_margins
+from tracer.shapes.silhouette import box_margins, silhouette_planes, sphere_margins
 from tracer.view.view import View, Visible
 
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
@@ -79,8 +79,8 @@ def _silhouettes(
         most, middle = span(value), value[0]
         # An edge ends where the planes beside it begin.
         near = (np.abs(middle) <= most) & (middle >= -most).all(axis=0)
-        # A silhouette of four edges has the first two again as its last.
-        near[4:] &= np.any([m[4:] != m[:2] for m in some], axis=0)
+        # Of six planes those that are zero count if all are: nothing is known of the box.
+        near &= (most > 0) | ~(most > 0).any(axis=0)
         yield cell[at[near.nonzero()[1]]], value[:, near]
 
 
@@ -137,10 +137,9 @@ class Seen(NamedTuple):
             # Found once for each pair of a light and a box.
             pair, place = np.unique(light[at] * len(surfaces) + occluder[at], return_inverse=True)
             number, box = np.divmod(pair, len(surfaces))
-            low, high = (m[box - surfaces.sphere_count] for m in (surfaces.min_pt, surfaces.max_pt))
-            position = self.lights[number]
-            normals, _ = silhouette_planes(box_corners(low, high, position), position, low, high)
-            u, v, w = view.raster.vector_to_camera(normals)
+            box, position = box - surfaces.sphere_count, self.lights.T[:, number]
+            low, high = (m[:, box] - position for m in (view.boxes.min_pt, view.boxes.max_pt))
+            u, v, w = view.raster.vector_to_camera(silhouette_planes(low, high))
             return u[:, place], v[:, place], w[:, place]
 
         yield from _silhouettes(view, self.cell[point], occluder, q, apex, planes)
@@ -170,7 +169,7 @@ class Seen(NamedTuple):
                     continue
                 height = view.raster.scene_component((x, y, z), k)
                 for corner, sign in ((view.boxes.min_pt, -1), (view.boxes.max_pt, 1)):
-                    level = corner[group.owner - view.boxes.first, k] - eye[k]
+                    level = corner[k, group.owner - view.boxes.first] - eye[k]
                     shown = view.eye_inside[group.owner] | (sign * level < 0)
                     level = group.spread(level)
                     near = np.abs(height - level) < self.footprint[group.part]

@@ -88,9 +88,10 @@ def antialiased(
     centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
     row, column, owner = crossed(view, rows, slice(begin, end))
     pixel = (row - top) * width + column - left
+    every = np.arange(centres.size)
     # The finer the grid that is asked for, the less a mean may be off.
-    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.positions(), pixel, owner)
-    found = classify(lighting, pixels, centres, np.arange(centres.size))
+    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.at(every), pixel, owner)
+    found = classify(lighting, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
     smooth += found.radiance
     inside = np.zeros((height, width), dtype=np.bool_)

@@ -183,7 +183,7 @@ def _asking(
     query = occluders.grid.query(tiles.middle, tiles.radius, tiles.owner, in_tiles)
     for light, tile, occluder in query:
         for shape in occluders.view.shapes:
-            kind = indices(shape.holds(occluder))
+            kind = indices((occluder >= occluders.view.boxes.first) == shape.flat)
             length = tiles.length[tile[kind]]
             for batch in batches(length):
                 part, place = expand(length[batch], tiles.start[tile[kind[batch]]])

@@ -144,7 +144,7 @@ def _around_chords(hits: Visible, owner: Ints, start: Ints, count: Ints) -> tupl
         center = pick(spheres.local, owner[inside])
         longer = inside[~_is_short(pick(half, inside), pick(across, inside), center)]
         for k in range(3):
-            middle[k][longer] = spheres.center[owner[longer], k]
+            middle[k][longer] = spheres.center[k, owner[longer]]
         radius[longer] = spheres.radius[owner[longer]]
     return middle, radius
 

@@ -18,7 +18,6 @@ from tracer.arrays import (
     Index,
     Ints,
     Triple,
-    columns,
     each,
     entries,
     indices,
@@ -34,11 +33,8 @@ from tracer.shapes.rounding import (
     SURFACE_TOLERANCE,
     tolerance_at,
 )
-from tracer.shapes.silhouette import box_corners, silhouette_planes
-from tracer.view.camera import LEAST_SLOPE, Frames, Raster, Spans
-
-# Slopes (`Spheres.slope`) count as at most so steep.
-_MOST_SLOPE = 8192.0
+from tracer.shapes.silhouette import silhouette_planes
+from tracer.view.camera import Frames, Raster
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +43,16 @@ class Boxes:
 
     Attributes
     ----------
-    flat, first, frames, eye_inside, slope
+    flat, first, frames, eye_inside
         See `Spheres`.
-    min_pt, max_pt : (n, 3)
+    min_pt, max_pt : (3, n)
     planes : three (6, n)
         Planes through the eye and the edges of silhouettes (`silhouette_planes`): slope, tilt and
         level of  slope * s + tilt * g + level >= 0  inside, with the ray (s, g, depth).
     slack : (6, n)
         By how much rounding may change that, for rays that meet the box.
+    slope : (n,)
+        Bounds on how much the distance from the eye changes across an angle, for one unit of it.
     """
 
     flat: ClassVar = True
@@ -71,61 +69,51 @@ class Boxes:
     @classmethod
     def of(cls, raster: Raster, surfaces: Surfaces) -> Boxes:
         """Prepare the boxes of a scene to be seen."""
-        low, high, eye = surfaces.min_pt, surfaces.max_pt, raster.eye
-        corners = raster.vector_to_camera(box_corners(low, high, eye))
-        inside: Bools = np.all((low <= eye) & (eye <= high), axis=1)
-        frames = _frames(raster, corners)
-        planes, slack = _planes_in_view(raster, frames, corners, low, high, inside)
-        slope = _slopes(low - eye, high - eye, inside)
-        first = surfaces.sphere_count
-        return cls(first, low, high, frames, planes, slack, inside, slope)
+        min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
+        low, high = (m - raster.eye[:, None] for m in (min_pt, max_pt))
+        inside = np.all((low <= 0) & (high >= 0), axis=0)
+        u, v, w = raster.vector_to_camera(silhouette_planes(low, high))
+        # From inside, a box is seen on its side of the faces that the eye is on.
+        on = inside & (np.concatenate([low, high]) == 0)
+        for plane, axis in zip((u, v, w), raster.axes, strict=True):
+            np.copyto(plane, np.append(axis, -axis)[:, None], where=on)
+        slack = PLANE_ROUNDING * raster.longest() * (np.abs(u) + np.abs(v) + np.abs(w))
+        # The farthest corner, and the least height over a face that is seen.
+        farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=0))
+        height = np.where(inside, np.minimum(-low, high), np.maximum(low, -high))
+        slope = farthest / height.min(axis=0, initial=np.inf, where=height > 0)
+        frames, first = _frames(raster, low, high), surfaces.sphere_count
+        planes = u, v, w * raster.depth
+        return cls(first, min_pt, max_pt, frames, planes, slack, inside, slope)
 
     @property
     def count(self) -> int:
         """Number of boxes."""
-        return len(self.min_pt)
-
-    @property
-    def whole(self) -> Bools:
-        """See `Spheres.whole`: not where the eye is too near an edge."""
-        missing = ~np.any([m != 0 for m in self.planes], axis=0)
-        # Flat boxes have edges of no length, which are none.
-        solid = (self.min_pt < self.max_pt).all(axis=1)
-        beside = np.isinf(self.frames.left)
-        whole: Bools = ~(missing.any(axis=0) & ~missing.all(axis=0) & beside & solid)
-        return whole
-
-    @property
-    def curvature(self) -> Floats:
-        """See `Spheres.curvature`."""
-        return np.zeros(self.count)
+        return len(self.slope)
 
     @cached_property
     def size(self) -> Floats:
         """See `Spheres.size`."""
-        size: Floats = np.maximum(np.abs(self.min_pt), np.abs(self.max_pt)).sum(axis=1)
+        size: Floats = np.maximum(np.abs(self.min_pt), np.abs(self.max_pt)).sum(axis=0)
         return size
 
     # What the eye sees.
 
-    def spans(self, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
-        """See `Spheres.spans`."""
-        box, row = self.frames.rows(raster, rows, height, pad)
-        g = raster.down(rows)[row]
+    def ends(
+        self, raster: Raster, owner: Ints, rows: Floats, height: float
+    ) -> tuple[Floats, Floats]:
+        """See `Spheres.ends`."""
+        box, g = owner - self.first, raster.down(rows)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
         for k in range(6):
-            slope, tilt, level = (m[k][box] for m in self.planes)
-            tilted = tilt * g
-            if height:
-                # On whichever line of the row more is inside.
-                tilted += np.maximum(tilt * (height * raster.step_v), 0)
+            slope, tilt, level, slack = (m[k].take(box) for m in (*self.planes, self.slack))
+            # On whichever side of the row more is inside.
+            inside = tilt * g + np.maximum(tilt * (height * raster.step_v), 0) + level + slack
             # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
-            bound = -(tilted + level + self.slack[k][box]) / (slope + 0.0)
+            bound = -inside / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
-        left = np.maximum(self.frames.left[box], raster.column(low))
-        right = np.minimum(self.frames.right[box], raster.column(high))
-        return Spans.clipped(box + self.first, row, left, right, pad, raster.width)
+        return raster.column(low), raster.column(high)
 
     def hit(
         self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
@@ -139,7 +127,7 @@ class Boxes:
         near, far, faces = [], [], []
         for k in range(3):
             d = s * u[k] + select(g * v[k] + raster.depth * w[k], span)
-            low, high = (select(m[box, k] - eye[k], span) for m in (self.min_pt, self.max_pt))
+            low, high = (select(m[k, box] - eye[k], span) for m in (self.min_pt, self.max_pt))
             enter, leave = _slab(low, high, d, closed=True)
             near.append(enter)
             far.append(leave)
@@ -168,7 +156,7 @@ class Boxes:
         face = detail.astype(np.intp) >> 1
         sign = np.where(detail & 1, 1.0, -1.0)
         own = select(owner - self.first, span)
-        low, high = entries(self.min_pt, own, face), entries(self.max_pt, own, face)
+        low, high = entries(self.min_pt, face, own), entries(self.max_pt, face, own)
         level = np.where(self.eye_inside[own] == (sign > 0), low, high)
         height = sign * (raster.eye[face] - level)
         x, y, z = (np.asarray(sign * axis[face]) for axis in raster.axes)
@@ -176,14 +164,10 @@ class Boxes:
 
     # What blocks light.
 
-    def holds(self, owner: Ints) -> Bools:
-        """See `Spheres.holds`."""
-        return owner >= self.first
-
     def corners(self, owner: Ints) -> tuple[Triple, Triple]:
         """Lower and upper corners of some boxes."""
         box = owner - self.first
-        return columns(self.min_pt, box), columns(self.max_pt, box)
+        return pick(self.min_pt, box), pick(self.max_pt, box)
 
     def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
         """See `Spheres.side`."""
@@ -309,47 +293,16 @@ def _snap(p: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
     return each(component, p, low, high)
 
 
-def _slopes(low: Floats, high: Floats, inside: Bools) -> Floats:
-    """`Spheres.slope`, from the eye's height over faces and the distance of their farthest corner.
+def _frames(raster: Raster, low: Floats, high: Floats) -> Frames:
+    """Bounds of boxes, given their corners as seen from the eye, in the scene's axes."""
+    # Corner i is high along axis k where bit k of i is set.
+    x, y, z = (np.array([(low, high)[i >> k & 1][k] for i in range(8)]) for k in range(3))
+    x, y, z = raster.vector_to_camera((x, y, z))
+    behind, ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
 
-    `low`, `high` (n, 3): the corners seen from the eye, `inside` some boxes (n,).
-    """
-    farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=1))
-    heights = np.where(inside[:, None], np.minimum(-low, high), np.maximum(low, -high))
-    least = np.min(heights, axis=1, initial=np.inf, where=heights > 0)
-    return np.asarray(np.clip(farthest / least, LEAST_SLOPE, _MOST_SLOPE))
-
-
-def _frames(raster: Raster, corners: Triple) -> Frames:
-    """Bounds of boxes, given their corners (8, n) in the camera's axes."""
-    x, y, z = corners
-    behind, ahead, ends = z.min(axis=0) <= 0, z.max(axis=0) >= 0, []
-    for corner, place in ((y, raster.row), (x, raster.column)):
+    def slopes(corner: Floats) -> tuple[Floats, Floats]:
         slope = corner / z
-        low = np.where(behind, -np.inf, slope.min(axis=0))
-        high = np.where(behind, np.where(ahead, np.inf, -np.inf), slope.max(axis=0))
-        ends += [place(low * raster.depth), place(high * raster.depth)]
-    return Frames(*ends)
+        least = np.where(behind, -np.inf, slope.min(axis=0))
+        return least, np.where(behind, np.where(ahead, np.inf, -np.inf), slope.max(axis=0))
 
-
-def _planes_in_view(
-    raster: Raster, frames: Frames, corners: Triple, low: Floats, high: Floats, inside: Bools
-) -> tuple[Triple, Floats]:
-    """`Boxes.planes` and `Boxes.slack`; `inside`: the boxes (n,) that the eye is in."""
-    planes, (rounding, beside) = silhouette_planes(corners, raster.eye, low, high)
-    slope, tilt, level = planes
-    # A box is seen from inside on its side of the faces that the eye is on.
-    for box in indices(inside).tolist():
-        faces = [(k, 1.0) for k in range(3) if low[box, k] == raster.eye[k]]
-        faces += [(k, -1.0) for k in range(3) if high[box, k] == raster.eye[k]]
-        if not faces:
-            continue
-        for number in range(6):
-            k, sign = faces[number % len(faces)]
-            for plane, axis in zip(planes, raster.axes, strict=True):
-                plane[number, box] = sign * axis[k]
-            rounding[number, box] = beside[number, box] = 0
-    rounding += PLANE_ROUNDING * (np.abs(slope) + np.abs(tilt) + np.abs(level))
-    level *= raster.depth
-    longest = raster.longest()
-    return planes, rounding * longest + beside * np.minimum(frames.extent(raster), longest)
+    return Frames.between(raster, slopes(y), slopes(x))

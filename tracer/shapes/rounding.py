@@ -27,19 +27,12 @@ SQUARE_ROUNDING = 1e-13
 """A squared distance from a line is the difference of two squares.  This part of the larger is
 more than its rounding (16 e), and than what counts as on a sphere may be off it, 2 * 64 e."""
 
-PRODUCT_ROUNDING = 1e-14
-"""Components of a cross product a x b are differences of products, each as large as |a| |b| may
-be: together with the roundings of a and b themselves they err by less than 16 e |a| |b|."""
-
 PLANE_ROUNDING = 1e-12
 """More than all roundings of a plane's coefficients, relative to their size."""
 
 NEARLY_ZERO_POWER = 1e-14
 """|c|^2 - r^2, relative to |c|^2: less is little but rounding, and tangents hold its root, the
 relative error of which is larger still."""
-
-END_ON = 1e-10
-"""An edge seen under a smaller angle (radians) bounds nothing: its plane is too uncertain."""
 
 NEARLY_PARALLEL = 1e-30
 """Replaces a zero component of a direction, relative to the lengths around it, where a segment

@@ -23,7 +23,6 @@ from tracer.arrays import (
     Index,
     Ints,
     Triple,
-    columns,
     dot,
     each,
     indices,
@@ -40,13 +39,10 @@ from tracer.shapes.rounding import (
     side_of,
     tolerance_at,
 )
-from tracer.view.camera import LEAST_SLOPE, Frames, Raster, Spans
+from tracer.view.camera import Frames, Raster
 
 NO_FACE = 3
 """In place of the axis of a box's face."""
-
-# Within so many rows of its leftmost or rightmost point a silhouette leans to neither side.
-_NEARBY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +55,7 @@ class Spheres:
         Whether the surfaces are planes.
     first : int
         The number of the first; with `count` spheres, boxes begin at number `count`.
-    center, radius : (n, 3) and (n,)
+    center, radius : (3, n) and (n,)
         In the scene's axes.
     local : three (n,)
         The centres seen from the eye, in the camera's axes.
@@ -81,14 +77,16 @@ class Spheres:
     @classmethod
     def of(cls, raster: Raster, surfaces: Surfaces) -> Spheres:
         """Prepare the spheres of a scene to be seen."""
-        center, radius = surfaces.center, surfaces.radius
-        local = raster.to_camera(center)
+        center, radius = surfaces.center.T.copy(), surfaces.radius
+        local = raster.to_camera(surfaces.center)
         distance = np.sqrt(dot(local, local))
         height = distance - radius
         # Rounding alone does not lift the eye off a sphere that it is on.
         on = np.abs(height) <= UNIT_ROUNDING * radius
         power = np.where(on, 0, height * (distance + radius))
-        return cls(center, radius, local, power, _frames(raster, local, radius))
+        (u, v, w), radius2 = local, radius * radius
+        rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
+        return cls(center, radius, local, power, Frames.between(raster, rows, columns))
 
     @property
     def count(self) -> int:
@@ -100,85 +98,43 @@ class Spheres:
         """Objects (n,) that are seen from inside, the eye on the surface included."""
         return self.power <= 0
 
-    @property
-    def whole(self) -> Bools:
-        """Objects (n,) whose `spans` are exact: not those that the eye is on, or too near to."""
-        whole: Bools = self.power != 0
-        return whole
-
-    @property
-    def slope(self) -> Floats:
-        """Bounds (n,) on how the distance from the eye changes from a pixel to the next.
-
-        In sizes of a pixel at that distance: one over the least cosine of incidence, kept within
-        limits.  Intersections with another surface at a steeper slope may be missed.
-        """
-        return np.full(self.count, LEAST_SLOPE)
-
-    @property
-    def curvature(self) -> Floats:
-        """One over the radius (n,); 0 for planes."""
-        return 1 / self.radius
-
     @cached_property
     def size(self) -> Floats:
         """Size (n,) of the coordinates on each object (1-norm): rounding is in proportion."""
-        size: Floats = np.abs(self.center).sum(axis=1) + self.radius
+        size: Floats = np.abs(self.center).sum(axis=0) + self.radius
         return size
 
     # What the eye sees.
 
-    def spans(self, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0) -> Spans:
-        """Spans of the objects in rows of the picture, exact but for rounding, which widens them.
+    def ends(
+        self, raster: Raster, owner: Ints, rows: Floats, height: float
+    ) -> tuple[Floats, Floats]:
+        """Columns at which objects begin and end in rows of the picture; a miss has its end first.
+
+        Exact for lines but for rounding; rows of some height are bounded.
 
         Parameters
         ----------
         raster : Raster
-        rows : (m,)
-            Where the rows begin, ascending, in pixels from the top.
+        owner : (n,)
+        rows : (n,)
+            Where each row begins, in pixels from the top.
         height
             Of the rows; 0 for lines.
-        pad
-            Widens spans on either side, in pixels.
         """
-        owner, row = self.frames.rows(raster, rows, height, pad)
-        left, right = self._ends(raster, owner, rows[row])
-        if height:
-            # On the way down a silhouette goes to the left as far as its leftmost point, then to
-            # the right: except where that point is, one of a row's two lines is the limit.
-            left_below, right_below = self._ends(raster, owner, rows[row] + height)
-            left, right = np.minimum(left, left_below), np.maximum(right, right_below)
-            for end, extreme, side in (
-                (left, self.frames.left, 1),
-                (right, self.frames.right, -1),
-            ):
-                down = self._height_of(raster, extreme, side)[owner] - rows[row]
-                # NaN, the place of what extends without end, is outside of no row.
-                at = indices(~((down < -_NEARBY) | (down > height + _NEARBY)))
-                end[at] = extreme[owner[at]]
-        return Spans.clipped(owner, row, left, right, pad, raster.width)
-
-    def _height_of(self, raster: Raster, extreme: Floats, side: int) -> Floats:
-        """Heights (n,) of the leftmost (`side` 1) or rightmost (-1) points, at columns `extreme`.
-
-        In pixels from the top; NaN where a sphere extends without end.  A plane through the eye
-        that touches a sphere, and is upright in the picture, does so at the height of the centre.
-        """
-        _, v, w = self.local
-        slope = raster.across(extreme)
-        ahead = w + side * self.radius * slope / np.sqrt(slope * slope + raster.depth**2)
-        return raster.row(v / (np.where(ahead > 0, ahead, np.nan) / raster.depth))
-
-    def _ends(self, raster: Raster, owner: Ints, y: Floats) -> tuple[Floats, Floats]:
-        """Columns at which spheres begin and end on lines at `y`; a miss has its end first."""
-        g = raster.down(y)
-        hypot2, u, ahead, chord2 = self._discs(raster, owner, g)
-        low, high = _tangents(u, ahead, chord2, self.power[owner])
+        # A ray in the row meets the sphere no farther than this from the ray below or above it in
+        # the row's middle, which meets the sphere if that is so much larger.
+        aside = 0.5 * height * raster.step_v / raster.depth
+        radius = self.radius[owner]
+        grown = radius + aside * np.maximum(self.local[2][owner] + radius, 0)
+        power = self.power[owner] - (grown - radius) * (grown + radius)
+        hypot2, u, ahead, chord2 = self._discs(raster, owner, grown, raster.down(rows + height / 2))
+        low, high = _tangents(u, ahead, chord2, power)
         hypot = np.sqrt(hypot2)
         return raster.column(low * hypot), raster.column(high * hypot)
 
     def _discs(
-        self, raster: Raster, owner: Index, g: Floats
+        self, raster: Raster, owner: Index, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Sections of spheres by the planes of rays (s, g, depth), for all s.
 
@@ -191,7 +147,7 @@ class Spheres:
         chord2
             Its squared radius; negative where the plane misses the sphere.
         """
-        (u, v, w), depth, radius = pick(self.local, owner), raster.depth, self.radius[owner]
+        (u, v, w), depth = pick(self.local, owner), raster.depth
         hypot2 = g * g + depth * depth
         hypot = np.sqrt(hypot2)
         aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
@@ -228,7 +184,7 @@ class Spheres:
             What `surface` needs: of spheres, the cosine between the normal and the ray, without
             its sign, times the radius and the direction's length; of boxes, which face.
         """
-        hypot2, u, ahead, chord2 = self._discs(raster, owner, g)
+        hypot2, u, ahead, chord2 = self._discs(raster, owner, self.radius[owner], g)
         hypot = np.sqrt(hypot2)
         power = select(self.power[owner], span)
         length2 = s * s + select(hypot2, span)
@@ -278,17 +234,13 @@ class Spheres:
 
     # What blocks light.
 
-    def holds(self, owner: Ints) -> Bools:
-        """Which objects are of this shape."""
-        return owner < self.count
-
     def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
         return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
 
     def gap(self, owner: Ints, point: Triple) -> Floats:
         """Distance by which objects must grow to reach points; negative for points inside."""
-        away = each(np.subtract, columns(self.center, owner), point)
+        away = each(np.subtract, pick(self.center, owner), point)
         return np.sqrt(dot(away, away)) - self.radius[owner]
 
     def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
@@ -324,7 +276,7 @@ class Spheres:
             By how much to grow objects on all sides; shrunk to less than nothing, none blocks.
         """
         to_light = each(np.subtract, light, p)
-        to_center = each(np.subtract, columns(self.center, owner), p)
+        to_center = each(np.subtract, pick(self.center, owner), p)
         radius = self.radius[owner]
         if grown is not None:
             radius = np.maximum(radius + grown, 0)
@@ -362,7 +314,7 @@ class Spheres:
         cross-section, and the ball around the start is outside it.  Both are on the safe side of
         rounding.
         """
-        center, radius = columns(self.center, owner), self.radius[owner]
+        center, radius = pick(self.center, owner), self.radius[owner]
         d = each(np.subtract, end, start)
         to_center = each(np.subtract, center, start)
         along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
@@ -380,44 +332,17 @@ class Spheres:
         return meets, cuts
 
 
-def _frames(raster: Raster, local: Triple, radius: Floats) -> Frames:
-    """Bounds of spheres whose centres are seen at `local`."""
-    (u, v, w), radius2, ends = local, radius * radius, []
-    for along, place in ((v, raster.row), (u, raster.column)):
-        low, high = _tangents(along, w, radius2, along * along + w * w - radius2)
-        ends += [place(low * raster.depth), place(high * raster.depth)]
-    return Frames(*ends)
-
-
 def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
     """Slopes (along / ahead) between which rays from the origin meet discs.
 
-    Parameters
-    ----------
-    along, ahead
-        The disc's centre.
-    chord2, power
-        Its squared radius, and its centre's squared distance less that.
+    `along`, `ahead`: the disc's centre; `chord2`: its squared radius, negative or NaN if there is
+    none; `power`: the centre's squared distance less that.
     """
-    tilt = along * ahead
-    root = np.sqrt(chord2 * power)
-    divisor = ahead * ahead - chord2
-    # Clear of the plane beside the eye: all of the disc is ahead, or all behind.
-    clear = divisor >= 0
-    # The slopes s solve divisor s^2 - 2 tilt s + rest = 0.  Where the disc nearly touches the plane
-    # beside the eye the divisor is as good as zero: only one of the two may be divided by it.
-    # Both forms of `rest` are the same number; each is used where it cancels less.
-    rest = np.where(clear, along * along - chord2, power - ahead * ahead)
-    stable = tilt + np.copysign(root, tilt)
-    a, b = stable / divisor, rest / stable
-    least, most = np.minimum(a, b), np.maximum(a, b)
-    low = np.where(clear, least, np.where(along > 0, most, -np.inf))
-    high = np.where(clear, most, np.where(along > 0, np.inf, least))
-    # With the eye on the disc, or nearly, any ray may meet it.
-    whole = (power <= NEARLY_ZERO_POWER * (along * along + ahead * ahead)) & (chord2 >= 0)
-    # No rays at all: the plane misses the sphere, or the disc lies behind the eye.
-    miss = (chord2 < 0) | (clear & (ahead < 0) & ~whole)
-    # What rounding left undecided covers the row: wider is always safe.
-    low = np.where(whole | np.isnan(low), -np.inf, low)
-    high = np.where(whole | np.isnan(high), np.inf, high)
-    return np.where(miss, np.inf, low), np.where(miss, -np.inf, high)
+    # The tangents lie at an angle to either side of the centre.  From inside all rays meet the
+    # disc; where rounding decides, on the disc, half of them.
+    surely = np.maximum(power - NEARLY_ZERO_POWER * (along * along + ahead * ahead), 0)
+    half = np.arctan2(np.sqrt(chord2), np.sqrt(surely))
+    middle = np.arctan2(along, ahead)
+    half[power < 0] = np.inf
+    low, high = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
+    return np.tan(low), np.tan(high)

@@ -1,19 +1,62 @@
-"""Positions of samples in the picture: in rows, or anywhere."""
+"""Positions of samples in the picture, in rows or anywhere, and which of them see what."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import ceil
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, changes, expand
-from tracer.view.camera import Raster, Spans
+from tracer.arrays import Floats, Ints, changes, expand, indices
+from tracer.view.camera import Raster
+from tracer.view.view import Shape
 
-Covered: TypeAlias = tuple[Ints, Ints, Ints, Ints]
-"""Spans of samples in which objects may be seen: which object, the index of the span's y among
-those of the samples, the first sample, and how many there are."""
+# Spans are widened by this many pixels before rays are tried: far more than they err.
+_PAD = 0.5
+
+
+class Spans(NamedTuple):
+    """Intervals of rows of the picture that objects cover.
+
+    Attributes
+    ----------
+    owner : (n,)
+        The object.
+    row : (n,)
+        Index into the rows asked for; ascending.
+    left, right : (n,)
+        In pixels from the picture's left edge, clipped to one pixel beyond either edge.
+    """
+
+    owner: Ints
+    row: Ints
+    left: Floats
+    right: Floats
+
+    @classmethod
+    def of(
+        cls, shape: Shape, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0
+    ) -> Spans:
+        """Spans, some of them empty, of objects in ascending rows, widened by `pad` pixels.
+
+        They are exact but for rounding in rows of no height, which are lines.
+        """
+        frames = shape.frames
+        beside = (frames.left - pad > raster.width + 1) | (frames.right + pad < -1)
+        at = indices(~beside & (frames.top - pad - height <= rows[-1]))
+        first = rows.searchsorted(frames.top[at] - pad - height)
+        last = rows.searchsorted(frames.bottom[at] + pad, side="right")
+        which, row = expand(np.maximum(last - first, 0), first)
+        at = at[which]
+        left, right = shape.ends(raster, at + shape.first, rows[row], height)
+        left, right = np.maximum(left, frames.left[at]), np.minimum(right, frames.right[at])
+        # An object that is beside the picture in one row may enter it before the next: its span
+        # there is empty, at the rim, but not left out.
+        keep = indices(left <= right)
+        keep = keep[row[keep].argsort(kind="stable")]
+        # One column more than the picture has on either side: antialiasing looks there.
+        left, right = (m[keep].clip(-1.0, raster.width + 1.0) for m in (left - pad, right + pad))
+        return cls(at[keep] + shape.first, row[keep], left, right)
 
 
 class Rows(NamedTuple):
@@ -45,61 +88,60 @@ class Rows(NamedTuple):
         """First component of each sample's ray."""
         return np.add.outer(self.shift * raster.step_u, raster.across(self.x)).ravel()
 
-    def positions(self) -> tuple[Floats, Floats]:
-        """x and y of all samples."""
-        return np.add.outer(self.shift, self.x).ravel(), self.y.repeat(self.x.size)
-
     def at(self, index: Ints) -> tuple[Floats, Floats]:
         """x and y of some samples."""
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
-        """Spans of objects, given the function from rows and their height to `spans`."""
-        owner, row, left, right = spans(self.y, 0.0)
+    def covered(self, shape: Shape, raster: Raster) -> tuple[Ints, Ints, Ints, Ints]:
+        """Spans of samples that may see objects of a shape.
+
+        Returns the object, the index of the span's y among those of the samples, the first sample,
+        and how many there are.
+        """
+        owner, row, left, right = Spans.of(shape, raster, self.y, pad=_PAD)
         columns = self.x.size
         first = self.x[0] + self.shift[row]
-        start = np.ceil(left - first).astype(np.intp)
-        stop = np.floor(right - first).astype(np.intp) + 1
-        start.clip(0, columns, out=start)
-        stop.clip(0, columns, out=stop)
+        start = np.ceil(left - first).astype(np.intp).clip(0, columns)
+        stop = (np.floor(right - first).astype(np.intp) + 1).clip(0, columns)
         return owner, row, row * columns + start, np.maximum(stop - start, 0)
 
 
 class Scattered(NamedTuple):
-    """Samples anywhere, sorted pixel by pixel, and downwards in each.
+    """Samples anywhere, sorted by rows of pixels and along these.
 
     Attributes
     ----------
     y, x : (n,)
         In pixels from the picture's upper left corner.
-    row : (n,)
-        The row of pixels each is in.
-    pixel : (n,)
-        A number for each pixel: row * (2 * `beside` + 1) + column.
-    beside : int
-        All columns are less, to either side.
+    place : (n,)
+        One number for both row and x, in ascending order: row * `wide` + x.
+    wide : int
+        More than twice any x, to either side.
     """
 
     y: Floats
     x: Floats
-    row: Ints
-    pixel: Floats
-    beside: int
+    place: Floats
+    wide: int
 
     @classmethod
     def of(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
         """Positions, in any order, as samples; and which position each sample has."""
-        row, beside = np.floor(y), ceil(np.abs(x).max(initial=0)) + 1
-        pixel = row * (2 * beside + 1) + np.floor(x)
-        # One number for pixel and height is sorted several times as fast as three.
-        order = np.argsort(pixel + (y - row) / 2, kind="stable")
-        return cls(y[order], x[order], row[order].astype(np.intp), pixel[order], beside), order
+        wide = 2 * ceil(np.abs(x).max(initial=0)) + 2
+        place = np.floor(y) * wide + x
+        order = place.argsort(kind="stable")
+        return cls(y[order], x[order], place[order], wide), order
 
     @property
     def size(self) -> int:
         """Number of samples."""
         return self.x.size
+
+    @property
+    def row(self) -> Floats:
+        """The row of pixels (n,) that each is in."""
+        return np.floor(self.y)
 
     def across(self, raster: Raster) -> Floats:
         """First component of each sample's ray."""
@@ -109,15 +151,13 @@ class Scattered(NamedTuple):
         """x and y of some samples."""
         return self.x[index], self.y[index]
 
-    def covered(self, spans: Callable[[Floats, float], Spans]) -> Covered:
-        """Spans of objects, given the function from rows and their height to `spans`."""
-        tops = self.row[changes(self.row)]
-        owner, row, left, right = spans(tops.astype(np.float64), 1.0)
-        # Whole pixels: so samples are sorted.
-        beside, begin = self.beside, tops[row] * (2 * self.beside + 1)
-        first, last = (begin + np.clip(np.floor(m), -beside, beside) for m in (left, right))
-        start = self.pixel.searchsorted(first)
-        stop = self.pixel.searchsorted(last, side="right")
+    def covered(self, shape: Shape, raster: Raster) -> tuple[Ints, Ints, Ints, Ints]:
+        """See `Rows.covered`: here each sample is a span of its own."""
+        rows = self.row[changes(self.row)]
+        owner, row, left, right = Spans.of(shape, raster, rows, height=1.0, pad=_PAD)
+        begin, half = rows[row] * self.wide, self.wide / 2
+        start = self.place.searchsorted(begin + left.clip(-half, half))
+        stop = self.place.searchsorted(begin + right.clip(-half, half), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
         return owner[span], sample, sample, np.ones_like(sample)
 

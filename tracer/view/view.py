@@ -30,8 +30,12 @@ class View(NamedTuple):
     surfaces : Surfaces
     spheres : Spheres
     boxes : Boxes
-    frames, eye_inside, slope, curvature
+    frames, eye_inside
         As in `Spheres`, of all n objects, spheres first.
+    slope : (n,)
+        As in `Boxes`, 0 for spheres.
+    curvature : (n,)
+        One over the radius; 0 for planes.
     layers : float
         How many objects at most lie behind a sample, on average over any row.
     """
@@ -60,7 +64,7 @@ class View(NamedTuple):
 def view_of(raster: Raster, surfaces: Surfaces) -> View:
     """Prepare surfaces to be seen from a raster's eye."""
     spheres, boxes = Spheres.of(raster, surfaces), Boxes.of(raster, surfaces)
-    frames = Frames.joined(spheres.frames, boxes.frames)
+    frames = Frames(*map(np.append, spheres.frames, boxes.frames))
     return View(
         raster=raster,
         surfaces=surfaces,
@@ -68,8 +72,8 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
         boxes=boxes,
         frames=frames,
         eye_inside=np.append(spheres.eye_inside, boxes.eye_inside),
-        slope=np.append(spheres.slope, boxes.slope),
-        curvature=np.append(spheres.curvature, boxes.curvature),
+        slope=np.append(np.zeros(spheres.count), boxes.slope),
+        curvature=np.append(1 / spheres.radius, np.zeros(boxes.count)),
         layers=frames.layers(raster),
     )
 

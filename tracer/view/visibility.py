@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Index, Ints, changes, expand, indices, select
-from tracer.view.camera import LEAST_SLOPE
 from tracer.view.samples import Samples, Scattered
 from tracer.view.view import Group, Shape, View, Visible
 
-# Spans are widened by this many pixels before rays are tried: far more than they err.
-_PAD = 0.5
+# How much distances change across an angle counts as at least and at most so much, for one unit.
+_LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
 
 # Samples farther apart, in pixels, across or in depth, are no neighbours.
 _GAP = 4.0
@@ -88,17 +86,13 @@ class _Fragments(NamedTuple):
             detail=self.detail.take(index),
         )
 
-    def slope(self, view: View) -> Any:
-        """`View.slope`, for each of the samples that see the object."""
-        return select(view.slope[self.owner], self.span)
-
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     """Find all pairs of samples and objects that spans do not rule out."""
     raster, found = view.raster, []
     s, down = samples.across(raster), raster.down(samples.y)
     for shape in view.shapes:
-        owners, rows, first, counts = samples.covered(partial(shape.spans, raster, pad=_PAD))
+        owners, rows, first, counts = samples.covered(shape, raster)
         size = np.bincount(owners, counts, minlength=len(view.surfaces))
         small = indices((size[owners] < _LARGE) & (counts > 0))
         parts: list[tuple[Index, Ints]] = [(owners[small], small)] if small.size else []
@@ -131,8 +125,15 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
 def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragments]:
     """Of all fragments those that are seen, given the distance of each sample's nearest."""
     first = [group.where(group.t == nearest.take(group.sample)) for group in groups]
-    seen = np.count_nonzero(nearest < np.finfo(np.float64).max)
-    return first if sum(g.t.size for g in first) == seen else _first_of_equals(view, first)
+    if sum(g.t.size for g in first) == np.count_nonzero(nearest < np.finfo(np.float64).max):
+        return first
+    # Of those that share a sample, the first in the file.
+    index = view.surfaces.file_index
+    places = [np.broadcast_to(select(index[g.owner], g.span), g.t.shape) for g in first]
+    least = np.full(nearest.size, index.size)
+    for group, place in zip(first, places, strict=True):
+        np.minimum.at(least, group.sample, place)
+    return [g.where(m == least.take(g.sample)) for g, m in zip(first, places, strict=True)]
 
 
 def _close_behind(
@@ -146,39 +147,25 @@ def _close_behind(
     """Fragments so close behind the nearest of their samples: see `visible_and_behind`."""
     raster = view.raster
     pixel = size * max(raster.step_u, raster.step_v)
-    ahead = np.full(samples.size, LEAST_SLOPE)
+    slope = view.slope.clip(_LEAST_SLOPE, _MOST_SLOPE)
+    ahead = np.full(samples.size, _LEAST_SLOPE)
     for group in seen:
-        ahead[group.sample] = group.slope(view)
+        ahead[group.sample] = select(slope[group.owner], group.span)
     behind = []
     for group in groups:
         first = nearest[group.sample]
         # From a pixel's centre to where the two cross, each distance changes by at most its slope
         # times half the diagonal.
-        step = 2 * pixel * np.maximum(ahead[group.sample], group.slope(view))
+        step = 2 * pixel * np.maximum(ahead[group.sample], select(slope[group.owner], group.span))
         # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
         # of directions are then computed for these few alone.
         most = first * (1 + 2 * step / raster.depth)
         at = indices((group.t > first) & (group.t < most))
-        _, y = samples.at(group.sample[at])
-        s, g, first = group.s[at], raster.down(y), first[at]
-        gap = (group.t[at] - first) * np.sqrt(s * s + (g * g + raster.depth**2))
-        behind.append(group.take(at[gap < step[at] * first]))
+        close, first, step = group.take(at), first[at], step[at]
+        s, g = close.s, select(close.g, close.span)
+        gap = (close.t - first) * np.sqrt(s * s + (g * g + raster.depth**2))
+        behind.append(close.where(gap < step * first))
     return behind
-
-
-def _first_of_equals(view: View, groups: list[_Fragments]) -> list[_Fragments]:
-    """Of fragments that share a sample, only those of the first object in the file."""
-    sample = np.concatenate([group.sample for group in groups])
-    place = view.surfaces.file_index
-    orders = (select(place[group.owner], group.span) for group in groups)
-    order = np.concatenate(
-        [np.broadcast_to(o, group.t.shape) for o, group in zip(orders, groups, strict=True)]
-    )
-    ranked = np.lexsort((order, sample))
-    first = np.zeros(sample.size, dtype=np.bool_)
-    first[ranked] = changes(sample[ranked])
-    ends = np.cumsum([group.t.size for group in groups])[:-1]
-    return [group.where(mask) for group, mask in zip(groups, np.split(first, ends), strict=True)]
 
 
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
