@@ -183,7 +183,7 @@ CHANGES = {
 MUTATIONS = [Mutation(module, *both) for module, each in CHANGES.items() for both in each.items()]
 
 FIRST = {
-    "tracer/light": ["accuracy/test_shading.py", "accuracy"],
+    "tracer/light": ["accuracy/test_closed_forms.py", "accuracy"],
     "tracer/antialias": ["accuracy/test_antialias.py", "accuracy"],
     "tracer/picture": ["command/test_png.py", "command"],
     "tracer/scene": ["format"],
@@ -191,8 +191,8 @@ FIRST = {
     "tracer/suspicions.py": ["command"],
     "converters": ["mitsuba"],
     "tracer": [
-        *(f"accuracy/test_{name}.py" for name in ("camera_conventions", "first_hits")),
-        *(f"accuracy/test_{name}.py" for name in ("shadow", "culling", "hard_cases")),
+        *(f"accuracy/test_{name}.py" for name in ("camera_conventions", "closed_forms")),
+        *(f"accuracy/test_{name}.py" for name in ("library", "shadow", "culling")),
         "accuracy",
     ],
 }

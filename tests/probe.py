@@ -32,17 +32,22 @@ def scene_of(
     )
 
 
-def close_up(*surfaces: Surface, **camera: object) -> Scene:
-    """Surfaces before a camera at (0, 0, 5), with a light beside it."""
-    view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)  # type: ignore[arg-type]
-    return scene_of(*surfaces, camera=view, size=(24, 24), lights=(3, 4, 5))
+def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
+    """Surfaces before a camera at (0, 0, 5)."""
+    view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
+    return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
+
+
+def one_ray(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Scene:
+    """A picture of one pixel."""
+    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
+    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
+    return scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights)
 
 
 def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:
     """Radiance (3,) along one ray."""
-    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
-    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
-    pixel: Floats = render(scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights))[0, 0]
+    pixel: Floats = render(one_ray(eye, direction, lights, *surfaces))[0, 0]
     return pixel
 
 

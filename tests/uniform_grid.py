@@ -1,7 +1,5 @@
 """The uniform grid: samples in rows and columns, which antialiasing is held against."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -21,14 +19,16 @@ def uniform(scene: Scene, per_side: int) -> Floats:
     return supersampled(scene, per_side, processes=1)
 
 
+def rmse(image: Floats, truth: Floats) -> float:
+    return float(np.sqrt(((image - truth) ** 2).mean()))
+
+
 def no_worse_than_the_uniform_grid(
     scene: Scene, times: float = 1, numbers: tuple[int, ...] = (4, 16, 64, 256)
 ) -> None:
     """RMSE no larger, and the largest error no more than so many times as large."""
-    converged = uniform(scene, 41)
+    truth = uniform(scene, 41)
     for samples in numbers:
         image, grid = render(scene, samples, processes=1), uniform(scene, math.isqrt(samples))
-        rmse, grid_rmse = (np.sqrt(((x - converged) ** 2).mean()) for x in (image, grid))
-        assert rmse <= grid_rmse + 1e-12, samples
-        most, grid_most = (np.abs(x - converged).max() for x in (image, grid))
-        assert most <= times * grid_most + 1e-12, samples
+        assert rmse(image, truth) <= rmse(grid, truth) + 1e-12, samples
+        assert np.abs(image - truth).max() <= times * np.abs(grid - truth).max() + 1e-12, samples

@@ -1,31 +1,29 @@
-"""What programs that render scenes rely on: numbers of any kind, and faults in what is given."""
+"""What programs rely on: numbers of any kind, faults in what is given, and first hits."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from probe import Surface, scene_of
+from random_scenes import random_scene
 
-from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, first_hits, render
 
 
-def a_scene(width: int = 40, height: int = 30) -> Scene:
+def a_scene(width: int = 40, height: int = 30, **camera: Any) -> Scene:
     """A ball that is lit."""
     ball = Sphere(center=(0, 0, -3))
-    return Scene(
-        width=width, height=height, lights=(PointLight(position=(3, 4, 5)),), surfaces=(ball,)
-    )
+    return scene_of(ball, camera=Camera(**camera), size=(width, height), lights=(3, 4, 5))
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int16, np.uint64, np.int64, np.array])
-def test_sizes_may_be_integers_of_any_kind(kind: Callable[[int], int]) -> None:
+def test_sizes_may_be_integers_of_any_kind(kind):
     scene = a_scene(kind(100), kind(90))
     assert (type(scene.width), type(scene.height)) == (int, int)
-    assert np.array_equal(render(scene, 4), render(a_scene(100, 90), 4))
-    assert np.array_equal(render(scene, kind(4), processes=kind(1)), render(scene, 4))
+    image = render(scene, 4)
+    assert np.array_equal(image, render(a_scene(100, 90), 4))
+    assert np.array_equal(image, render(scene, kind(4), processes=kind(1)))
     assert type(a_scene(True, 2).width) is int
 
 
@@ -41,9 +39,7 @@ def test_sizes_may_be_integers_of_any_kind(kind: Callable[[int], int]) -> None:
         (10**9, ValueError, "must be at most 999999999"),
     ],
 )
-def test_numbers_of_samples_and_processes_that_are_none(
-    name: str, value: Any, error: type[Exception], message: str
-) -> None:
+def test_numbers_that_are_refused(name, value, error, message):
     with pytest.raises(error, match=f"^{name} {message}$"):
         render(a_scene(), **{name: value})
 
@@ -51,24 +47,83 @@ def test_numbers_of_samples_and_processes_that_are_none(
 @pytest.mark.parametrize(
     "view_dir", [(0, 1e-200, -1), (1e-200, 0, -1), (0, 1e-300, -1e300), (0, 3e-320, -1e-320)]
 )
-def test_underflow_is_no_error_to_anyone(view_dir: tuple[float, float, float]) -> None:
-    scene = replace(a_scene(), camera=Camera(view_dir=view_dir))
+def test_underflow_is_no_error_to_anyone(view_dir):
+    scene = a_scene(view_dir=view_dir)
     image = render(scene)
     with np.errstate(all="raise"):
-        same = replace(a_scene(), camera=Camera(view_dir=view_dir))
-        assert same == scene
-        assert np.array_equal(render(same), image)
+        assert a_scene(view_dir=view_dir) == scene
+        assert np.array_equal(render(scene), image)
 
 
 @pytest.mark.parametrize(
     "offset", [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
 )
-def test_offsets_that_are_none(offset: Any) -> None:
+def test_offsets_that_are_refused(offset):
     with pytest.raises(ValueError, match=r"^offset must be two finite numbers, is "):
         render(a_scene(), offset=offset)
 
 
-def test_an_offset_may_be_any_two_numbers() -> None:
+def test_an_offset_may_be_any_two_numbers():
     image = render(a_scene(), offset=(0.5, 1))
     for offset in ([0.5, 1], np.array([0.5, 1]), (np.float32(0.5), np.int8(1))):
-        assert np.array_equal(render(a_scene(), offset=offset), image)  # type: ignore[arg-type]
+        assert np.array_equal(render(a_scene(), offset=offset), image)
+
+
+BALL = Sphere(center=(0, 0, -5), radius=2)
+WALL = Box(min_pt=(-50, -50, -12), max_pt=(50, 50, -10))
+
+
+def seen(*surfaces: Surface) -> Scene:
+    """Surfaces in a window 2 wide at a distance of 1, in pixels of .5."""
+    window = Camera(view_point=(0, 0, 0), view_dir=(0, 0, -1), view_width=2, view_height=2)
+    return scene_of(*surfaces, camera=window, size=(4, 4), lights=(3, 5, 4))
+
+
+def test_first_hits_in_closed_form():
+    # Positions on the axis, a ray (.5, -.5, -1) past the ball, and one that leaves the picture; of
+    # equal surfaces the first.
+    hits = first_hits(seen(WALL, BALL, WALL, BALL), [2, 3, 2], [2, 3, -2])
+    assert hits.surface.tolist() == [1, 0, 0]
+    np.testing.assert_allclose(hits.distance, [3, 10 * np.sqrt(1.5), 10 * np.sqrt(5)], rtol=1e-15)
+    np.testing.assert_allclose(hits.point, [(0, 0, -3), (5, -5, -10), (0, 20, -10)], atol=1e-14)
+    np.testing.assert_allclose(hits.normal, [(0, 0, 1)] * 3, atol=1e-15)
+    # From inside, normals look towards the eye as well.
+    for surface in (Sphere(radius=3), Box(min_pt=(-3, -3, -3), max_pt=(3, 3, 3))):
+        inside = first_hits(seen(surface), [2], [2])
+        np.testing.assert_allclose(inside.point, [(0, 0, -3)], atol=1e-15)
+        np.testing.assert_allclose(inside.normal, [(0, 0, 1)], atol=1e-15)
+
+
+def test_first_hits_of_nothing():
+    hits = first_hits(seen(BALL), [0.5, 2], [0.5, 2])
+    assert hits.surface.tolist() == [-1, 0]
+    assert hits.distance[0] == np.inf
+    assert np.isnan([hits.point[0], hits.normal[0]]).all()
+    nowhere = first_hits(seen(BALL), [], [])
+    assert (nowhere.surface.shape, nowhere.normal.shape) == ((0,), (0, 3))
+
+
+@pytest.mark.parametrize(
+    ("x", "y"), [([1], [1, 2]), (1, 1), ([[1]], [[1]]), ([np.nan], [1]), ([1], [np.inf])]
+)
+def test_positions_that_are_refused(x, y):
+    with pytest.raises(ValueError, match="x and y must be"):
+        first_hits(seen(BALL), x, y)
+
+
+@pytest.mark.parametrize("kind", ["nested", "duplicated", "crowd"])
+def test_first_hits_are_those_of_the_picture(kind):
+    # The scene is lit from the eye; of each surface's colour, green over red is its place.
+    scene = random_scene(kind, 3, 60, 40)
+    surfaces = [
+        replace(surface, shader=Lambertian(diffuse=(1, i, 0)))
+        for i, surface in enumerate(scene.surfaces)
+    ]
+    lights = [PointLight(position=scene.camera.view_point)]
+    scene = replace(scene, surfaces=surfaces, lights=lights)
+    row, column = np.random.default_rng(1).permutation(np.indices((40, 60)).reshape(2, -1), axis=1)
+    red, green, _ = render(scene)[row, column].T
+    lit = red > 0
+    assert lit.sum() > 100
+    hits = first_hits(scene, column + 0.5, row + 0.5)
+    np.testing.assert_allclose(green[lit] / red[lit], hits.surface[lit])

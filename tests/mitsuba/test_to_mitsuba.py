@@ -1,7 +1,5 @@
 """The converter's command line: what it writes, what it says, and what it leaves as it was."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -12,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import told
+from messages import run_python, told
 from PIL import Image
 from scene_files import ONE_SPHERE, codes, overflowing, small_one
 
@@ -20,28 +18,11 @@ from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
 from reference.command import HERE, own_scenes
 
-PNG, EXR = b"\x89PNG", b"\x76\x2f\x31\x01"
 CHECK = ["--check", "--variant", SCALAR]
 RENDER = ["--render", "--variant", SCALAR]
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "converters.to_mitsuba", *arguments]
-
-
-def run(
-    *arguments: str, stdout: int = subprocess.PIPE, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    """The converter as a process of its own."""
-    return subprocess.run(
-        command(*arguments),
-        cwd=HERE.parent,
-        env=os.environ | environment,
-        stdout=stdout,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=120,
-    )
+COMMAND = ["-m", "converters.to_mitsuba"]
+# No text, and more than a line.
+ODD = b"/\xff\n.xml"
 
 
 @pytest.fixture
@@ -57,26 +38,22 @@ def names(folder: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("flavour", "written"),
     [
-        ([], {"small.mitsuba.xml"}),
-        (["--flavour", "exact"], {"small.exact.mitsuba.xml"}),
-        (
-            ["--flavour", "stock-lights"],
-            {"small.stock-lights.mitsuba.xml", "small.stock-lights.mitsuba.pfm"},
-        ),
+        ("stock", ["small.mitsuba.xml"]),
+        ("exact", ["small.exact.mitsuba.xml"]),
+        ("stock-lights", [f"small.stock-lights.mitsuba.{end}" for end in ("pfm", "xml")]),
     ],
 )
-def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(
-    small: Path, capsys: pytest.CaptureFixture[str], flavour: list[str], written: set[str]
-) -> None:
+def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, flavour, written):
+    options = [] if flavour == "stock" else ["--flavour", flavour]
     for _ in range(2):
-        assert main([*flavour, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
-        assert names(small.parent) == written | {"small.xml"}
-    scene = small.with_name(max(written))
+        assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
+        assert names(small.parent) == {*written, "small.xml"}
+    scene = small.with_name(written[-1])
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: left out, for it is a converted scene\n" in capsys.readouterr().out
 
 
-def test_writes_several_to_a_folder_that_is_made(tmp_path: Path) -> None:
+def test_writes_several_to_a_folder_that_is_made(tmp_path):
     two = own_scenes()[:2]
     assert main([*map(str, two), "-o", f"{tmp_path}/made/"]) == 0
     assert names(tmp_path / "made") == {f"{path.stem}.mitsuba.xml" for path in two}
@@ -86,9 +63,7 @@ def test_writes_several_to_a_folder_that_is_made(tmp_path: Path) -> None:
     ("name", "message"),
     [("bad.xml", ":1: light: "), (".", ": "), ("/", ": "), ("loop", ": "), ("none.xml", ": ")],
 )
-def test_what_cannot_be_read_is_told_and_spares_the_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, message: str
-) -> None:
+def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, name, message):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     (tmp_path / "bad.xml").write_text("<scene><camera/><image>8 8</image><light/></scene>")
     name = name if name in "./" else str(tmp_path / name)
@@ -99,37 +74,12 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(
     assert names(tmp_path) == {"loop", "bad.xml", "one-sphere.mitsuba.xml"}
 
 
-@pytest.mark.parametrize(
-    ("what", "line"), [([], ".mitsuba.xml: stock flavour"), (CHECK, ": agrees")]
-)
-def test_names_that_are_not_text_are_escaped(small: Path, what: list[str], line: str) -> None:
-    odd = small.rename(os.fsdecode(os.fsencode(small.parent) + b"/\xff\n.xml"))
-    done = run(*what, str(odd), PYTHONIOENCODING="utf-8")
-    # Dr.Jit says there if it has found no libLLVM.
-    assert done.returncode == 0, done.stderr
-    assert f"\\udcff\\n{line}\n" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [("missing/x.xml", "No such file or directory"), ("x" * 300, "File name too long")],
-)
-def test_what_cannot_be_written_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reason: str
-) -> None:
-    target = tmp_path / name
-    assert main([str(ONE_SPHERE), "-o", str(target)]) == 1
-    assert capsys.readouterr().err == f"{target}: cannot be written: {reason}\n"
-    assert names(tmp_path) == set()
-
-
-@pytest.mark.parametrize("what", [[], CHECK])
-def test_no_one_reads_the_output(small: Path, unread: int, what: list[str]) -> None:
+@pytest.mark.parametrize("what", [[], pytest.param(CHECK, marks=pytest.mark.slow)])
+def test_no_one_reads_the_output(small, unread, what):
     target = small.with_name("written")
-    done = run(*what, str(small), "-o", str(target), stdout=unread)
+    done = run_python(*COMMAND, *what, str(small), "-o", str(target), stdout=unread)
     # Dr.Jit says there if it has found no libLLVM.
-    assert done.returncode == 0, done.stderr
-    assert not re.search("Traceback|cannot be written", done.stderr)
+    assert (done.returncode, told(done.stderr)) == (0, "")
     assert target.exists()
 
 
@@ -137,27 +87,24 @@ def test_no_one_reads_the_output(small: Path, unread: int, what: list[str]) -> N
 @pytest.mark.parametrize(
     "kind",
     [
-        signal.SIGINT,
-        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
-        pytest.param(signal.SIGQUIT, marks=pytest.mark.slow),
+        pytest.param(getattr(signal, name), id=name, marks=[pytest.mark.slow] * (name != "SIGINT"))
+        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     ],
 )
-@pytest.mark.parametrize("when", ["numpy is imported", "the variant is probed"])
-def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
+@pytest.mark.parametrize(
+    ("about", "sign"), [("maps", "_multiarray_umath"), ("task/{}/children", "")]
+)
+def test_an_interrupt(small, kind, about, sign):
+    # While NumPy is imported, and while the variant is probed.
     process = subprocess.Popen(
-        command("--check", str(small)),
+        [sys.executable, *COMMAND, "--check", str(small)],
         cwd=HERE.parent,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    about = Path(f"/proc/{process.pid}")
-    while not (
-        "_multiarray_umath" in (about / "maps").read_text()
-        if when == "numpy is imported"
-        else (about / f"task/{process.pid}/children").read_text()
-    ):
+    status = Path(f"/proc/{process.pid}") / about.format(process.pid)
+    while not (text := status.read_text()) or sign not in text:
         assert process.poll() is None
     process.send_signal(kind)
     out, err = process.communicate(timeout=30)
@@ -166,20 +113,24 @@ def test_an_interrupt(small: Path, kind: signal.Signals, when: str) -> None:
 
 
 @pytest.mark.parametrize("what", [[], RENDER, CHECK])
-@pytest.mark.parametrize("kind", ["a pipe", "another format"])
-def test_what_is_of_another_kind_stays(
-    small: Path, capsys: pytest.CaptureFixture[str], what: list[str], kind: str
-) -> None:
-    other = small.with_name("other")
-    if kind == "a pipe":
-        os.mkfifo(other)
-    else:
-        other.write_text("<scene>")
-    assert main([*what, str(small), "-o", str(other)]) == 1
-    reason = "not a regular file" if kind == "a pipe" else "a file of another kind is there"
-    assert capsys.readouterr().err == f"{other}: cannot be written: {reason}\n"
-    assert other.is_fifo() or other.read_text() == "<scene>"
-    assert names(small.parent) == {"other", "small.xml"}
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("pipe", "not a regular file"),
+        ("other", "a file of another kind is there"),
+        ("missing/x.xml", "No such file or directory"),
+        ("x" * 300, "File name too long"),
+    ],
+)
+def test_what_cannot_be_written_is_told_and_stays(small, capsys, what, name, reason):
+    target, pipe, other = (small.parent / each for each in (name, "pipe", "other"))
+    os.mkfifo(pipe)
+    other.write_text("<scene>")
+    assert main([*what, str(small), "-o", str(target)]) == 1
+    assert capsys.readouterr().err == f"{target}: cannot be written: {reason}\n"
+    assert pipe.is_fifo()
+    assert other.read_text() == "<scene>"
+    assert names(small.parent) == {"other", "pipe", "small.xml"}
     use()
 
 
@@ -203,20 +154,22 @@ def test_what_is_of_another_kind_stays(
         ([], "the following arguments are required: SCENE.xml"),
     ],
 )
-def test_wrong_usage_ends_with_status_2(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_usage_ends_with_status_2(arguments, message, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("flavour", ["stock", "stock-lights", "exact"])
-def test_converting_needs_no_mitsuba(tmp_path: Path, flavour: str) -> None:
-    (tmp_path / "mitsuba.py").write_text("raise ImportError('not installed')")
-    to = f"{tmp_path}/"
-    done = run("--flavour", flavour, str(ONE_SPHERE), "-o", to, PYTHONPATH=str(tmp_path))
+@pytest.mark.parametrize(
+    ("flavour", "name"), [("stock", ODD), ("exact", ODD), ("stock-lights", b"/small.xml")]
+)
+def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, flavour, name):
+    small.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
+    odd, path = small.rename(os.fsdecode(os.fsencode(small.parent) + name)), str(small.parent)
+    environment = {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
+    done = run_python(*COMMAND, "--flavour", flavour, str(odd), **environment)
     assert (done.returncode, done.stderr) == (0, "")
+    assert f"{path}{repr(os.fsdecode(name))[1:-5]}." in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -236,88 +189,69 @@ def test_converting_needs_no_mitsuba(tmp_path: Path, flavour: str) -> None:
         ),
     ],
 )
-def test_what_is_not_installed_is_told(
-    tmp_path: Path, option: str, module: str, stub: str, message: str
-) -> None:
-    missing = f"raise ModuleNotFoundError('No module named {module}')"
+def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
+    missing, path = f"raise ModuleNotFoundError('No module named {module}')", str(tmp_path)
     (tmp_path / f"{module}.py").write_text(stub or missing)
-    done = run(option, str(ONE_SPHERE), "-o", f"{tmp_path}/", PYTHONPATH=str(tmp_path))
+    done = run_python(*COMMAND, option, str(ONE_SPHERE), "-o", f"{path}/", PYTHONPATH=path)
     assert done.returncode == 1
     assert told(done.stderr).startswith(message)
     assert told(done.stderr).count("\n") == 1
 
 
-@pytest.mark.parametrize("flavour", ["stock", "stock-lights", "exact"])
-def test_render_writes_a_png_and_an_exr(small: Path, flavour: str) -> None:
-    assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small)]) == 0
-    stem = "small.mitsuba" if flavour == "exact" else f"small.{flavour}.mitsuba"
-    assert names(small.parent) == {"small.xml", f"{stem}.png", f"{stem}.exr"}
-    exr = np.array(mi.Bitmap(str(small.with_name(f"{stem}.exr"))))
-    shown = np.asarray(Image.open(small.with_name(f"{stem}.png")))
-    # Stock flavours are in square pixels.
-    assert exr.shape == shown.shape == (30 if flavour == "exact" else 40, 40, 3)
-    np.testing.assert_array_equal(shown, codes(exr))
-    use()
-
-
 @pytest.mark.parametrize(
-    ("named", "written"),
+    ("flavour", "named", "written"),
     [
-        ("x.png", {"x.png", "x.exr"}),
-        ("x.exr", {"x.png", "x.exr"}),
-        ("A.EXR", {"A.png", "A.EXR"}),
-        ("room.v1", {"room.v1", "room.v1.exr"}),
+        ("exact", None, "small.mitsuba.png small.mitsuba.exr"),
+        ("stock", None, "small.stock.mitsuba.png small.stock.mitsuba.exr"),
+        ("stock-lights", None, "small.stock-lights.mitsuba.png small.stock-lights.mitsuba.exr"),
+        # Either file may be named.
+        ("exact", "x.png", "x.png x.exr"),
+        ("exact", "x.exr", "x.png x.exr"),
+        ("exact", "A.EXR", "A.png A.EXR"),
+        ("exact", "room.v1", "room.v1 room.v1.exr"),
     ],
 )
-def test_either_file_of_a_rendering_may_be_named(
-    small: Path, named: str, written: set[str]
-) -> None:
-    assert main([*RENDER, str(small), "-o", str(small.with_name(named))]) == 0
-    assert names(small.parent) == written | {"small.xml"}
-    formats = sorted(small.with_name(name).read_bytes()[:4] for name in written)
-    assert formats == [EXR, PNG]
+def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
+    output = ["-o", str(small.with_name(named))] if named else []
+    assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small), *output]) == 0
+    assert names(small.parent) == {"small.xml", *written.split()}
+    png, exr = (small.with_name(name) for name in written.split())
+    shown = np.asarray(Image.open(png, formats=["PNG"]))
+    radiance = np.array(mi.Bitmap(str(exr)))
+    # Stock flavours are in square pixels.
+    assert radiance.shape == shown.shape == (30 if flavour == "exact" else 40, 40, 3)
+    np.testing.assert_array_equal(shown, codes(radiance))
     use()
 
 
 @pytest.mark.parametrize(
     ("flavour", "line"),
     [
-        ("exact", "one-sphere: agrees"),
-        pytest.param(
-            "stock", "one-sphere, diffuse light by stock plugins: agrees", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "stock-lights",
-            "one-sphere, stock-lights flavour: is similar\n  SSIM 0.99",
-            marks=pytest.mark.slow,
-        ),
+        ("exact", ": agrees"),
+        pytest.param("stock", ", diffuse light by stock plugins: agrees", marks=pytest.mark.slow),
+        ("stock-lights", ", stock-lights flavour: is similar\n  SSIM 0.99"),
     ],
 )
-def test_check_reports_and_writes_the_comparison(tmp_path: Path, flavour: str, line: str) -> None:
-    done = run(
-        "--check", "--flavour", flavour, str(small_one(tmp_path, "40 30")), "-o", f"{tmp_path}/",
-        DRJIT_LIBLLVM_PATH="/nonexistent",
-    )  # fmt: skip
+def test_check_reports_and_writes_the_comparison(small, flavour, line):
+    odd, none = small.rename(os.fsdecode(os.fsencode(small.parent) + ODD)), "/nonexistent"
+    target, middle = f"{small.parent}/", "" if flavour == "exact" else f".{flavour}"
+    arguments = "--check", "--flavour", flavour, str(odd), "-o", target
+    done = run_python(*COMMAND, *arguments, DRJIT_LIBLLVM_PATH=none, PYTHONIOENCODING="utf-8")
     assert done.returncode == 0, done.stderr
     assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
-    assert line.replace("one-sphere", "small") in done.stdout
-    middle = "" if flavour == "exact" else f".{flavour}"
-    with Image.open(tmp_path / f"small{middle}.check.png") as picture:
+    assert f"\\udcff\\n{line}" in done.stdout
+    with Image.open(odd.with_suffix(f"{middle}.check.png")) as picture:
         assert picture.width > 3 * 40
 
 
-def test_check_ends_with_status_1_where_a_tolerance_is_broken(
-    small: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_ends_with_status_1_where_a_tolerance_is_broken(small, monkeypatch, capsys):
     monkeypatch.setattr("reference.check.MIN_SSIM", 2)
     assert main(["--check", str(small)]) == 1
     assert re.search("small: DIFFERS\n(.*\n)*.*SSIM 1.00000 is below 2", capsys.readouterr().out)
     assert small.with_name("small.check.png").exists()
 
 
-def test_a_radiance_that_overflows_is_told_and_spares_the_others(
-    small: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_radiance_that_overflows_is_told_and_spares_the_others(small, capsys):
     bright = overflowing(small)
     assert main(["--check", str(bright), str(small)]) == 1
     captured = capsys.readouterr()
@@ -337,13 +271,7 @@ def test_a_radiance_that_overflows_is_told_and_spares_the_others(
         (ChildProcessError(9), "not enough memory; make the image smaller"),
     ],
 )
-def test_what_mitsuba_stumbles_over_is_told_in_a_line(
-    small: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    error: Exception,
-    line: str,
-) -> None:
+def test_what_mitsuba_stumbles_over_is_told_in_a_line(small, monkeypatch, capsys, error, line):
     def fail(*_arguments: object) -> None:
         raise error
 
@@ -354,9 +282,7 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono", ""])
 @pytest.mark.parametrize("what", ["--check", "--render"])
-def test_variants_without_rgb_are_refused(
-    small: Path, capsys: pytest.CaptureFixture[str], what: str, variant: str
-) -> None:
+def test_variants_without_rgb_are_refused(small, capsys, what, variant):
     assert main([what, "--variant", variant, str(small)]) == 1
     error = capsys.readouterr().err
     wrong = f"Mitsuba cannot run: {variant or repr(variant)} is no RGB variant; choose one of "
@@ -389,14 +315,7 @@ ROWS = r"Mitsuba's pixels are square, and .* too many; make viewWidth larger or 
         ("stock-lights", "<viewWidth>2.5", "<viewWidth>1e-20", ROWS),
     ],
 )
-def test_what_mitsuba_could_not_hold_is_told(
-    small: Path,
-    capsys: pytest.CaptureFixture[str],
-    flavour: str,
-    old: str,
-    new: str,
-    wrong: str,
-) -> None:
+def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavour, old, new, wrong):
     text = small.read_text(encoding="utf-8")
     assert old in text
     small.write_text(text.replace(old, new), encoding="utf-8")

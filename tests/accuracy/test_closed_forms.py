@@ -1,0 +1,368 @@
+"""Radiance in closed form: Lambert, Blinn-Phong, and the cases where ray tracers fail.
+
+Every case goes through a whole render, of the tracer and of the oracle.  A picture of one pixel has
+one ray, along `view_dir`; lights of pure red, green and blue show their n.l apart.  Tolerances are
+roundings: EPS times the lengths that are rounded, over the length that they are measured against.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from probe import (
+    EPS,
+    Lights,
+    Surface,
+    Vector,
+    colored,
+    moved,
+    one_ray,
+    radiance_along,
+    scene_of,
+    vector,
+)
+from random_scenes import random_scene
+
+from reference import plain
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Sphere, render
+
+BALL = Sphere()
+CUBE = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
+FLOOR = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
+WALL = Box(min_pt=(3, -9, -9), max_pt=(4, 9, 9))
+SHEET = Box(min_pt=(-5, 0, -5), max_pt=(5, 0, 5))
+EYE: Vector = (0, 10, 0)
+DOWN, BACK, RIGHT = (0, -1, 0), (0, 0, -1), (1, 0, 0)
+AXES = np.eye(3)
+
+
+class Ray(NamedTuple):
+    """An eye and a direction, lights and surfaces, and the radiance that is seen.
+
+    Where that is 0 it is so exactly.
+    """
+
+    name: str
+    eye: Vector
+    direction: Vector
+    lights: Lights
+    surfaces: list[Surface]
+    radiance: float | list[float]
+    tolerance: float = 4 * EPS
+
+
+def shiny(specular: float, exponent: float, diffuse: float = 0) -> Phong:
+    return Phong(diffuse=(diffuse,) * 3, specular=(specular,) * 3, exponent=exponent)
+
+
+def floor_under(light: Vector, radiance: float | list[float], shader: Phong, errs: float) -> Ray:
+    """A floor of some shader from straight above: n = v = (0, 1, 0)."""
+    name = f"floor, exponent {shader.exponent:g}, light at {light}"
+    return Ray(name, EYE, DOWN, light, [replace(FLOOR, shader=shader)], radiance, errs)
+
+
+def shading() -> Iterator[Ray]:
+    """Lambert and Blinn-Phong."""
+    # 3-4-5 and its kin: directions with rational cosines, far and near (there is no fall-off).
+    matte = replace(FLOOR, shader=Lambertian(diffuse=(1, 0.5, 0.25)))
+    for at, cosine in (((3, 4, 0), 0.8), ((4, 3, 0), 0.6), ((0, 28, 96), 0.28), ((0, 1e4, 0), 1.0)):
+        # kd I n.l, a channel at a time.
+        light = PointLight(position=at, intensity=(0.5, 2, 4))
+        seen = [0.5 * cosine, cosine, cosine]
+        yield Ray(f"Lambert, light at {at}", EYE, DOWN, [light], [matte], seen)
+        # h is halfway between n and l: n.h = cos(a / 2) = sqrt((1 + n.l) / 2).
+        for exponent in (0.5, 1, 2, 10, 1000):
+            power = math.sqrt((1 + cosine) / 2) ** exponent
+            shader = Phong(diffuse=(1, 0, 0.5), specular=(0, 1, 0.25), exponent=exponent)
+            seen = [cosine, power, 0.5 * cosine + 0.25 * power]
+            # Python's own power errs by EPS times the exponent.
+            yield floor_under(at, seen, shader, (8 + exponent) * EPS)
+    # n.l = 0.28 takes nothing off ks; a light below the plane adds neither term, although n.h > 0,
+    # nor does one in the plane.
+    yield floor_under((0, 28, 96), 0.5, shiny(0.5, 0), 0)
+    yield floor_under((60, -0.5, 0), 0, shiny(1, 1, 1), 0)
+    yield floor_under((20, 0, 0), 0, shiny(1, 0, 1), 0)
+    # Light and eye at +-60 degrees: h = n, so the highlight is whole; the eye at the light instead
+    # has h = l, 60 degrees off: (1/2)^e.  (A reflected ray would see -1/2 there.)
+    s, cubed = math.sqrt(3), [replace(FLOOR, shader=shiny(1, 3))]
+    yield Ray("h = n", (-s, 1, 0), (s, -1, 0), (2 * s, 2, 0), cubed, 1, 8 * EPS)
+    yield Ray("h = l", (2 * s, 2, 0), (-2 * s, -2, 0), (2 * s, 2, 0), cubed, 0.125)
+    # With x = tan(d) = 2^-10 the light at (2 x, 1 - x^2, 0), exactly, is 2 d off the vertical on
+    # which the eye is, so n.h = cos d = (1 + x^2)^(-1/2).
+    x = 2.0**-10
+    for exponent in (1.0, 1e2, 1e4, 1e6):
+        power = math.exp(-exponent / 2 * math.log1p(x * x))
+        yield floor_under((2 * x, 1 - x * x, 0), power, shiny(1, exponent), 1e-12 * power)
+    # (n.h)^0 = 1 where n.l > 0; and where the light is at the point, it adds nothing.
+    for light, seen in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
+        for shader in (shiny(0.5, 0), shiny(0.5, 0, 1))[: 2 - (seen > 0)]:
+            ball = Sphere(shader=shader)
+            yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], seen)
+    yield floor_under((0, 0, 0), 0, shiny(1, 10, 1), 0)
+    # Three lights, each in its own channel, twice; radiance is not clipped; no light is no light.
+    lights = colored((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
+    yield Ray("lights add up", EYE, DOWN, lights, [FLOOR], [1.6, 1.2, 0.56])
+    bright = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
+    yield Ray("not clipped", EYE, DOWN, bright, [FLOOR], [1000, 1, 0], 0)
+    yield Ray("no light and no ambient", EYE, DOWN, [], [FLOOR], 0)
+    for distance in (0.125, 1, 100, 1e6):
+        yield Ray(f"no fall-off, {distance}", EYE, DOWN, (0, distance, 0), [FLOOR], 1, 0)
+    # The eye is straight above the point, the lights a unit along each axis from it: their n.l are
+    # the normal's components.  Lengths up to 7 are rounded, against the unit.
+    for n in ((0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)):
+        p, ball = 2 + 3 * np.array(n), Sphere(center=(2, 2, 2), radius=3)
+        eye, lights = vector(p + 2 * np.array(n)), colored(*map(vector, p + AXES))
+        toward = (-n[0], -n[1], -n[2])
+        yield Ray(f"sphere, normal {n}", eye, toward, lights, [ball], list(n), 16 * EPS)
+    # Each face from outside and, where the opposite face looks at the eye, from inside.
+    for axis, sign in product(range(3), (-1, 1)):
+        n, up = sign * AXES[axis], AXES[axis - 2]
+        eye, light = vector(5 * n), vector(5 * n + 3 * up)
+        yield Ray(f"box from {eye}", eye, vector(-n), light, [CUBE], 0.8)
+        light = vector(0.2 * n + 0.6 * up)
+        yield Ray(f"box along {eye}", (0, 0, 0), vector(n), light, [CUBE], 0.8)
+
+
+def far_and_large() -> Iterator[Ray]:
+    """What is lost when numbers of different sizes meet."""
+    # Axial ray from (0, 0, D): t = D - 1, p = n = (0, 0, 1); light along (3, 0, 4) / 5.
+    yield Ray("unit sphere from 1e8", (0, 0, 1e8), BACK, (3, 0, 5), [BALL], 0.8, 2 * EPS * 1e8)
+    # Impact 0.6: t = D - 0.8, p = n = (0.6, 0, 0.8); lights beside and above show n_x, n_z.
+    for D in (1e4, 1e6, 1e8):
+        n, lights = [0.6, 0.8, 0], colored((1.6, 0, 0.8), (0.6, 0, 1.8))
+        yield Ray(f"impact, {D:g}", (0.6, 0, D), BACK, lights, [BALL], n, 4 * EPS * D)
+    # Impact b = 1 -+ 2^-20 from D = 1e6; the light at the eye sees n_z = sqrt(1 - b^2).  An impact
+    # rounded by EPS D moves that by as much over n_z, here 1.4e-3.
+    for b in (1 - 2.0**-20, 1 + 2.0**-20):
+        z = math.sqrt(max(0, 1 - b * b))
+        yield Ray(f"silhouette, {b}", (b, 0, 1e6), BACK, (b, 0, 1e6), [BALL], z, EPS * 1e6 / 1.4e-3)
+    # r = 0.1 from 1e7, impact 0.095: n = (-sqrt(1 - 0.95^2), 0.95, 0), known to EPS D / r over n_x.
+    x, small = -math.sqrt(1 - 0.95**2), Sphere(radius=0.1)
+    lights = colored((0.1 * x - 1, 0.095, 0), (0.1 * x, 1.095, 0))
+    yield Ray("small", (-1e7, 0.095, 0), RIGHT, lights, [small], [-x, 0.95, 0], 2e-7)
+    # Eye at height 1 over R = 1e6, d = (0.6, -0.8, 0): t = C / (B + sqrt(B^2 - C)), C = 2 R + 1,
+    # B = 0.8 (R + 1).  The point is rounded by EPS R, and the light 0.7 away.
+    R = 1e6
+    B, C = 0.8 * (R + 1), 2 * R + 1
+    t = C / (B + math.sqrt(B * B - C))
+    p, ground = np.array([0.6 * t, 1 - 0.8 * t, 0]), Sphere(center=(0, -R, 0), radius=R)
+    up, to_light = p + np.array([0, R, 0]), (1.25, 0.5, 0) - p
+    cosine = float(up @ to_light) / R / math.hypot(*to_light)
+    errs = 2 * EPS * R / 0.7
+    yield Ray("ground", (0, 1, 0), (0.6, -0.8, 0), (1.25, 0.5, 0), [ground], cosine, errs)
+    # A slab from 0.01 to 0.02 over the floor, |x| <= 1, light along (0.6, 0.8, 0) from 1e8: rays
+    # from (x, 0) rise through it where x + 0.0075 <= 1 and x + 0.015 >= -1.
+    slab = [FLOOR, Box(min_pt=(-1, 0.01, -1), max_pt=(1, 0.02, 1))]
+    for x, lit in ((-1.0151, 1), (-1.0149, 0), (0, 0), (0.9924, 0), (0.9926, 1)):
+        sun = (6e7, 8e7, 0)
+        yield Ray(f"light at 1e8, {x}", (x, 0.005, 0), DOWN, sun, slab, 0.8 * lit, 2e-8)
+
+
+def shadows() -> Iterator[Ray]:
+    """What blocks light, to the last bit."""
+    # A ball of radius 1 at height 3 under a light at height 9: rays from there touch it at
+    # sin a = 1 / 6, so the shadow's radius is 9 tan a = 9 / sqrt(35).  And a plate of half width
+    # 1/2 at height 1 under a light at height 4: the shadow ends at 1/2 * 4 / 3 = 2/3.
+    plate = Box(min_pt=(-0.5, 1, -0.5), max_pt=(0.5, 1, 0.5))
+    for other, at, edge, off in ((Sphere(center=(0, 3, 0)), 9, 9 / math.sqrt(35), 1e-9),
+                                 (plate, 4, 2 / 3, 1e-12)):  # fmt: skip
+        for x, lit in ((0, 0), *((side * (edge + s * off), s > 0) for side, s in SIGNS)):
+            seen = lit * at / math.hypot(at, x)
+            yield Ray(f"edge, {x}", (x, 0.5, 0), DOWN, (0, at, 0), [FLOOR, other], seen, 1e-12)
+    # What is behind the light casts no shadow; from within the ball nothing comes out.
+    for at, lit in ((9, 1), (15, 0), (11.5, 0)):
+        behind = [FLOOR, Sphere(center=(0, 12, 0))]
+        yield Ray(f"before and behind, {at}", (0, 5, 0), DOWN, (0, at, 0), behind, lit, 0)
+    # From a wall, straight along a face of the cube: only what is within the cube blocks.
+    for y, lit in ((1.0, 1), (-1.0, 1), (1 - 2.0**-30, 0)):
+        yield Ray(f"in a face, {y}", (2, y, 0), RIGHT, (-5, y, 0), [CUBE, WALL], lit, 0)
+    # A camera's ray in a face does meet the cube, through z = 1.
+    for y, dy in product((-1, 1), (-0.0, 0.0)):
+        yield Ray(f"ray in a face, {y}, {dy}", (0, y, 5), (0, dy, -1), (0, y, 5), [CUBE], 1, 0)
+    # The box's upper right edge touches the ball's lowest point, the origin: segments from the ball
+    # to the right or along the face x = 0 pass the box, and only those that rise enter the ball.
+    lying, box = Sphere(center=(0, 0.5, 0), radius=0.5), Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
+    for c in (-1, 0, 1):
+        from_below, touching = ((1, -1, 0), (-1, 1, 0)), 5 / math.hypot(5, c)
+        yield Ray(f"box on ball, {c}", *from_below, (c, -5, 0), [lying, box], touching * (c >= 0))
+        yield Ray(f"ball on box, {c}", *from_below, (5, c, 0), [box, lying], touching * (c <= 0))
+    # The light at (0, 5, 0) is seen from n iff n.(L - n) > 0, that is n_y > 1 / 5.
+    for off, angle, side in product((1e-3, 1e-6, 1e-9, 1e-12), (0.0, 0.3, 1.0, 1.4), (-1, 1)):
+        y = 0.2 + side * off
+        across, x, z = math.sqrt(1 - y * y), math.cos(angle), math.sin(angle)
+        seen = max(0, 5 * y - 1) / math.sqrt(26 - 10 * y)
+        eye, toward = (across * x * 7, y, across * z * 7), (-x, 0, -z)
+        yield Ray(f"terminator, {y}, {angle}", eye, toward, (0, 5, 0), [BALL], seen, 1e-14)
+
+
+SIGNS = list(product((-1, 1), repeat=2))
+
+
+def odd_lights_and_eyes() -> Iterator[Ray]:
+    """On surfaces, and inside."""
+    # From above n = (0, 1, 0), from below (0, -1, 0); the light along (3, +-4, 0) / 5.
+    for side in (-1, 1):
+        light = (3, 4 * side, 0)
+        yield Ray(f"sheet, {side}", (0, 2 * side, 0), (0, -side, 0), light, [SHEET], 0.8, EPS)
+    # The light is in the ceiling's lower face; the floor y = 0 gets n.l = height / |L - p|.
+    for height, x in product((3.0, 0.1, 1e5 / 3), (-5, -1, 0, 2, 5)):
+        both = [Box(min_pt=(-9, height, -9), max_pt=(9, 1.1 * height, 9)), FLOOR]
+        seen, light = height / math.hypot(x - 0.3, height, 0.2), (0.3, height, 0.2)
+        yield Ray(f"ceiling, {height}, {x}", (x, height / 2, 0), DOWN, light, both, seen, 8 * EPS)
+    # The light is on top of the ball; a wall 3 away is lit above that level only, and the ball
+    # itself nowhere, being convex.
+    for ball in (BALL, Sphere(center=(0.25, 0.75, 0.5), radius=0.125)):
+        x, y, z = ball.center
+        top, both = (x, y + ball.radius, z), [ball, WALL]
+        for off, side in product((1, 1e-3, 1e-9), (-1, 1)):
+            eye, seen = (2, top[1] + side * off, z), (side > 0) * (3 - x) / math.hypot(3 - x, off)
+            yield Ray(f"light on {x}, {side * off}", eye, RIGHT, top, both, seen)
+        for up in (-0.99, -0.3, 0.2, 0.99):
+            eye = (x + 2, y + up * ball.radius, z)
+            yield Ray(f"light on {x}, ball at {up}", eye, (-1, 0, 0), top, [ball], 0)
+    # A lamp at the top of a round room, 4 over a table in the middle.
+    for x in (-2, 0, 1):
+        room = [Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))]
+        seen = 4 / math.hypot(x, 4)
+        yield Ray(f"round room, {x}", (x, 1, 0), DOWN, (0, 4, 0), room, seen, 8 * EPS)
+    # Eye and light at the centre: l = -d = n.  From on the ball its other side is seen.
+    for d in ((0, 0, -1), (3, 1, -2), (-1, 7, 0.3)):
+        yield Ray(f"centre, {d}", (0, 0, 0), d, (0, 0, 0), [BALL], 1)
+    yield Ray("eye on a ball", (0, 0, 1), BACK, (0, 0, 0), [BALL], 1, 0)
+    yield Ray("aside in a ball", (0, 0, 0), BACK, (0.75, 0, 0), [BALL, BALL], 0.8)
+    # A box or a ball keeps out all light that is not strictly inside; from within it comes through.
+    for light, d in product(((0, 0, 5), (0, 0, -1), (0, 0, 1.0000001), (3, 2, -9)),
+                            (BACK, RIGHT, (1, 2, 3))):  # fmt: skip
+        yield Ray(f"in a box, {light}, {d}", (0, 0, 0), d, light, [CUBE], 0)
+    yield Ray("light in a box", (0, 0, 0), BACK, (0, 0, 0.5), [CUBE, CUBE], 1, 0)
+    for z in (5, 1):
+        yield Ray(f"in a ball, light at {z}", (0, 0, 0), BACK, (0, 0, z), [BALL], 0)
+    # Seen from outside such a ball is black, and so is all that it keeps from the light.
+    under = Box(min_pt=(-9, -3, -9), max_pt=(9, -2, 9))
+    for x in (-4, -1, 0, 2.5):
+        yield Ray(f"lamp, {x}", (x, 3, 5), (-x / 9, -3, -5), (0.5, 0.25, 0), [BALL], 0)
+        yield Ray(f"under a lamp, {x}", (x, -1.5, 0), DOWN, (0.5, 0.25, 0), [BALL, under], 0)
+    # A ball before a wall, and nothing.
+    wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
+    yield Ray("nearest first", (0, 0, 7), BACK, (3, 0, 5), [wall, BALL], 0.8)
+    # Of equals the first in the file.
+    red, green = Lambertian(diffuse=(1, 0, 0)), Lambertian(diffuse=(0, 1, 0))
+    for shape, light in product((BALL, CUBE), ((0, 0, 7), (0, 0, 0))):
+        twins = [replace(shape, shader=shader) for shader in (red, green)]
+        name = f"twins, {type(shape).__name__}, {light}"
+        yield Ray(name, light, BACK, light, twins, [1, 0, 0])
+        yield Ray(f"{name}, reversed", light, BACK, light, twins[::-1], [0, 1, 0])
+    yield Ray("nothing", (0, 0, 7), (0, 0, 1), (3, 0, 5), [BALL, CUBE], 0)
+
+
+RAYS = [*shading(), *far_and_large(), *shadows(), *odd_lights_and_eyes()]
+
+
+@pytest.mark.parametrize("ray", [pytest.param(ray, id=ray.name) for ray in RAYS])
+def test_one_ray(ray):
+    errs = ray.tolerance if np.any(ray.radiance) else 0
+    scene = one_ray(ray.eye, ray.direction, ray.lights, *ray.surfaces)
+    for image in render(scene), plain.render(scene, arithmetic="decimal"):
+        np.testing.assert_allclose(image[0, 0], np.broadcast_to(ray.radiance, 3), 0, errs)
+
+
+def test_a_light_on_a_surface_but_for_rounding():
+    # On top, as 0.3 on a table is although it is less than 0.1 + 0.2.
+    for surface, light in (
+        (Sphere(center=(0.3, 0.7, 0.2), radius=0.1), (0.3, 0.7 + 0.1, 0.2)),
+        (Box(min_pt=(-1, 0, -1), max_pt=(1, 0.1 + 0.2, 1)), (0, 0.3, 0)),
+    ):
+        for off, lit in product((1e-3, 1e-9), (-1, 1)):
+            eye = (2, light[1] + lit * off, light[2])
+            assert (radiance_along(eye, RIGHT, light, surface, WALL) > 0).tolist() == [lit > 0] * 3
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 10.0])
+def test_light_straight_behind_the_silhouette(exponent):
+    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l = 0, which a
+    # rounded normal sees as a few EPS.
+    ball = Sphere(shader=shiny(1, exponent, 1))
+    assert radiance_along((-2, 1, 0), RIGHT, (2, 1, 0), ball) == pytest.approx(0, abs=4 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "exponent"),
+    [
+        *product((0.5, 1.2, 1.5, math.pi / 2 - 0.03, math.pi / 2 - 1e-3), (10, 250, 1e3, 6e4, 1e6)),
+        (0.5, 1e8),
+        (0.5, 1e9),
+    ],
+)
+def test_highlights_at_all_angles(tilt, exponent):
+    # Light and eye are on either side of the normal, both about so far from it; h is `off` from
+    # it, and its cosine is 1 - sin^2 under a root.
+    floor = replace(FLOOR, shader=shiny(1, exponent))
+    for share in np.linspace(-1, 1, 12):
+        off = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
+        light, eye = ((math.sin(a), math.cos(a), 0) for a in (tilt + off, off - tilt))
+        seen = radiance_along(eye, (-eye[0], -eye[1], 0), light, floor)
+        exact = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
+        assert seen == pytest.approx(exact, abs=1e-10)
+
+
+def test_no_row_of_holes():
+    # Rows 0 and 1 pass above the cube, row 2 lies in its top, rows 3 and 4 meet it; all columns
+    # do: the window 2 x 2 at distance 4 is the cube's face, at 0.8 of its size.
+    camera = Camera(view_point=(0, 1, 5), proj_distance=4, view_width=2, view_height=2)
+    image = render(scene_of(CUBE, camera=camera, size=(5, 5), lights=(0, 1, 5)))
+    assert (image[:, :, 0] > 0).tolist() == 2 * [[False] * 5] + 3 * [[True] * 5]
+
+
+@pytest.mark.parametrize("scale", [1e-8, 2.0**-40, 1e-6, 1.0, 2.0**40, 1e8])
+def test_shadow_at_the_contact(scale):
+    # The cube stands on a floor at y = -1, which is listed first.  The light (4, 5, -3) lies on a
+    # line with the cube's vertex (1, 1, -1) and the point (-0.5, -1, 0) in the contact face, which
+    # the eye within the cube sees.
+    floor = Box(min_pt=(-9, -3, -9), max_pt=(9, -1, 9))
+    scene = one_ray((-0.5, 0, 0), DOWN, (4, 5, -3), floor, CUBE)
+    assert not render(moved(scene, scale)).any()
+    # Without the cube: l = (4.5, 6, -3) / sqrt(65.25).
+    alone = moved(replace(scene, surfaces=[floor]), scale)
+    assert render(alone) == pytest.approx(np.full((1, 1, 3), 6 / math.sqrt(65.25)), abs=4 * EPS)
+
+
+@pytest.mark.parametrize("kind", ["scattered", "enormous", "far"])
+def test_light_at_the_eye(kind):
+    # It shows whatever is seen: black is only where each object alone is.
+    scene = random_scene(kind, 7, width=24, height=24)
+    scene = replace(scene, lights=[PointLight(position=scene.camera.view_point)])
+    alone = [render(replace(scene, surfaces=[o])) > 0 for o in scene.surfaces[:]]
+    assert np.any(alone)
+    assert np.array_equal(render(scene) > 0, np.logical_or.reduce(alone))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("axis", range(3))
+def test_eye_on_a_wall(axis, side):
+    # Inwards every ray meets a wall that the light in the middle reaches, outwards none, and along
+    # the wall those of one half of the picture.
+    outwards = side * AXES[axis]
+    for direction, share in ((-outwards, 1.0), (outwards, 0.0), (np.roll(outwards, 1), 0.5)):
+        camera = Camera(view_point=vector(outwards), view_dir=vector(direction), view_up=(1, 2, 4))
+        scene = scene_of(CUBE, camera=camera, size=(16, 16), lights=(0, 0, 0))
+        assert (render(scene) > 0).mean() == share
+
+
+def test_nearly_orthographic():
+    # From D = 1e6 the ray through (x, y) of the plane z = 0 makes the angle f = atan(b / D) with
+    # the axis, b = |(x, y)|; by the sine rule the normal it meets makes asin(D sin f) - f.  Lights
+    # 1e9 along x, y and z show the normal, but for 1e-9 of |p|.
+    D, at = 1e6, np.linspace(-0.6, 0.6, 6)
+    camera = Camera(view_point=(0, 0, D), proj_distance=D, view_width=1.44, view_height=1.44)
+    lights = colored((1e9, 0, 0), (0, 1e9, 0), (0, 0, 1e9))
+    x, y = np.meshgrid(at, -at)
+    b = np.hypot(x, y)
+    f = np.arctan(b / D)
+    angle = np.arcsin(D * np.sin(f)) - f
+    n = np.stack([np.sin(angle) * x / b, np.sin(angle) * y / b, np.cos(angle)], axis=2)
+    image = render(scene_of(BALL, camera=camera, size=(6, 6), lights=lights))
+    assert image == pytest.approx(np.maximum(n, 0), abs=2e-9)
