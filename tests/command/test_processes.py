@@ -10,8 +10,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import replace
+from functools import partial
 from math import inf
 from mmap import mmap
 from pathlib import Path
@@ -23,19 +24,19 @@ from running import run
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.picture import bands, parallel
-from tracer.picture.parallel import Job, Team, forked, helped
+from tracer.picture.parallel import Done, Job, Work, forked, helped
 
 ME = os.getpid()
 
-Start = Callable[[int, int, int, Job], AbstractContextManager[Team]]
+Start = Callable[[int, int, int, Job, Work], Done]
 
 
 @pytest.fixture(autouse=True)
 def no_workers() -> Iterator[None]:
     """No test finds workers of another."""
-    parallel.stop_helpers()
+    parallel._helpers.stop()
     yield
-    parallel.stop_helpers()
+    parallel._helpers.stop()
     assert not children()
 
 
@@ -49,18 +50,16 @@ def children() -> list[int]:
     return found
 
 
-def staying(parts: int, others: int, size: int, job: Job) -> AbstractContextManager[Team]:
-    return helped(parts, others, size, job, inf)
+staying = partial(helped, load=inf)
 
 
 def signed(start: Start, others: int = 1, parts: int = 40, job: Job = signing) -> list[int]:
     """Do a job; return which process did each of its parts."""
     signers = np.zeros(PARTS, np.int64)
-    with start(parts, others, SIZE, job) as team:
-        own = mmap(-1, SIZE)
-        for number, here in team.finished(signing(own)):
-            assert signers[number] == 0
-            signers[number] = np.frombuffer(own if here else team.memory, np.int64, PARTS)[number]
+    own = mmap(-1, SIZE)
+    for number, memory in start(parts, others, SIZE, job, signing(own)):
+        assert signers[number] == 0
+        signers[number] = np.frombuffer(memory or own, np.int64, PARTS)[number]
     assert signers[:parts].all()
     return signers[:parts].tolist()
 
@@ -94,7 +93,7 @@ def test_workers_stay_for_the_next_job(others: int) -> None:
 
 def test_nobody_waits_for_a_worker_to_start_but_it_may_join() -> None:
     assert set(signed(staying, parts=2)) == {ME}
-    parallel.stop_helpers()
+    parallel._helpers.stop()
     assert len(set(signed(staying, parts=400))) == 2
 
 
@@ -111,17 +110,17 @@ def test_no_forks_beside_another_thread() -> None:
 
 
 def test_one_job_at_a_time_has_workers() -> None:
-    with helped(8, 1, SIZE, signing, inf) as team:
-        assert len(children()) == 1
-        assert set(signed(staying, parts=8)) == {ME}
-        assert len(list(team.finished(signing(mmap(-1, SIZE))))) == 8
+    job = staying(8, 1, SIZE, signing, signing(mmap(-1, SIZE)))
+    next(job)
+    assert len(children()) == 1
+    assert set(signed(staying, parts=8)) == {ME}
+    assert len(list(job)) == 7
 
 
 @both
 def test_an_error_is_raised_here(start: Start) -> None:
-    work = failing(mmap(-1, SIZE))
-    with pytest.raises(MemoryError, match="too little"), start(40, 1, SIZE, failing) as team:
-        list(team.finished(work))
+    with pytest.raises(MemoryError, match="too little"):
+        list(start(40, 1, SIZE, failing, failing(mmap(-1, SIZE))))
     assert not children()
 
 
@@ -140,9 +139,8 @@ def test_what_a_killed_worker_had_taken_is_done_here(
     before = signed_by_all(others) if start is staying else {ME}
     assert ME in signed(start, others, job=dying_once(first, tmp_path / "died"))
     assert (tmp_path / "died").exists()
-    assert not children()
-    if start is staying:  # others take their places
-        assert signed_by_all(others) & before == {ME}
+    if start is staying:  # another takes its place
+        assert len(signed_by_all(others) & before) == others
 
 
 def test_a_worker_that_was_killed_meanwhile_is_replaced() -> None:
@@ -170,7 +168,7 @@ def test_the_number_of_a_dead_worker_may_be_given_to_another_process() -> None:
             pytest.skip("the number was always taken")
     except OSError:
         pytest.skip("only root may choose the number of a process")
-    parallel.stop_helpers()
+    parallel._helpers.stop()
     time.sleep(0.05)
     assert other.poll() is None
     other.kill()
@@ -180,9 +178,8 @@ def test_the_number_of_a_dead_worker_may_be_given_to_another_process() -> None:
 @both
 def test_leaving_early_ends_workers(start: Start) -> None:
     before = signed_by_all() if start is staying else set()
-    with suppress(KeyboardInterrupt), start(40, 1, SIZE, signing) as team:
-        next(team.finished(signing(mmap(-1, SIZE))))
-        raise KeyboardInterrupt
+    with closing(start(40, 1, SIZE, signing, signing(mmap(-1, SIZE)))) as done:
+        next(done)
     assert not children()
     if start is staying:
         assert signed_by_all() & before == {ME}
@@ -195,7 +192,7 @@ def test_workers_for_whom_there_are_files(
 ) -> None:
     with files_left(count):
         assert ME in signed(start, 2, parts=8)
-        parallel.stop_helpers()
+        parallel._helpers.stop()
     assert not children()
 
 
@@ -214,8 +211,7 @@ def test_nothing_to_share_or_no_more_processes(
 
 @both
 def test_too_much_memory_to_share(start: Start) -> None:
-    with start(8, 1, 1 << 60, signing) as team:
-        assert all(here for _, here in team.finished(lambda _: None))
+    assert {memory for _, memory in start(8, 1, 1 << 60, signing, lambda _: None)} == {None}
 
 
 def test_a_program_with_many_open_files() -> None:
@@ -314,14 +310,14 @@ def test_pictures_are_the_same_whoever_renders_them(
 
 
 def test_memory_of_a_large_picture_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bands, "_KEPT", 1 << 20)
+    monkeypatch.setattr(parallel, "_KEPT", 1 << 20)
     signed_by_all()
     scene = picture(1000, 1000)
     alone = render(scene, processes=1)
     for _ in range(2):
         assert np.array_equal(render(scene, processes=2), alone)
-        used = os.fstat(parallel._helpers._file).st_blocks * 512
-        assert used < 1 << 20
+        used = os.fstat(parallel._helpers.file).st_blocks * 512
+        assert used <= 1 << 20
 
 
 def test_pictures_in_threads() -> None:
@@ -364,7 +360,7 @@ def test_few_small_pictures_start_no_worker() -> None:
 def test_large_or_many_pictures_do() -> None:
     render(picture(2000, 1500))
     assert len(children()) == 1
-    parallel.stop_helpers()
+    parallel._helpers.stop()
     for _ in range(200):
         render(picture(700, 500))
     assert len(children()) == 1

@@ -12,10 +12,11 @@ import operator
 import pickle
 import warnings
 from collections.abc import Iterator
-from functools import cached_property, partial
+from contextlib import closing
+from functools import cached_property
 from itertools import product
 from math import inf, isqrt
-from mmap import PAGESIZE, mmap
+from mmap import mmap
 
 import numpy as np
 
@@ -38,17 +39,13 @@ _QUIET = np.errstate(all="ignore")
 # Samples in a tile, and the least that pays; both times `_SPLIT` where pixels are split.
 _TILE_SAMPLES, _LEAST_SAMPLES, _SPLIT = 3 << 15, 1 << 15, 4
 
-# A picture has not many more tiles than this: the queue of their numbers has to fit into a pipe.
-_MOST_TILES = 1 << 12
+# Tiles of fewer pixels than this would make a large file.
+_LEAST_PIXELS = 1 << 10
 
 # A picture's load, in units of some 10 ns, grows with its samples, its lights and its objects up to
-# `_FEW_OBJECTS`; where pixels are split they count `_SPLIT_LOAD` times.  The loads from which it
-# pays to fork, and to ask helpers.
-_FEW_OBJECTS, _SPLIT_LOAD = 8, 10
-_WORTH_FORKING, _WORTH_HELP = 1 << 21, 3 << 18
-
-# Shared memory beyond this many bytes is given back.
-_KEPT = 1 << 27
+# `_FEW_OBJECTS`; where pixels are split they count `_SPLIT_LOAD` times.  From the last of these on
+# a second process pays.
+_FEW_OBJECTS, _SPLIT_LOAD, _WORTH_SHARING = 8, 10, 1 << 20
 
 # Of samples and of processes, as in the command: with 1e18 samples a picture would never end.
 _MOST = 999_999_999
@@ -96,21 +93,17 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is none")
-    picture = _Picture(scene, samples, offset, processes, _WORTH_HELP)
+    picture = _Picture(scene, samples, offset, processes)
     # Memory of zeros takes no time where nothing is seen: its pages are never touched.
     image = np.zeros((scene.height, scene.width, 3))
     # Whoever asks for processes by number gets helpers from the first picture on.
     load = inf if processes else picture.load
-    with helped(
-        picture.tiles, picture.processes - 1, image.nbytes, partial(_draw_into, picture), load
-    ) as team:
-        for number, here in team.finished(lambda n: picture.draw(n, image[picture.tile(n)])):
-            if not here:
+    others, size, draw = picture.processes - 1, image.nbytes, picture.drawing
+    with closing(helped(picture.tiles, others, size, draw, draw(image), load)) as done:
+        for number, memory in done:
+            if memory is not None:
                 seen = picture.seen(number)
-                image[seen] = _image_in(team.memory, picture)[seen]
-                if image.nbytes > _KEPT:
-                    rows, row = picture.tile(number)[0], image[0].nbytes
-                    team.give_back(rows.start * row, rows.stop * row)
+                image[seen] = picture.image_in(memory)[seen]
     for suspicion in suspicions(scene, black=not image.any()):
         warnings.warn(suspicion, SceneWarning, stacklevel=2)
     return image
@@ -130,11 +123,11 @@ def render_compressed(
     Parameters are those of `render`, but other processes are forks, and end with the picture: this
     is for a program that does nothing else.
     """
-    picture = _Picture(scene, samples, (0.0, 0.0), processes, _WORTH_FORKING)
+    picture = _Picture(scene, samples, (0.0, 0.0), processes)
     # Deflate adds a few bytes to what it cannot compress.
     rows, columns = picture.tile(0)
-    pixels = (rows.stop - rows.start) * (columns.stop + 1)
-    place = -(-4 * pixels // PAGESIZE + 1) * PAGESIZE
+    place = 4 * (rows.stop - rows.start) * (columns.stop + 1) + 1000
+    waiting, written = dict[int, Compressed](), 0
 
     def made(number: int) -> Compressed:
         rows, columns = picture.tile(number)
@@ -142,25 +135,26 @@ def render_compressed(
         picture.draw(number, radiance)
         return compressed(radiance, from_left=columns.start == 0)
 
+    def work(number: int) -> None:
+        waiting[number] = made(number)
+
     def job(memory: mmap) -> Work:
-        picture.seen(0)  # what all processes need is prepared before they part
+        _ = picture.prepared  # before the processes part
 
         def store(number: int) -> None:
-            data, start = pickle.dumps(made(number)), number * place
-            memory[start : start + len(data)] = data
+            memory.seek(number * place)
+            pickle.dump(made(number), memory)
 
         return store
 
-    done: dict[int, Compressed] = {}
-    written = 0
-    with forked(picture.tiles, picture.processes - 1, picture.tiles * place, job) as team:
-        for number, here in team.finished(lambda n: done.update({n: made(n)})):
-            if not here:
-                start = number * place
-                done[number] = pickle.loads(memoryview(team.memory)[start : start + place])
-                team.give_back(start, start + place)
-            while written in done:
-                yield done.pop(written)
+    others, size = picture.processes - 1, picture.tiles * place
+    with closing(forked(picture.tiles, others, size, job, work)) as done:
+        for number, memory in done:
+            if memory is not None:
+                memory.seek(number * place)
+                waiting[number] = pickle.load(memory)
+            while written in waiting:
+                yield waiting.pop(written)
                 written += 1
 
 
@@ -184,8 +178,6 @@ class _Picture:
     ----------
     scene, samples, offset, processes
         See `render`.
-    worth : float
-        The load from which a second process pays.
 
     Attributes
     ----------
@@ -202,7 +194,6 @@ class _Picture:
         samples: int,
         offset: tuple[float, float],
         processes: int | None,
-        worth: float,
     ) -> None:
         shift = np.asarray(offset, dtype=np.float64)
         per_side = isqrt(_integer(samples, "samples") - 1) + 1
@@ -224,12 +215,12 @@ class _Picture:
         split, pixels = self._per_side > 1, width * height
         lit = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
         self.load = pixels * self._lattice.size * lit * (_SPLIT_LOAD if split else 1)
-        asked = (2 if self.load >= worth else 1) if processes is None else processes
+        asked = (2 if self.load >= _WORTH_SHARING else 1) if processes is None else processes
         self.processes = min(_integer(asked, "processes"), processors())
         # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
         times = (_SPLIT if split else 1) / self._lattice.size
         self._at_once = max(1, int(_TILE_SAMPLES * times))
-        size = max(self._at_once, pixels // _MOST_TILES)
+        size = max(self._at_once, _LEAST_PIXELS)
         if self.processes > 1:
             # Enough tiles that all processes end at about the same time, unless they get too small.
             many = min(4 * self.processes, int(pixels / (_LEAST_SAMPLES * times)))
@@ -243,35 +234,46 @@ class _Picture:
         row, column = divmod(number, len(self._columns))
         return self._rows[row], self._columns[column]
 
-    def seen(self, number: int) -> tuple[slice, slice]:
-        """Rows and columns of a tile in which something may be seen."""
-        rows, columns = self.tile(number)
-        seen_rows, seen_columns = self._window
-        return (
-            _overlap(rows, seen_rows, self._lattice.rows),
-            _overlap(columns, seen_columns, self._lattice.columns),
-        )
-
     @cached_property
     @_QUIET
-    def _window(self) -> tuple[slice, slice]:
-        """Rows and columns of samples in which something may be seen."""
-        view = self._lighting.view
-        return view.frames.window(view.raster)
-
-    @cached_property
-    @_QUIET
-    def _lighting(self) -> Lighting:
+    def prepared(self) -> tuple[Lighting, tuple[slice, slice]]:
+        """The lighting, and the rows and columns of pixels in which something may be seen."""
         keep_heap()
         view = view_of(self._raster, self._surfaces)
-        return lighting_of(self.scene, view)
+        rows, columns = view.frames.window(view.raster)
+        across, down = self._lattice
+        return lighting_of(self.scene, view), (
+            slice(rows.start // down, -(-rows.stop // down)),
+            slice(columns.start // across, -(-columns.stop // across)),
+        )
+
+    def seen(self, number: int) -> tuple[slice, ...]:
+        """Rows and columns of a tile in which something may be seen."""
+        both = zip(self.tile(number), self.prepared[1], strict=True)
+        return tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in both)
+
+    def image_in(self, memory: mmap | Floats) -> Floats:
+        """The picture (height, width, 3) in memory."""
+        height, width = self.scene.height, self.scene.width
+        return np.frombuffer(memory, count=height * width * 3).reshape(height, width, 3)
+
+    def drawing(self, memory: mmap | Floats) -> Work:
+        """Return what draws tiles of the picture in memory."""
+        image = self.image_in(memory)
+
+        def work(number: int) -> None:
+            image[self.seen(number)] = 0  # memory of helpers holds the last picture
+            self.draw(number, image[self.tile(number)])
+
+        return work
 
     @_QUIET
     def draw(self, number: int, out: Floats) -> None:
         """Write the radiance of a tile into zeros `out` (rows, columns, 3)."""
         (tile_rows, tile_columns), (seen, _) = self.tile(number), self.seen(number)
-        top, left, lattice = tile_rows.start, tile_columns.start, self._lattice
-        at_once = self._lighting.view.at_once(self._at_once)
+        top, left = tile_rows.start, tile_columns.start
+        lattice, lighting = self._lattice, self.prepared[0]
+        at_once = lighting.view.at_once(self._at_once)
         tall = max(1, at_once // (tile_columns.stop - left))
         for rows, columns in product(_pieces(seen, tall), _pieces(tile_columns, at_once)):
             part = out[
@@ -280,38 +282,15 @@ class _Picture:
             if self._per_side > 1:
                 from tracer.antialias.refine import antialiased
 
-                antialiased(self._lighting, rows, columns, self._per_side, part)
+                antialiased(lighting, rows, columns, self._per_side, part)
             elif lattice.size > 1:
-                radiance = radiance_at(self._lighting, lattice.samples(rows, columns))
+                radiance = radiance_at(lighting, lattice.samples(rows, columns))
                 part[:] = lattice.mean(radiance, part.shape[1])
             else:
-                radiance_at(self._lighting, lattice.samples(rows, columns), part.reshape(-1, 3).T)
+                radiance_at(lighting, lattice.samples(rows, columns), part.reshape(-1, 3).T)
 
 
 def _pieces(whole: slice, size: int) -> list[slice]:
     """A range in pieces of `size`, the last of what is left."""
     starts = range(whole.start, whole.stop, size)
     return [slice(start, min(start + size, whole.stop)) for start in starts]
-
-
-def _overlap(part: slice, seen: slice, samples: int) -> slice:
-    """The pixels of a part in which something is seen, given in `samples` a pixel."""
-    first, last = seen.start // samples, -(-seen.stop // samples)
-    return slice(*(min(max(m, part.start), part.stop) for m in (first, last)))
-
-
-def _image_in(memory: mmap, picture: _Picture) -> Floats:
-    """The picture (height, width, 3) in shared memory."""
-    height, width = picture.scene.height, picture.scene.width
-    return np.frombuffer(memory, count=height * width * 3).reshape(height, width, 3)
-
-
-def _draw_into(picture: _Picture, memory: mmap) -> Work:
-    """What a helper does."""
-    image = _image_in(memory, picture)
-
-    def draw(number: int) -> None:
-        image[picture.seen(number)] = 0
-        picture.draw(number, image[picture.tile(number)])
-
-    return draw

@@ -3,32 +3,31 @@
 NumPy in threads gains little: between two array operations a thread waits for the interpreter's
 lock.  Another process has its own.
 
-The parts of a job are numbered.  One pipe, the queue, holds all numbers, and then one `_END` for
-each process; whichever process is idle reads the next.  Results go to their place in shared memory.
-Each worker process reports what it has finished on a pipe of its own.  Whatever no one has reported
-in the end is done by the process that asked, which so meets the errors of the others as well.
+The parts of a job are numbered.  All processes share an open file, whose memory holds the results
+and whose offset is the number of the next part: whichever process is idle takes that.  A worker
+reports what it has finished on a pipe.  Whatever no one has reported in the end is done by the
+process that asked, which so meets the errors of the others as well.
 
-Workers are either forks, for one job, of a process that does little else; or new interpreters that
-stay for the next job, since a program may have threads, open files and much memory, none of which a
-fork should inherit.
+Workers are either forks, for one job, of a process that does little else; or *helpers*, new
+interpreters that stay for the next job, since a program may have threads, open files and much
+memory, none of which a fork should inherit.
 """
 
 from __future__ import annotations
 
-import atexit
 import os
 import pickle
+import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
-from mmap import PAGESIZE, mmap
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, suppress
+from mmap import mmap
 from struct import Struct
-from typing import NoReturn, TypeAlias
+from typing import NamedTuple, NoReturn, TypeAlias
 
-__all__ = ["Job", "Team", "Work", "forked", "helped", "processors", "run_helper", "stop_helpers"]
+__all__ = ["Job", "Work", "forked", "helped", "processors", "run_helper"]
 
 Work: TypeAlias = Callable[[int], object]
 """Does the part with a number."""
@@ -36,27 +35,30 @@ Work: TypeAlias = Callable[[int], object]
 Job: TypeAlias = Callable[[mmap], Work]
 """Returns the work of a worker, whose results go into shared memory."""
 
+Done: TypeAlias = Generator[tuple[int, mmap | None], None, None]
+"""Parts that are done, in any order; and of those that a worker did, the memory with the result."""
+
 # Only Linux has both.  A process's number may be given to another one: its descriptor may not.
 _POSSIBLE = hasattr(os, "memfd_create") and hasattr(os, "pidfd_open")
 
-_NUMBER, _END = Struct("=i"), -1
+# What a worker reports: the number of a part; and a helper, that it is idle again.
+_REPORT, _IDLE = Struct("=q"), -1
 
-# A message to a worker that stays: the number of bytes for results, and of the job after them.
-_MESSAGE = Struct("=2q")
+# What a helper is sent: how many parts there are, and where in the shared memory the job lies.
+_CALL = Struct("=3q")
+
+# Shared memory beyond this many bytes is given back after each job.
+_KEPT = 1 << 27
 
 # The folder that holds the package.
 _FOLDER = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
-# A new interpreter imports this very package, even if the path has changed, or has '' in it and the
-# working folder has changed; all other modules it finds by this process's path.
-_CODE = """
-import sys
-sys.path[:] = {path!r}
-import tracer.picture.bands
-del sys.path[0]
-from tracer.picture.parallel import run_helper
-run_helper{files!r}
-"""
+# A helper imports this very package, even if the path has changed, or has '' in it and the working
+# folder has changed; all other modules it finds by this process's path.
+_CODE = (
+    "import sys; sys.path[:] = {path!r}; from tracer.picture.parallel import run_helper;"
+    " del sys.path[0]; run_helper{files!r}"
+)
 
 # A new interpreter takes as long to start as some pictures take, and slows this process meanwhile.
 # It starts at a job of the first load, or once all jobs together have the second.
@@ -69,6 +71,93 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
+class _Worker(NamedTuple):
+    """A child process: its descriptor, a pipe to call it, and what closes these."""
+
+    process: int
+    call: int
+    files: ExitStack
+
+
+class _Team:
+    """Workers, by the pipes on which they report, and the file that they share."""
+
+    def __init__(self) -> None:
+        self.workers: dict[int, _Worker] = {}
+        self.busy: set[int] = set()
+        self.file, self.memory = -1, mmap(-1, 1)
+
+    def share(self, size: int) -> None:
+        """Have so many bytes of memory, and a counter of parts at 0."""
+        if self.file < 0:
+            self.file = os.memfd_create("tracer")
+        os.ftruncate(self.file, max(size, _KEPT))
+        os.lseek(self.file, 0, os.SEEK_SET)
+        self.memory = mmap(self.file, size)
+
+    def add(self, start: Callable[[int, int, ExitStack], int]) -> None:
+        """Add a worker, whose number `start` returns.
+
+        That is given pipes for calls and reports, and what closes the other ends of these.
+        """
+        with ExitStack() as ours, ExitStack() as theirs:
+            calls, call = _pipe(theirs, ours)
+            report, reports = _pipe(ours, theirs)
+            number = start(calls, reports, ours)
+            theirs.close()  # so that there are files left for one more
+            process = os.pidfd_open(number)
+            ours.callback(os.close, process)
+            self.workers[report] = _Worker(process, call, ours.pop_all())
+
+    def done(self, parts: int, work: Work) -> Done:
+        """Do a job together with those who are busy with it."""
+        left = set(range(parts))
+        numbers = _taken(self.file, parts) if self.busy else iter(range(parts))
+        while left:
+            number = next(numbers, None)
+            if number is None and not self.busy:
+                number = min(left)
+            if number is not None:
+                work(number)
+                left.remove(number)
+                yield number, None
+            for other in self.reported(wait=number is None) if self.busy else ():
+                left.remove(other)
+                yield other, self.memory
+
+    def reported(self, *, wait: bool = False) -> Iterator[int]:
+        """Parts that workers report; `wait` for a report or a death."""
+        poll = select.poll()
+        for report in self.workers:
+            poll.register(report, select.POLLIN)
+        for report, _ in poll.poll(None if wait else 0):
+            data = os.read(report, 1 << 12)
+            if not data:
+                self.end(report)
+            for (number,) in _REPORT.iter_unpack(data):
+                if number == _IDLE:
+                    self.busy.remove(report)
+                else:
+                    yield number
+
+    def end(self, report: int) -> None:
+        """End a worker, whatever it does."""
+        worker = self.workers.pop(report)
+        self.busy.discard(report)
+        with suppress(OSError):  # it has ended, and somebody else has waited for it
+            signal.pidfd_send_signal(worker.process, signal.SIGKILL)
+            os.waitid(os.P_PIDFD, worker.process, os.WEXITED)
+        worker.files.close()
+
+    def stop(self) -> None:
+        """End all workers, and share nothing."""
+        for report in list(self.workers):
+            self.end(report)
+        if self.file >= 0:
+            os.close(self.file)
+        self.file = -1
+
+
 def _pipe(reader: ExitStack, writer: ExitStack) -> tuple[int, int]:
     """Both ends of a new pipe; each is closed by one of the stacks."""
     reads, writes = os.pipe()
@@ -77,309 +166,139 @@ def _pipe(reader: ExitStack, writer: ExitStack) -> tuple[int, int]:
     return reads, writes
 
 
-def _put(pipe: int, *numbers: int) -> None:
-    data = b"".join(map(_NUMBER.pack, numbers))
-    if os.write(pipe, data) < len(data):
-        raise OSError("the pipe is too small")
-
-
-def _taken(queue: int) -> Iterator[int]:
-    """Take numbers from the queue, up to an end."""
-    # A read of a pipe is atomic.
-    while (number := _NUMBER.unpack(os.read(queue, _NUMBER.size))[0]) != _END:
+def _taken(file: int, parts: int) -> Iterator[int]:
+    """Take numbers of parts, each of which only one process gets."""
+    # A seek moves the offset and returns it in one step.
+    while (number := os.lseek(file, 1, os.SEEK_CUR) - 1) < parts:
         yield number
 
 
-class Team:
-    """This process and its workers, if it has any, for a job of so many parts, numbered from 0.
+def _serve(file: int, parts: int, reports: int, work: Work) -> None:
+    """Take part in a job as a worker."""
+    for number in _taken(file, parts):
+        work(number)
+        os.write(reports, _REPORT.pack(number))
 
-    Attributes
-    ----------
-    memory : mmap
-        What workers write results into.
-    lost : bool
-        Whether one has died: the queue may hold numbers that were meant for it.
+
+def forked(parts: int, others: int, size: int, job: Job, work: Work) -> Done:
+    """Do a job, this process by `work` and at most `others` forks by `job` with `size` bytes.
+
+    There are none if this process has other threads: a lock that one of them holds would never be
+    released in a copy.
     """
+    team, others = _Team(), min(others, parts - 1)
 
-    def __init__(self, parts: int = 0) -> None:
-        self._parts, self._files = parts, ExitStack()
-        self.forget()
-
-    def forget(self) -> None:
-        """Have no workers any more, but let them live: a fork does not own those from before."""
-        self._files.close()
-        self.memory, self.lost = mmap(-1, 1), False
-        self._queue: tuple[int, ...] = ()
-        self._processes: list[int] = []
-        # The pipes on which workers report, with those on which they are called if they stay; and
-        # of those that have not yet reported the end of their job.
-        self._workers: dict[int, int] = {}
-        self._busy: set[int] = set()
-
-    def stop(self) -> None:
-        """End all workers, whatever they do."""
-        for process in self._processes:
-            with suppress(OSError):  # it has ended, and somebody else has waited for it
-                signal.pidfd_send_signal(process, signal.SIGKILL)
-                os.waitid(os.P_PIDFD, process, os.WEXITED)
-        self.forget()
-
-    def finished(self, work: Work) -> Iterator[tuple[int, bool]]:
-        """Do all parts, of which this process does its own by `work`.
-
-        Yields
-        ------
-        number : int
-            A part that is done, in any order.
-        here : bool
-            Whether this process did it; otherwise its result is in shared memory.
-
-        Raises
-        ------
-        Exception
-            Whatever `work` raises.
-        """
-        left = dict.fromkeys(range(self._parts))
-        for number in _taken(self._queue[0]) if self._queue else ():
-            work(number)
-            del left[number]
-            yield number, True
-            for other in self._reported(0):
-                del left[other]
-                yield other, False
-        while left and self._busy:
-            for other in self._reported(None):
-                del left[other]
-                yield other, False
-        for number in left:
-            work(number)
-            yield number, True
-
-    def give_back(self, start: int, stop: int) -> None:
-        """Free the pages of shared memory that lie between two bytes."""
-        first, last = -(-start // PAGESIZE) * PAGESIZE, stop // PAGESIZE * PAGESIZE
-        if first < last:
-            from mmap import MADV_REMOVE  # not on all systems
-
-            self.memory.madvise(MADV_REMOVE, first, last - first)
-
-    def _reported(self, timeout: int | None) -> Iterator[int]:
-        """Parts that workers report; waits for one, or a death, `timeout` ms."""
-        import select
-
-        poll = select.poll()
-        for pipe in self._workers:
-            poll.register(pipe, select.POLLIN)
-        for pipe, _ in poll.poll(timeout):
-            numbers = [number for (number,) in _NUMBER.iter_unpack(os.read(pipe, 1 << 12))]
-            if not numbers:
-                self.lost = True
-                del self._workers[pipe]
-            if numbers[-1:] in ([], [_END]):
-                self._busy.discard(pipe)
-            yield from (number for number in numbers if number != _END)
-
-    def share(self, size: int) -> None:
-        """See that there are a queue and so many bytes of memory."""
-        if not self._queue:
-            self._queue = _pipe(self._files, self._files)
-            os.set_blocking(self._queue[1], False)
-            self._file = os.memfd_create("tracer")
-            self._files.callback(os.close, self._file)
-        if len(self.memory) < size:
-            os.ftruncate(self._file, size)
-            self.memory = mmap(self._file, size)
-
-    def put(self, parts: int, others: int) -> None:
-        """Fill the queue for a job of this process and so many workers."""
-        self._parts = parts
-        _put(self._queue[1], *range(parts), *[_END] * (others + 1))
-
-    def fork(self, work: Work) -> None:
-        """Add a copy of this process that does the job in the queue."""
-        with ExitStack() as theirs:
-            reads, writes = _pipe(self._files, theirs)
-            process = os.fork()
-            if not process:
-                try:
-                    # Ctrl-C reaches all processes of a terminal: the first decides what it means.
-                    signal.signal(signal.SIGINT, signal.SIG_IGN)
-                    os.close(reads)
-                    _serve(self._queue[0], writes, work)
-                finally:  # whatever happens, it must not go on as if it were the first
-                    os._exit(0)
-            self._add(process, reads)
-            self._busy.add(reads)
-
-    def start(self) -> None:
-        """Add a new interpreter that waits for jobs."""
-        import subprocess  # takes longer to import than a small picture to render
-
-        with ExitStack() as theirs:
-            calls_in, calls_out = _pipe(theirs, self._files)
-            reports_in, reports_out = _pipe(self._files, theirs)
-            inherited = calls_in, self._queue[0], reports_out, self._file
-            code = _CODE.format(path=[_FOLDER, *map(str, sys.path)], files=inherited)
-            process = subprocess.Popen(
-                # Isolated, as this process may be: the path says all about where modules are.
-                [sys.executable, "-I", "-c", code],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=inherited,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            )
-            process.returncode = 0  # not for `Popen` to wait for, but for `stop`
-            self._add(process.pid, reports_in, calls_out)
-
-    def _add(self, process: int, reports: int, calls: int = -1) -> None:
-        """Count a new child process among the workers."""
+    def fork(_calls: int, reports: int, ours: ExitStack) -> int:
+        if number := os.fork():
+            return number
         try:
-            descriptor = os.pidfd_open(process)
-        except OSError:  # out of files; so new a child surely has its number
-            os.kill(process, signal.SIGKILL)
-            os.waitpid(process, 0)
-            raise
-        self._files.callback(os.close, descriptor)
-        self._processes.append(descriptor)
-        self._workers[reports] = calls
+            ours.close()
+            # Ctrl-C reaches all processes of a terminal: the first decides what it means.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            _serve(team.file, parts, reports, its_work)
+        finally:  # whatever happens, it must not go on as if it were the first
+            os._exit(0)
 
-
-def _serve(queue: int, reports: int, work: Work) -> None:
-    """Do what a worker does: take numbers, do their parts and report them."""
-    for number in _taken(queue):
-        try:
-            work(number)
-        except Exception:  # the process that asked meets the same error, or does better
-            work = _skip
-        else:
-            _put(reports, number)
-    _put(reports, _END)
-
-
-def _skip(_number: int) -> NoReturn:
-    """Leave a part to the process that asked."""
-    raise RuntimeError
-
-
-@contextmanager
-def forked(parts: int, others: int, size: int, job: Job) -> Iterator[Team]:
-    """A team of this process and, at most, `others` copies of it, with `size` bytes to share.
-
-    It has no copies if this process has other threads: a lock that one of them holds would never
-    be released in a copy.
-    """
-    team, others = Team(parts), min(others, parts - 1)
     try:
         if others > 0 and _POSSIBLE and threading.active_count() == 1:
-            try:
+            with suppress(OSError):  # out of processes, files or memory
                 team.share(size)
-                work = job(team.memory)
-                team.put(parts, others)  # first: a copy that is not known yet has to come to an end
+                its_work = job(team.memory)
                 for _ in range(others):
-                    team.fork(work)
-            except OSError:  # out of processes, files or memory
-                team.stop()
-        yield team
+                    team.add(fork)
+                    team.busy.update(team.workers)
+        yield from team.done(parts, work)
     finally:
         team.stop()
 
 
-class _Helpers(Team):
-    """The workers of this process that stay for the next job; `in_use` while one has them."""
+class _Helpers(_Team):
+    """The helpers of a process; `in_use` while a job has them."""
 
-    in_use, load = threading.Lock(), 0.0
+    def __init__(self) -> None:
+        super().__init__()
+        self.owner, self.in_use, self.load = os.getpid(), threading.Lock(), 0.0
 
-    def stop(self) -> None:
-        """End all; it must pay again to start others, which may be no better."""
-        super().stop()
-        self.load = 0.0
-
-    def called(self, parts: int, others: int, size: int, job: Job, load: float) -> bool:
-        """Give them a job, if that pays; see `helped`."""
+    def call(self, parts: int, others: int, size: int, job: Job, load: float) -> bool:
+        """Give them a job, if that pays and they are idle."""
         self.load += load
-        if not self._workers and load < _LONG and self.load < _MANY:
-            return False
-        try:
-            packed = pickle.dumps(job)
-        except Exception:  # it holds what cannot be pickled
-            return False
-        for _ in self._reported(0):
+        for _ in self.reported():
             pass
-        if self.lost:
-            self.stop()
-        # Who still has an earlier job would take numbers of this one for it.
-        if self._busy:
+        pays = load >= _LONG or self.load >= _MANY
+        # Who still has an earlier job would read this one's memory for that.
+        if self.busy or not (self.workers or pays):
             return False
-        if not self._workers:
-            _end_with_this_process()
-        self.share(size + len(packed))
-        self.memory[size : size + len(packed)] = packed
-        while len(self._workers) < others:
-            self.start()
-        self.put(parts, others)
-        for reports, calls in list(self._workers.items())[:others]:
-            os.write(calls, _MESSAGE.pack(size, len(packed)))
-            self._busy.add(reports)
+        packed = pickle.dumps(job)
+        end = size + len(packed)
+        self.share(end)
+        self.memory[size:] = packed
+        while pays and len(self.workers) < others:
+            self.load = 0.0
+            self.add(self._started)
+        for report in list(self.workers)[:others]:
+            os.write(self.workers[report].call, _CALL.pack(parts, size, end))
+            self.busy.add(report)
         return True
+
+    def _started(self, calls: int, reports: int, _ours: ExitStack) -> int:
+        import subprocess  # takes longer to import than a small picture to render
+
+        files = self.file, calls, reports
+        process = subprocess.Popen(
+            # Isolated, as this process may be: the path says all about where modules are.
+            [sys.executable, "-I", "-c", _CODE.format(path=[_FOLDER, *sys.path], files=files)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=files,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        process.returncode = 0  # not for `Popen` to wait for
+        return process.pid
 
 
 _helpers = _Helpers()
-stop_helpers = _helpers.stop
 
 
-@cache
-def _end_with_this_process() -> None:
-    def forget() -> None:
-        """In a fork, leave them to the process that started them."""
-        _helpers.forget()
-        _helpers.in_use = threading.Lock()
+def helped(parts: int, others: int, size: int, job: Job, work: Work, load: float) -> Done:
+    """Do a job, this process by `work` and at most `others` helpers by `job` with `size` bytes.
 
-    atexit.register(stop_helpers)
-    os.register_at_fork(after_in_child=forget)
-
-
-@contextmanager
-def helped(parts: int, others: int, size: int, job: Job, load: float) -> Iterator[Team]:
-    """A team of this process and, at most, `others` helpers, with `size` bytes to share.
-
-    It has no helpers while another job uses them, nor before it pays to start them; `load` is how
-    much there is to do, in units of some 10 ns.  The job is pickled.
+    There are none while another job uses them, nor before it pays to start them; `load` is how much
+    there is to do, in units of some 10 ns.  The job is pickled.
     """
-    team, others, in_use = Team(parts), min(others, parts - 1), _helpers.in_use
+    global _helpers
+    if _helpers.owner != os.getpid():  # a fork leaves them to the process that started them
+        _helpers = _Helpers()
+    team, helpers, others = _Team(), _helpers, min(others, parts - 1)
     # In a program that embeds Python the executable is that program, not an interpreter.
     python = os.path.basename(sys.executable or "").startswith("python")
-    if not (others > 0 and _POSSIBLE and python and in_use.acquire(blocking=False)):
-        yield team
+    if not (others > 0 and _POSSIBLE and python and helpers.in_use.acquire(blocking=False)):
+        yield from team.done(parts, work)
         return
-    whole = False
     try:
-        try:
-            if _helpers.called(parts, others, size, job, load):
-                team = _helpers
-        except Exception:  # out of processes, files or memory
-            _helpers.stop()
-        yield team
-        whole = not _helpers.lost
+        with suppress(Exception):  # out of processes, files or memory; no job that can be pickled
+            if helpers.call(parts, others, size, job, load):
+                team = helpers
+        yield from team.done(parts, work)
+        if team is helpers:
+            os.ftruncate(helpers.file, _KEPT)
+    except BaseException:  # they may be at work on results that no one will read
+        helpers.stop()
+        raise
     finally:
-        # Helpers may be at work on results that no one will read, or the queue hold numbers.
-        if not whole:
-            _helpers.stop()
-        in_use.release()
+        helpers.in_use.release()
 
 
-def run_helper(calls: int, queue: int, reports: int, memory: int) -> NoReturn:
+def run_helper(file: int, calls: int, reports: int) -> NoReturn:
     """Serve the process that started this one, until that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        while message := os.read(calls, _MESSAGE.size):
-            start, size = _MESSAGE.unpack(message)
-            shared = mmap(memory, start + size)
-            try:
-                job: Job = pickle.loads(shared[start : start + size])
-                work = job(shared)
-            except Exception:  # this process lacks something
-                work = _skip
-            _serve(queue, reports, work)
+        while call := os.read(calls, _CALL.size):
+            parts, start, end = _CALL.unpack(call)
+            with suppress(Exception):  # who asked meets the same error, or has what is lacking here
+                shared = mmap(file, end)
+                job: Job = pickle.loads(shared[start:])
+                _serve(file, parts, reports, job(shared))
+            os.write(reports, _REPORT.pack(_IDLE))
     finally:
         os._exit(0)
