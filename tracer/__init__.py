@@ -49,29 +49,16 @@ __all__ = [
 
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
-    _MODULES = {
-        "Explanation": "tracer.explanation",
-        "Hits": "tracer.view.first_hits",
-        "Scene": "tracer.scene.model",
-        "SceneError": "tracer.scene.schema",
-        "SceneFileError": "tracer.scene.reader",
-        "SceneWarning": "tracer.suspicions",
-        "Surfaces": "tracer.scene.model",
-        "explain": "tracer.explanation",
-        "first_hits": "tracer.view.first_hits",
-        "load_scene": "tracer.scene.reader",
-        "render": "tracer.picture.bands",
-        "save_scene": "tracer.scene.writer",
-        "to_codes": "tracer.picture.png",
-        "write_png": "tracer.picture.png",
-    }
+    _MODULES = (
+        *("scene.objects", "scene.model", "scene.reader", "scene.schema", "scene.writer"),
+        *("picture.bands", "picture.png", "suspicions", "view.first_hits", "explanation"),
+    )
 
     def __getattr__(name: str) -> object:
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module = import_module(_MODULES.get(name, "tracer.scene.objects"))
-        value = globals()[name] = getattr(module, name)
-        return value
+        for path in _MODULES if name in __all__ else ():
+            if hasattr(module := import_module(f"tracer.{path}"), name):
+                return globals().setdefault(name, getattr(module, name))
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
         return [*__all__, "__version__"]  # what help() shows

@@ -62,18 +62,7 @@ _PAUSE = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Render scenes to PNG files.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments; those of the process if absent.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if all is done, 1 if some scene could not be read, rendered or written, or
-        NumPy cannot be imported, 130 if interrupted.
+    """Render scenes to PNG files, as the arguments say; return the exit status.
 
     Raises
     ------
@@ -110,33 +99,28 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         # Looking up the terminal's width would import the whole of shutil.
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=88),
     )
-
-    def add(*names: str, text: str, **options: Any) -> None:
-        parser.add_argument(*names, help=text, **options)
-
+    add = parser.add_argument
+    count: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
+    size = _pair("x", 1, "width and height in pixels, as 640x360")
+    pixel = _pair(",", 0, "column and row, as 160,90")
     text = "a scene file; - for standard input"
-    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", text=text)
+    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=text)
     text = (
         "the picture to write, always a PNG; - for standard output; or a folder for those of"
         " several scenes, which is made if it is missing and PATH ends in /"
     )
-    add("-o", "--output", type=file_name, metavar="PATH", text=text)
+    add("-o", "--output", type=file_name, metavar="PATH", help=text)
     text = "smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)"
-    add("--samples", type=whole_number(1), default=1, metavar="N", text=text)
+    add("--samples", default=1, help=text, **count)
     text = "width and height of the pictures in pixels, whatever the files say"
-    size = _pair("x", 1, "width and height in pixels, as 640x360")
-    add("--size", type=size, metavar="WxH", text=text)
-    add("--watch", action="store_true", text="render again whenever a scene file is saved")
-    text = (
-        "processes that render, at most one for each processor (default: one or two,"
-        " whichever pays)"
-    )
-    add("--processes", type=whole_number(1), metavar="N", text=text)
+    add("--size", type=size, metavar="WxH", help=text)
+    add("--watch", action="store_true", help="render again whenever a scene file is saved")
+    text = "processes that render, at most one for each processor (default: 1 or 2, what pays)"
+    add("--processes", help=text, **count)
     text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
-    pixel = _pair(",", 0, "column and row, as 160,90")
-    add("--pixel", type=pixel, metavar="X,Y", text=text)
-    add("--quiet", action="store_true", text="report only what goes wrong")
-    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    add("--pixel", type=pixel, metavar="X,Y", help=text)
+    add("--quiet", action="store_true", help="report only what goes wrong")
+    add("--version", action="version", version=f"%(prog)s {__version__}")
     arguments = parser.parse_args(argv)
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     if arguments.pixel is not None:
@@ -149,10 +133,9 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
         if len(scenes) > 1 or watch:
             parser.error("-o -: standard output takes the picture of one scene, and no --watch")
         return arguments, [(scenes[0], output)]
-    if output is not None and not is_folder(output):
-        stem, suffix = os.path.splitext(output)
-        if suffix and suffix.lower() != ".png":
-            parser.error(printable(f"-o {output}: pictures are PNG files; name it {stem}.png"))
+    stem, suffix = os.path.splitext(output or "")
+    if suffix.lower() not in ("", ".png") and not is_folder(output):
+        parser.error(printable(f"-o {output}: pictures are PNG files; name it {stem}.png"))
     pictures = output_paths(parser, scenes, output, [f"{scene}.png" for scene in scenes])
     return arguments, list(zip(scenes, pictures, strict=True))
 
@@ -173,8 +156,7 @@ def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]
 
 def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
     """Render each scene, and again whenever its file has changed."""
-    last: dict[str, object] = {}
-    rendered: dict[str, object] = {}
+    last, rendered = dict[str, object](), dict[str, object]()
     while True:
         for scene, output in jobs:
             try:
@@ -183,7 +165,7 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoRetu
             except OSError:
                 now = None
             # An editor may not have written all yet: it has, if nothing changes any more.
-            settled = last.setdefault(scene, now) == now
+            settled = last.get(scene, now) == now
             last[scene] = now
             if settled and rendered.get(scene, ()) != now:
                 rendered[scene] = now
@@ -208,39 +190,37 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
 
     allow_interrupts()
     start, shown, quiet = perf_counter(), printable(output), arguments.quiet
+    remedy = "split the scene"
+    size = "to read it"
     try:
         scene = load_scene(sys.stdin.buffer if path == "-" else path)
         if arguments.size is not None:
             scene = _resized(scene, path, arguments)
+        if arguments.pixel is not None:
+            return _explain(scene, path, arguments.pixel)
+        size, remedy = f"for {scene.width} x {scene.height} pixels", "make the image smaller"
+        if arguments.samples > 1:
+            size += f" of {arguments.samples} samples"
+            remedy += " or take fewer samples"
+        tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
+        if not quiet and sys.stderr is not None and sys.stderr.isatty():
+            tiles = _with_progress(tiles, scene, os.path.basename(shown))
+        black = _write(output, scene, tiles, folder=arguments.output)
     except SceneFileError as error:
         return str(error)
     except SceneError as error:
         return f"--size: {error}"
     except MemoryError:
-        return f"{printable(path)}: not enough memory to read it; split the scene"
-    if arguments.pixel is not None:
-        return _explain(scene, path, arguments.pixel)
-    size = f"{scene.width} x {scene.height} pixels"
-    try:
-        tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
-        if not quiet and sys.stderr is not None and sys.stderr.isatty():
-            tiles = _with_progress(tiles, scene, os.path.basename(shown))
-        black = _write(output, scene, tiles, folder=arguments.output)
-    except MemoryError:
-        remedy = "make the image smaller"
-        if arguments.samples > 1:
-            size += f" of {arguments.samples} samples"
-            remedy += " or take fewer samples"
-        return f"{printable(path)}: not enough memory for {size}; {remedy}"
-    except (OSError, ValueError) as error:
+        return f"{printable(path)}: not enough memory {size}; {remedy}"
+    except OSError as error:
+        return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
+    except ValueError as error:
         remedy = "keep the numbers of the scene further from 1e308"
-        if isinstance(error, OSError):
-            remedy = "choose another with -o"
-        return f"{shown}: cannot be written: {getattr(error, 'strerror', None) or error}; {remedy}"
+        return f"{shown}: cannot be written: {error}; {remedy}"
     if not quiet:
         for suspicion in suspicions(scene, black=black):
             print_line(sys.stderr, printable(f"{path}: warning: {suspicion}"))
-        done = f"{shown}: {size} in {perf_counter() - start:.3f} s"
+        done = f"{shown}: {scene.width} x {scene.height} pixels in {perf_counter() - start:.3f} s"
         print_line(sys.stderr if output == "-" else sys.stdout, done)
     return None
 
@@ -249,12 +229,9 @@ def _write(output: str, scene: Scene, tiles: Iterator[Compressed], folder: str |
     """Write a picture, if need be into a new `folder`; return whether it is black."""
     from tracer.picture.png import PNG, write_tiles
 
-    if output == "-":
-        with open(1, "wb", closefd=False) as stream:
-            return write_tiles(stream, scene.width, scene.height, tiles)
     if folder is not None and is_folder(folder):
         os.makedirs(folder, exist_ok=True)
-    with atomic_file(output, PNG) as file:
+    with open(1, "wb", closefd=False) if output == "-" else atomic_file(output, PNG) as file:
         return write_tiles(file, scene.width, scene.height, tiles)
 
 
@@ -276,29 +253,27 @@ def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
     across, down = scene.camera.view_width, scene.camera.view_height
-    # To the nearest whole number of pixels.
-    before, now = (
-        abs(each.width * down - each.height * across) < max(across, down)
-        for each in (scene, resized)
-    )
-    if before and not now and not arguments.quiet:
+
+    def square(scene: Scene) -> bool:  # to the nearest whole number of pixels
+        return abs(scene.width * down - scene.height * across) < max(across, down)
+
+    if square(scene) and not square(resized) and not arguments.quiet:
         remedy = f"--size {width}x{max(1, round(width * down / across))} keeps them so"
         print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
     return resized
 
 
 def _with_progress(tiles: Iterator[Compressed], scene: Scene, name: str) -> Iterator[Compressed]:
-    """The same tiles; shows a bar as soon as the picture turns out to take long."""
-    start, rows, done, bar = perf_counter(), scene.height, 0.0, None
+    """The same tiles; shows a bar once the picture takes long."""
+    start, row, done, bar = perf_counter(), 1 + 3 * scene.width, 0, None
     try:
         for tile in tiles:
             yield tile
-            done += tile.size / (1 + 3 * scene.width)
-            seconds = perf_counter() - start
-            if bar is None and seconds > _SLOW / 2 and seconds * rows > _SLOW * done:
-                bar = _bar(name, rows)
+            done += tile.size
+            if bar is None and perf_counter() - start > _SLOW:
+                bar = _bar(name, scene.height)
             if bar:
-                bar.update(int(done) - bar.n)
+                bar.update(done // row - bar.n)
     finally:
         if bar:
             bar.close()

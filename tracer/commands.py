@@ -134,8 +134,7 @@ def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[byte
     OSError
         If it cannot be written, or what is there is no regular file, or of another kind.
     """
-    target = os.path.realpath(path)
-    mode = None
+    target, mode = os.path.realpath(path), None
     if os.path.islink(target):  # to itself, or it would have been followed
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), target)
     if os.path.exists(target):
@@ -168,10 +167,10 @@ def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[byte
 
 
 def _new_locked(path: str) -> IO[bytes]:
-    """Open a new file, locked."""
+    """Open a new file, locked if that is possible."""
     while True:
         file = open(path, "xb")  # noqa: SIM115
-        if _locked(file, wait=True) is None or os.fstat(file.fileno()).st_nlink:
+        if not _locked(file, wait=True) or os.fstat(file.fileno()).st_nlink:
             return file
         file.close()  # another process has found it before it was locked, and removed it
 
@@ -187,21 +186,18 @@ def _remove_abandoned(folder: str, prefix: str) -> None:
                         os.unlink(path)
 
 
-def _locked(file: IO[bytes], *, wait: bool) -> bool | None:
-    """Lock a file until it is closed; False if another process has, None if nothing can be."""
+def _locked(file: IO[bytes], *, wait: bool) -> bool:
+    """Lock a file until it is closed; return whether that was possible."""
     try:
         from fcntl import LOCK_EX, LOCK_NB, flock  # not on all systems
 
         flock(file, LOCK_EX if wait else LOCK_EX | LOCK_NB)
-    except BlockingIOError:
-        return False
     except (ImportError, OSError):
-        return None
+        return False
     return True
 
 
-_interruptible = False
-_ignored_until = 0.0
+_interruptible, _ignored_until = False, 0.0
 
 
 def install_signal_handlers() -> None:

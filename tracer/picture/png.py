@@ -106,19 +106,25 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
+
+    def write_chunk(kind: bytes, data: bytes) -> None:  # (5.3)
+        file.write(struct.pack(">I", len(data)) + kind)
+        file.write(data)
+        file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
+
     file.write(PNG)
     # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
-    _write_chunk(file, b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
     start, check, left, black = b"\x78\x5e", 1, height * (1 + 3 * width), True
     for tile in tiles:
-        _write_chunk(file, b"IDAT", start + tile.data)
+        write_chunk(b"IDAT", start + tile.data)
         start, check = b"", _adler_of_both(check, tile.check, tile.size)
         left, black = left - tile.size, black and tile.black
     if left:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
-    _write_chunk(file, b"IDAT", b"\x03\x00" + struct.pack(">I", check))
-    _write_chunk(file, b"IEND", b"")
+    write_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", check))
+    write_chunk(b"IEND", b"")
     return black
 
 
@@ -129,27 +135,11 @@ def _adler_of_both(first: int, second: int, size: int) -> int:
     return ((b + (second >> 16) + size * (a - 1)) % _ADLER) << 16 | total
 
 
-def _write_chunk(file: IO[bytes], kind: bytes, data: bytes) -> None:
-    """Write a chunk of a PNG file (5.3)."""
-    file.write(struct.pack(">I", len(data)) + kind)
-    file.write(data)
-    file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
-
-
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
-    """Encode radiance in 8 bits: round(255 clip(x, 0, 1)^(1/2.2)).
+    """Encode linear RGB (height, width, 3) in 8 bits: round(255 clip(x, 0, 1)^(1/2.2)).
 
     The codes are those of exact arithmetic.  The power function in float64 is some ulps off, and
     takes twice as long as the tables used here.
-
-    Parameters
-    ----------
-    image : (height, width, 3) array_like
-        Linear RGB.
-
-    Returns
-    -------
-    (height, width, 3) uint8
 
     Raises
     ------
@@ -185,16 +175,15 @@ def _checked(image: ArrayLike) -> Floats:
 # A search among thresholds would take three times as long.  Instead [_LEAST, 1] is cut into cells,
 # 2^7 between any two powers of two, with at most one threshold in each: a cell is the leading bits
 # of its float64s.
-_LEAST = 2.0**-20
-_CELL_BITS = 52 - 7
-_FIRST_CELL = struct.unpack("<q", struct.pack("<d", _LEAST))[0] >> _CELL_BITS
+_LEAST, _CELL_BITS = 2.0**-20, 52 - 7
+_FIRST_CELL, _LAST_CELL = (np.array([_LEAST, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
 
 
 @cache
 def _tables() -> tuple[NDArray[np.uint8], Floats]:
     """The code of each cell's least float64, and the least float64 of each code but 0."""
     thresholds = np.array([_threshold(code) for code in range(1, 256)] + [np.inf])
-    cells = np.arange(_FIRST_CELL, (np.ones(1).view(np.int64)[0] >> _CELL_BITS) + 1, dtype=np.int64)
+    cells = np.arange(_FIRST_CELL, _LAST_CELL + 1, dtype=np.int64)
     least: Floats = (cells << _CELL_BITS).view(np.float64)
     return thresholds.searchsorted(least, side="right").astype(np.uint8), thresholds
 
