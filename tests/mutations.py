@@ -124,7 +124,7 @@ CHANGES = {
         "size * (a - 1)": "size * a",
     },
     "tracer/picture/bands.py": {
-        "start = number * place": "start = (number ^ 1) * place",
+        "pickle.dump(made(number), memory)": "pickle.dump(made(number ^ 1), memory)",
         "divmod(number, len(self._columns))": "divmod(number, len(self._rows))",
     },
     # Reader and writer, explanations, warnings
