@@ -65,8 +65,8 @@ def _upright(turned: Any, per_side: int) -> Any:
 
 
 ONE_SAMPLE = [
-    Part("short packets ask the light grids", {"shadow.occluders.LONGEST": 6}),
-    Part("long packets ask, however many objects", {"shadow.occluders._FEW": _ALWAYS}),
+    Part("rows of points ask the light grids", {"shadow.packets._SIDE": _ALWAYS}),
+    Part("squares of rows ask, however many objects", {"shadow.occluders._PART": _ALWAYS}),
     Part(
         "no packet certainly in shadow",
         {

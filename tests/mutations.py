@@ -76,11 +76,10 @@ CHANGES = {
     # Shadows: cells, packets, umbra
     "tracer/shadow/grid.py": {
         "right - left + 1, bottom": "np.maximum(right - left, 1), bottom",
-        "may_shade = ~_repeated(surfaces)": "may_shade = _repeated(surfaces)",
     },
     "tracer/shadow/packets.py": {
-        "0.5 * np.sqrt(dot(across": "0.1 * np.sqrt(dot(across",
-        "np.sqrt(dot(half": "0.2 * np.sqrt(dot(half",
+        "np.sqrt((half * half": "0.2 * np.sqrt((half * half",
+        "np.sqrt((away * away": "0.2 * np.sqrt((away * away",
     },
     "tracer/shadow/occlusion.py": {
         "        blocked |= umbra\n": "",

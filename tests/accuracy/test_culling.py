@@ -31,9 +31,8 @@ def assert_same(scene: Scene) -> None:
     one by one, and together; samples in rows, and scattered.
     """
     expected = brute_force(scene)
-    for few, part, large in ((1e9, 0.5, 100), (0, 1e-9, 1e9), (0, 0.2, 1e9)):
+    for part, large in ((1e9, 100), (1e-9, 1e9), (0.2, 1e9)):
         with (
-            patch("tracer.shadow.occluders._FEW", few),
             patch("tracer.shadow.occluders._PART", part),
             patch("tracer.view.visibility._LARGE", large),
         ):

@@ -25,9 +25,7 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
-    Triple,
     batches,
-    changes,
     equal_runs,
     expand,
     indices,
@@ -39,17 +37,16 @@ __all__ = ["SLACK", "LightGrid", "light_grid"]
 SLACK = 1e-9
 """Bounds are widened by this much of the coordinates involved: far more than all roundings."""
 
-# With n objects a field has `_SIDE_EACH` sqrt(n) cells along each side, up to `_SIDE_MOST`.  Finer
-# cells list less, and take longer to fill: where objects are so large that their bounds would fill
-# more cells than `_PAIRS` for each light, cells are larger.
-_SIDE_EACH, _SIDE_MOST = 1.0, 320
-_PAIRS = 1 << 21
-
-# A field may leave one in so many objects beyond either of its sides.
-_BEYOND = 64
+# With n objects a field has sqrt(n) cells along each side, up to `_SIDE_MOST`.  Finer cells list
+# less, and take longer to fill: where objects are so large that their bounds would fill more cells
+# than `_PAIRS` for each light, cells are larger.
+_SIDE_MOST, _PAIRS = 320, 1 << 21
 
 # So many listed objects are tried at a time.
 _AT_ONCE = 1 << 17
+
+# A field may leave one in so many objects beyond either of its sides.
+_BEYOND = 64
 
 # A cell has four lists, by where it is in the rectangle of an object (see `_cells`): in its first
 # row, in its first corner, in its first column, and elsewhere.  These are their numbers, and from
@@ -102,16 +99,14 @@ class LightGrid(NamedTuple):
     owner: Ints
     wedge: NDArray[np.floating[Any]]
 
-    def query(
-        self, middle: Triple, radius: Floats, owner: Ints, asked: Bools
-    ) -> Iterator[tuple[Ints, Ints, Ints]]:
+    def query(self, middle: Floats, radius: Floats, owner: Ints, asked: Bools) -> Iterator[Ints]:
         """Objects, other than a ball's own, that may come between balls (n,) and lights.
 
         `asked` (lights, n): whether a light may reach any of a ball.  Yields lights, balls and
         occluders some at a time: they are still in cache then.
         """
         lights, count = asked.shape
-        to_light = self.light - np.array(middle)[:, None]
+        to_light = self.light - middle[:, None]
         octant, way, rect, wedge = _octants(to_light - radius, to_light + radius, self.field, asked)
         wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
         wedge = wedge.astype(self.wedge.dtype)
@@ -130,7 +125,7 @@ class LightGrid(NamedTuple):
             occluder = self.owner.take(part.take(at))
             light, which = np.divmod(way.take(which.take(at)), count)
             kept = indices(occluder != owner.take(which))
-            yield light.take(kept), which.take(kept), occluder.take(kept)
+            yield np.array([light.take(kept), which.take(kept), occluder.take(kept)])
 
     def _in_cells(self, rect: Floats, field: Ints) -> Floats:
         """Rectangles (4, n) in cells of fields (n,), from octahedral coordinates."""
@@ -151,7 +146,6 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     # A row for each axis, in one piece: of columns, minima take ten times as long.
     low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
     high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
-    may_shade = ~_repeated(surfaces)
     light, blur = _taken_nearer(lights, low, high)
     low, high = (light - blur) - high[:, None], (light + blur) - low[:, None]
     field = np.zeros(8 * len(lights), dtype=np.intp)
@@ -163,7 +157,7 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     field[:] = -1
     field[octant[some[begin]]] = np.arange(begin.size)
     extents = np.array([_middle_part(rect[:, part]) for part in np.split(some, begin[1:])])
-    some = indices((field[octant] >= 0) & may_shade[owner])
+    some = indices(field[octant] >= 0)
     bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
     grid = LightGrid(
         light=light,
@@ -180,7 +174,7 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     number, rect = field[octant[some]], rect[:, some]
     u0, u1, v0, v1 = np.clip(grid._in_cells(rect, number), 0, 1)
     covered = float(((u1 - u0) * (v1 - v0)).sum()) / len(lights)
-    side = max(1, int(min(_SIDE_EACH * sqrt(slack.size), _SIDE_MOST, sqrt(_PAIRS / covered))))
+    side = max(1, int(min(sqrt(slack.size), _SIDE_MOST, sqrt(_PAIRS / covered))))
     grid = grid._replace(side=side, scale=side * grid.scale)
     place, cell, corner = _cells(grid._in_cells(rect, number), number, side)
     cell = 4 * cell + _LIST.take(corner)
@@ -189,19 +183,6 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     order = (cell & 0xFFFF).astype(np.uint16).argsort(kind="stable")
     order = order.take((cell.take(order) >> 16).astype(np.uint16).argsort(kind="stable"))
     return grid._replace(first=np.append(0, counts.cumsum()), listed=place.take(order))
-
-
-def _repeated(surfaces: Surfaces) -> Bools:
-    """Which objects equal two others: these suffice, for each has the other as its occluder."""
-    center, radius = surfaces.center, surfaces.radius[:, None]
-    spheres = np.hstack([center, radius, radius, radius + np.inf])  # no box ends there
-    numbers = np.vstack([spheres, np.hstack([surfaces.min_pt, surfaces.max_pt])]).T
-    # By one number that hardly any others share: equal ones then follow each other.
-    order = (np.sqrt([2, 3, 5, 7, 11]) @ numbers[:5]).argsort()
-    equal = ~changes(*numbers[:, order])
-    repeated = np.zeros(order.size, dtype=np.bool_)
-    repeated[order[1:]] = equal[1:] & equal[:-1]
-    return repeated
 
 
 def _middle_part(rect: Floats) -> list[float]:

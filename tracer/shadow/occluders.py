@@ -12,14 +12,11 @@ from tracer.arrays import Bools, Floats, columns, each
 from tracer.shadow.grid import SLACK, LightGrid, light_grid
 from tracer.view.view import View
 
-__all__ = ["LONGEST", "Occluders", "occluders_of"]
+__all__ = ["Occluders", "occluders_of"]
 
-# The most points in a packet; and their number, as a part of the side of the square of pixels that
-# each object has if all share the picture evenly.
-LONGEST, _PART = 24, 0.5
-
-# Up to so many objects, packets are as long as can be.
-_FEW = 64
+# Pixels across a packet, as a part of the side of the square of pixels that each object has if all
+# share the picture evenly.
+_PART = 0.5
 
 
 class Occluders(NamedTuple):
@@ -36,8 +33,8 @@ class Occluders(NamedTuple):
     slack : (n,)
         More than rounding can displace a point on each object.
     grid : LightGrid, or None if nothing can be shaded
-    packet : int
-        How many pixels packets, and tiles of packets, may have across.
+    across : float
+        How many pixels packets may have across.
     """
 
     view: View
@@ -46,7 +43,7 @@ class Occluders(NamedTuple):
     near_light: Bools
     slack: Floats
     grid: LightGrid | None
-    packet: int
+    across: float
 
 
 def occluders_of(view: View, lights: Floats) -> Occluders:
@@ -63,7 +60,6 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         near.append(shape.touches(every, point, slack[every] + around))
     # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
-    packet = _PART * sqrt(pixels / len(surfaces)) if len(surfaces) > _FEW else LONGEST
     return Occluders(
         view=view,
         lights=lights,
@@ -71,5 +67,5 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         near_light=np.concatenate(near, axis=1),
         slack=slack,
         grid=light_grid(lights, surfaces, slack, view.frames.in_picture(raster)),
-        packet=int(min(max(packet, 1), LONGEST)),
+        across=_PART * sqrt(pixels / max(slack.size, 1)),
     )

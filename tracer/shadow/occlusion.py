@@ -9,57 +9,17 @@ remain go through the exact test with each object that remains, pair by pair.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    batches,
-    changes,
-    columns,
-    entries,
-    expand,
-    indices,
-    put,
-    ranges,
-)
-from tracer.shadow.occluders import LONGEST, Occluders
-from tracer.shadow.packets import Packets, cut, packets_of, tiles_of
+from tracer.arrays import Bools, Floats, Ints, batches, columns, entries, indices, pick, put
+from tracer.shadow.grid import LightGrid
+from tracer.shadow.occluders import Occluders
+from tracer.shadow.packets import Packets, packets_of
 from tracer.shapes.rounding import ON
-from tracer.view.view import Shape, Visible
+from tracer.view.view import Shape, View, Visible
 
 __all__ = ["occlusion", "shadow_edges"]
-
-# Long packets are cut into packets of at most so many points.
-_SHORT = 6
-
-
-class _Pairs(NamedTuple):
-    """Triples of a light, a point and an object of a shape that may come between.
-
-    Attributes
-    ----------
-    shape : Spheres or Boxes
-    light, point, occluder : (m,)
-    closely : (m,)
-        See `Spheres.occludes`.
-    """
-
-    shape: Shape
-    light: Ints
-    point: Ints
-    occluder: Ints
-    closely: Bools
-
-    def take(self, index: Ints) -> _Pairs:
-        """Some of them."""
-        shape, light, point, occluder, closely = self
-        return _Pairs(
-            shape, light.take(index), point.take(index), occluder.take(index), closely.take(index)
-        )
 
 
 def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
@@ -69,9 +29,9 @@ def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
     meaning.
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, pairs in _candidates(occluders, hits, frontlit):
-        block = _blocks(occluders, hits, pairs)
-        put(blocked, pairs.light[block], pairs.point[block], True)
+    for umbra, shape, pairs, closely in _candidates(occluders, hits, frontlit):
+        block = _blocks(occluders, hits, shape, pairs, closely)
+        put(blocked, pairs[0, block], pairs[1, block], True)
         blocked |= umbra
     return blocked
 
@@ -87,107 +47,88 @@ def shadow_edges(
     it.  Where any object does even then, nothing near is lit.
     """
     blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    none, count, objects = np.zeros(0, dtype=np.intp), frontlit.shape[1], occluders.slack.size
-    found = [none]
-    for dark, pairs in _candidates(occluders, hits, frontlit, footprint):
-        reach = footprint[pairs.point]
-        grown = _blocks(occluders, hits, pairs, reach)
+    table, found = (*frontlit.shape, occluders.slack.size), [np.zeros(0, dtype=np.intp)]
+    for dark, shape, pairs, closely in _candidates(occluders, hits, frontlit, footprint):
+        reach = footprint[pairs[1]]
+        grown = _blocks(occluders, hits, shape, pairs, closely, reach)
         # An object grown by more than the gap holds the light.  It may then hold the whole of a
         # segment, and block nothing, where the object itself blocks it.
-        gap = pairs.shape.gap(pairs.occluder, columns(occluders.lights, pairs.light))
+        gap = shape.gap(pairs[2], columns(occluders.lights, pairs[0]))
         near = indices(grown | (gap <= reach))
-        pairs, reach, grown, gap = pairs.take(near), reach[near], grown[near], gap[near]
-        itself = _blocks(occluders, hits, pairs)
+        pairs, closely = pairs.take(near, axis=1), closely[near]
+        reach, grown, gap = reach[near], grown[near], gap[near]
+        itself = _blocks(occluders, hits, shape, pairs, closely)
         # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
         # nothing.  Nor does that of a sphere with the light on its surface.
-        shrunk = itself & _blocks(occluders, hits, pairs, -reach)
-        shrunk &= entries(occluders.side, pairs.light, pairs.occluder) != ON
-        put(blocked, pairs.light[itself], pairs.point[itself], True)
-        put(umbra, pairs.light[shrunk], pairs.point[shrunk], True)
+        shrunk = itself & _blocks(occluders, hits, shape, pairs, closely, -reach)
+        shrunk &= entries(occluders.side, pairs[0], pairs[2]) != ON
+        put(blocked, pairs[0, itself], pairs[1, itself], True)
+        put(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
         umbra |= dark
-        changing = ~shrunk & (grown | itself | (np.abs(gap) <= reach))
-        edge = pairs.take(indices(changing & entries(frontlit, pairs.light, pairs.point)))
-        found.append((edge.light * count + edge.point) * objects + edge.occluder)
+        edge = ~shrunk & (grown | itself | (np.abs(gap) <= reach))
+        edge &= entries(frontlit, pairs[0], pairs[1])
+        found.append(np.ravel_multi_index(tuple(pairs[:, edge]), table))
     # A pair may have been found in several octants of the grid.
-    triple = np.sort(np.concatenate(found))
-    place, occluder = np.divmod(triple[changes(triple)], objects)
-    kept = indices(~umbra.reshape(-1).take(place))
-    light, point = np.divmod(place[kept], count)
-    return blocked | umbra, (light, point, occluder[kept])
+    light, point, occluder = np.unravel_index(np.unique(np.concatenate(found)), table)
+    kept = indices(~entries(umbra, light, point))
+    return blocked | umbra, (light[kept], point[kept], occluder[kept])
 
 
 def _blocks(
-    occluders: Occluders, hits: Visible, pairs: _Pairs, grown: Floats | None = None
+    occluders: Occluders,
+    hits: Visible,
+    shape: Shape,
+    pairs: Ints,
+    closely: Bools,
+    grown: Floats | None = None,
 ) -> Bools:
     """The exact test of pairs; `grown` (m,): by how much objects grow on all sides."""
-    end = columns(occluders.lights, pairs.light)
-    eye, p = occluders.view.raster.eye, hits.points(pairs.point)
-    return pairs.shape.occludes(eye, pairs.occluder, p, end, pairs.closely, grown)
+    light, point, occluder = pairs
+    eye, end = occluders.view.raster.eye, columns(occluders.lights, light)
+    return shape.occludes(eye, occluder, hits.points(point), end, closely, grown)
 
 
 def _candidates(
     occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None = None
-) -> Iterator[tuple[Bools, _Pairs]]:
+) -> Iterator[tuple[Bools, Shape, Ints, Bools]]:
     """All that may keep lights from points.
 
-    Yields, again and again, one growing table of points (lights, n) that are certainly in shadow,
-    and more pairs to be tested.  With a `footprint` (n,) all are as for anything on a point's own
-    object within this distance of it.
+    Yields, again and again, one growing table of points (lights, n) that are certainly in shadow;
+    and, of a shape, more lights, points and occluders (3, m) to be tested, with `closely` (m,) as
+    in `Spheres.occludes`.  With a `footprint` (n,) all are as for anything on a point's own object
+    within this distance of it.
     """
-    umbra = np.zeros(frontlit.shape, dtype=np.bool_)
-    for shape, light, packets, occluder in _asking(occluders, hits, frontlit, footprint):
-        for short in (False, True) if packets.length.max(initial=0) > _SHORT else (False,):
-            if short:
-                packets, parent = cut(hits, occluders.slack, packets, _SHORT)
-                light, occluder = light[parent], occluder[parent]
-            end = columns(occluders.lights, light)
-            meets, cuts = shape.capsules(occluder, packets.middle, end, packets.radius)
-            start, length = packets.start[cuts], packets.length[cuts]
-            put(umbra, light[cuts].repeat(length), ranges(start, length), True)
-            near = indices(meets & ~cuts)
-            packets, light, occluder = packets.take(near), light[near], occluder[near]
-        # A short packet is in umbra as a whole, so its first point tells.
-        near = indices(~entries(umbra, light, packets.start))
-        packets, light, occluder = packets.take(near), light[near], occluder[near]
-        around = packets.radius + occluders.slack[occluder]
-        closely = shape.touches(occluder, packets.middle, around)
-        closely |= entries(occluders.near_light, light, occluder)
-        length = packets.length
-        pairs = _Pairs(
-            shape=shape,
-            light=light.repeat(length),
-            point=ranges(packets.start, length),
-            occluder=occluder.repeat(length),
-            closely=closely.repeat(length),
-        )
-        yield umbra, pairs
-
-
-def _asking(
-    occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None
-) -> Iterator[tuple[Shape, Ints, Packets, Ints]]:
-    """Lights, packets of points, and objects of a shape that may come between, some at a time."""
     if occluders.grid is None or not frontlit.any():
         return
-    # Scattered points stand close together: their packets are short from the start.
-    tiled = occluders.packet == LONGEST
-    longest = LONGEST if tiled and not hits.scattered else min(occluders.packet, _SHORT)
-    packets, run = packets_of(hits, occluders.slack, longest, footprint)
-    asked = np.logical_or.reduceat(frontlit, packets.start, axis=1)
-    tiles, order = packets, np.arange(run.size)
-    if tiled:
-        tiles, order = tiles_of(hits, packets, run, LONGEST)
-    else:
-        tiles = tiles._replace(start=order, length=np.ones_like(order))
-    in_tiles = np.logical_or.reduceat(asked[:, order], tiles.start, axis=1)
-    query = occluders.grid.query(tiles.middle, tiles.radius, tiles.owner, in_tiles)
-    for light, tile, occluder in query:
-        for shape in occluders.view.shapes:
-            kind = indices((occluder >= occluders.view.boxes.first) == shape.flat)
-            length = tiles.length[tile[kind]]
-            for batch in batches(length):
-                part, place = expand(length[batch], tiles.start[tile[kind[batch]]])
-                some, packet = kind[batch][part], order[place]
-                lit = indices(entries(asked, light[some], packet))
-                some, found = some[lit], packets.take(packet[lit])
-                yield shape, light[some], found, occluder[some]
+    umbra = np.zeros(frontlit.shape, dtype=np.bool_)
+    levels = packets_of(hits, occluders.slack, occluders.across, frontlit, footprint)
+    rows = levels[-1]
+    for shape, pairs in _found(occluders.grid, occluders.view, levels[0]):
+        for depth, packets in enumerate(levels):
+            if depth:
+                pairs = levels[depth - 1].opened(pairs)
+                pairs = pairs.take(indices(entries(packets.lit, pairs[0], pairs[1])), axis=1)
+            light, packet, occluder = pairs
+            middle, radius = pick(packets.middle, packet), packets.radius[packet]
+            end = columns(occluders.lights, light)
+            meets, cuts = shape.capsules(occluder, middle, end, radius)
+            dark = pairs.take(indices(cuts), axis=1)
+            for level in levels[depth:]:
+                put(level.lit, dark[0], dark[1], False)
+                dark = level.opened(dark)
+            put(umbra, dark[0], dark[1], True)
+            pairs = pairs.take(indices(meets & entries(packets.lit, light, packet)), axis=1)
+        light, row, occluder = pairs
+        around = rows.radius[row] + occluders.slack[occluder]
+        closely = shape.touches(occluder, pick(rows.middle, row), around)
+        closely |= entries(occluders.near_light, light, occluder)
+        yield umbra, shape, rows.opened(pairs), closely.repeat(rows.length[row])
+
+
+def _found(grid: LightGrid, view: View, packets: Packets) -> Iterator[tuple[Shape, Ints]]:
+    """Lights, packets and, of a shape, objects (3, m) that may come between, some at a time."""
+    for pairs in grid.query(packets.middle, packets.radius, packets.owner, packets.lit):
+        for shape in view.shapes:
+            kind = pairs.take(indices((pairs[2] >= view.boxes.first) == shape.flat), axis=1)
+            for batch in batches(packets.length[kind[1]]):
+                yield shape, kind[:, batch]
