@@ -76,6 +76,7 @@ CHANGES = {
     # Shadows: cells, packets, umbra
     "tracer/shadow/grid.py": {
         "right - left + 1, bottom": "np.maximum(right - left, 1), bottom",
+        "shades[owner])": "~shades[owner])",
     },
     "tracer/shadow/packets.py": {
         "np.sqrt((half * half": "0.2 * np.sqrt((half * half",

@@ -26,7 +26,7 @@ from tracer.light.lighting import (
 )
 from tracer.shadow.occlusion import shadow_edges
 from tracer.view.samples import Samples, Scattered
-from tracer.view.visibility import visible_and_behind
+from tracer.view.visibility import visible_and_hidden
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
@@ -114,7 +114,7 @@ def classify(
     """
     radiance, ids = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
-    hits, behind = visible_and_behind(lighting.view, samples, cells.size)
+    hits, hidden = visible_and_hidden(lighting.view, samples)
     incoming, place = incoming_at(lighting, hits), cell[hits.sample]
     facing = incoming.n_dot_l > 0
     footprint = footprints_of(hits, cells.size)
@@ -133,7 +133,7 @@ def classify(
     x, y = cells.x[cells.cell], cells.y[cells.cell]
     margins = chain(
         silhouettes(lighting.view, cells.cell, cells.owner, x, y, cells.size),
-        seen.intersections(behind),
+        seen.intersections(hidden),
         seen.shadows(*found),
         seen.terminators(incoming.n_dot_l, incoming.length2),
         seen.creases(),

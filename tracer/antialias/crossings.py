@@ -26,11 +26,11 @@ def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     none = np.zeros(0, dtype=np.intp)
     found: list[tuple[Ints, Ints, Floats, Floats]] = [(none, none, np.zeros(0), np.zeros(0))]
     for shape in view.shapes:
-        owner, row, left, right = Spans.of(shape, view.raster, lines[:-1], height=1.0)
+        owner, row, left, right = Spans.of(shape, view, lines[:-1], height=1.0)
         # Where a line just touches an object, rounding decides what that covers of it.
         fills = top[owner] < lines[row] - _TOUCHING
         fills &= bottom[owner] > lines[row + 1] + _TOUCHING
-        covering = Spans.of(shape, view.raster, lines)
+        covering = Spans.of(shape, view, lines)
         # One number for line and object: spans are sorted by it.  Last, a span of nothing.
         key = np.append(covering.row * top.size + covering.owner, -1)
         begin, end = np.append(covering.left, np.inf), np.append(covering.right, -np.inf)

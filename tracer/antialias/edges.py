@@ -117,14 +117,17 @@ class Seen(NamedTuple):
         d = rays(raster, self.hits.p[0][at] * ahead, self.hits.p[1][at] * ahead, self.size)
         return d, self.sheets.take(at).inverse(d)
 
-    def intersections(self, behind: Visible) -> Iterator[Margins]:
-        """Where surfaces meet those close `behind`."""
+    def intersections(self, hidden: Visible) -> Iterator[Margins]:
+        """Where surfaces meet those `hidden` behind them."""
         sample = self.hits.sample
         place = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
         place[sample] = np.arange(sample.size)
-        at = place[behind.sample]
-        d, inverse = self.rays(at)
-        yield self.cell[at], inverse - Sheets.of(behind).inverse(d)
+        at = place[hidden.sample]
+        # What a cell sees of two surfaces that meet there is as near as both footprints reach.
+        reach = self.footprint[at] + footprints_of(hidden, self.size)
+        near = indices(hidden.distance - self.hits.distance[at] <= reach)
+        d, inverse = self.rays(at[near])
+        yield self.cell[at[near]], inverse - Sheets.of(hidden).take(near).inverse(d)
 
     def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[Margins]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""

@@ -29,7 +29,7 @@ from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.suspicions import SceneWarning, suspicions
 from tracer.view.camera import raster_of
-from tracer.view.view import distinct, view_of
+from tracer.view.view import view_of
 
 __all__ = ["render", "render_compressed", "to_png"]
 
@@ -202,12 +202,11 @@ class _Picture:
         width, height = scene.width, scene.height
         right, down = shift.tolist()
         self.scene, self._per_side, self._lattice = scene, per_side, CENTRES
-        self._surfaces = distinct(scene.surfaces)
         self._raster = raster_of(scene.camera, width, height, (right, down))
         if per_side > 1:
             from tracer.antialias.refine import dense
 
-            if dense(view_of(self._raster, self._surfaces), per_side):
+            if dense(view_of(self._raster, scene.surfaces), per_side):
                 self._lattice = lattice = Lattice.of(per_side)
                 columns, rows = lattice.columns, lattice.rows
                 self._per_side, moved = 1, (right * columns, down * rows)
@@ -239,7 +238,7 @@ class _Picture:
     def prepared(self) -> tuple[Lighting, tuple[slice, slice]]:
         """The lighting, and the rows and columns of pixels in which something may be seen."""
         keep_heap()
-        view = view_of(self._raster, self._surfaces)
+        view = view_of(self._raster, self.scene.surfaces)
         rows, columns = view.frames.window(view.raster)
         across, down = self._lattice
         return lighting_of(self.scene, view), (

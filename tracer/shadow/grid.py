@@ -134,11 +134,13 @@ class LightGrid(NamedTuple):
         return result
 
 
-def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) -> LightGrid | None:
+def light_grid(
+    lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools, shades: Bools
+) -> LightGrid | None:
     """Fill the grid around lights (n, 3); None if nothing can be shaded.
 
-    `slack` (n,): by how much points on each object may be off; `lit` (n,): whether it may be seen,
-    as nothing else needs light.
+    `slack` (n,): by how much points on each object may be off; `lit`, `shades` (n,): whether it
+    may be seen, as nothing else needs light, and whether it may keep light from others.
     """
     if not (len(lights) and slack.size > 1 and lit.any()):
         return None
@@ -157,7 +159,7 @@ def light_grid(lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools) ->
     field[:] = -1
     field[octant[some[begin]]] = np.arange(begin.size)
     extents = np.array([_middle_part(rect[:, part]) for part in np.split(some, begin[1:])])
-    some = indices(field[octant] >= 0)
+    some = indices((field[octant] >= 0) & shades[owner])
     bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
     grid = LightGrid(
         light=light,

@@ -66,6 +66,6 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
         side=np.concatenate(side, axis=1),
         near_light=np.concatenate(near, axis=1),
         slack=slack,
-        grid=light_grid(lights, surfaces, slack, view.frames.in_picture(raster)),
+        grid=light_grid(lights, surfaces, slack, view.frames.in_picture(raster), ~view.repeated),
         across=_PART * sqrt(pixels / max(slack.size, 1)),
     )

@@ -49,10 +49,6 @@ class Boxes:
     planes : three (6, n)
         Planes through the eye and the edges of silhouettes (`silhouette_planes`): slope, tilt and
         level of  slope * s + tilt * g + level >= 0  inside, with the ray (s, g, depth).
-    slack : (6, n)
-        By how much rounding may change that, for rays that meet the box.
-    slope : (n,)
-        Bounds on how much the distance from the eye changes across an angle, for one unit of it.
     """
 
     flat: ClassVar = True
@@ -62,9 +58,7 @@ class Boxes:
     max_pt: Floats
     frames: Frames
     planes: Triple
-    slack: Floats
     eye_inside: Bools
-    slope: Floats
 
     @classmethod
     def of(cls, raster: Raster, surfaces: Surfaces) -> Boxes:
@@ -77,19 +71,14 @@ class Boxes:
         on = inside & (np.concatenate([low, high]) == 0)
         for plane, axis in zip((u, v, w), raster.axes, strict=True):
             np.copyto(plane, np.append(axis, -axis)[:, None], where=on)
-        slack = PLANE_ROUNDING * raster.longest() * (np.abs(u) + np.abs(v) + np.abs(w))
-        # The farthest corner, and the least height over a face that is seen.
-        farthest = np.sqrt(np.maximum(low * low, high * high).sum(axis=0))
-        height = np.where(inside, np.minimum(-low, high), np.maximum(low, -high))
-        slope = farthest / height.min(axis=0, initial=np.inf, where=height > 0)
-        frames, first = _frames(raster, low, high), surfaces.sphere_count
         planes = u, v, w * raster.depth
-        return cls(first, min_pt, max_pt, frames, planes, slack, inside, slope)
+        frames, first = _frames(raster, low, high), surfaces.sphere_count
+        return cls(first, min_pt, max_pt, frames, planes, inside)
 
     @property
     def count(self) -> int:
         """Number of boxes."""
-        return len(self.slope)
+        return len(self.eye_inside)
 
     @cached_property
     def size(self) -> Floats:
@@ -103,12 +92,14 @@ class Boxes:
         self, raster: Raster, owner: Ints, rows: Floats, height: float
     ) -> tuple[Floats, Floats]:
         """See `Spheres.ends`."""
-        box, g = owner - self.first, raster.down(rows)
+        box, g = owner - self.first, raster.down(rows + height / 2)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
+        # Rays that rounding may turn are in the row as well.
+        half = 0.5 * height * raster.step_v + PLANE_ROUNDING * raster.longest
         for k in range(6):
-            slope, tilt, level, slack = (m[k].take(box) for m in (*self.planes, self.slack))
+            slope, tilt, level = (m[k].take(box) for m in self.planes)
             # On whichever side of the row more is inside.
-            inside = tilt * g + np.maximum(tilt * (height * raster.step_v), 0) + level + slack
+            inside = tilt * g + np.abs(tilt) * half + level
             # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
             bound = -inside / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)

@@ -28,7 +28,7 @@ SQUARE_ROUNDING = 1e-13
 more than its rounding (16 e), and than what counts as on a sphere may be off it, 2 * 64 e."""
 
 PLANE_ROUNDING = 1e-12
-"""More than all roundings of a plane's coefficients, relative to their size."""
+"""A ray's direction, and the planes that bound boxes, err by less than this part of their size."""
 
 NEARLY_ZERO_POWER = 1e-14
 """|c|^2 - r^2, relative to |c|^2: less is little but rounding, and tangents hold its root, the

@@ -87,11 +87,11 @@ class Raster(NamedTuple):
         """Inverse of `down`."""
         return (g - self.shift_v) / self.step_v + self.height / 2
 
+    @property
     def longest(self) -> float:
-        """The largest |s| + |g| + depth of all rays in the picture, and two pixels around it."""
-        s = np.abs(self.across(np.array([-2.0, self.width + 2.0]))).max()
-        g = np.abs(self.down(np.array([-2.0, self.height + 2.0]))).max()
-        return float(s + g) + self.depth
+        """More than |s| + |g| + depth of any ray in the picture."""
+        shift = abs(self.shift_u) + abs(self.shift_v) + self.depth
+        return shift + self.width * self.step_u + self.height * self.step_v
 
 
 def raster_of(
@@ -150,7 +150,7 @@ class Frames(NamedTuple):
         rows = (raster.row(m * raster.depth) for m in down)
         return cls(*rows, *(raster.column(m * raster.depth) for m in right))
 
-    def take(self, index: Bools) -> Frames:
+    def take(self, index: Bools | slice) -> Frames:
         """Some of them."""
         return Frames(*(m[index] for m in self))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints, changes, expand, indices
 from tracer.view.camera import Raster
-from tracer.view.view import Shape
+from tracer.view.view import Shape, View
 
 # Spans are widened by this many pixels before rays are tried: far more than they err.
 _PAD = 0.5
@@ -35,20 +35,21 @@ class Spans(NamedTuple):
 
     @classmethod
     def of(
-        cls, shape: Shape, raster: Raster, rows: Floats, height: float = 0.0, pad: float = 0.0
+        cls, shape: Shape, view: View, rows: Floats, height: float = 0.0, pad: float = 0.0
     ) -> Spans:
         """Spans, some of them empty, of objects in ascending rows, widened by `pad` pixels.
 
         They are exact but for rounding in rows of no height, which are lines.
         """
-        frames = shape.frames
+        raster, first = view.raster, shape.first
+        frames = view.frames.take(slice(first, first + shape.count))
         beside = (frames.left - pad > raster.width + 1) | (frames.right + pad < -1)
         at = indices(~beside & (frames.top - pad - height <= rows[-1]))
-        first = rows.searchsorted(frames.top[at] - pad - height)
-        last = rows.searchsorted(frames.bottom[at] + pad, side="right")
-        which, row = expand(np.maximum(last - first, 0), first)
+        begin = rows.searchsorted(frames.top[at] - pad - height)
+        end = rows.searchsorted(frames.bottom[at] + pad, side="right")
+        which, row = expand(np.maximum(end - begin, 0), begin)
         at = at[which]
-        left, right = shape.ends(raster, at + shape.first, rows[row], height)
+        left, right = shape.ends(raster, at + first, rows[row], height)
         left, right = np.maximum(left, frames.left[at]), np.minimum(right, frames.right[at])
         # An object that is beside the picture in one row may enter it before the next: its span
         # there is empty, at the rim, but not left out.
@@ -56,7 +57,7 @@ class Spans(NamedTuple):
         keep = keep[row[keep].argsort(kind="stable")]
         # One column more than the picture has on either side: antialiasing looks there.
         left, right = (m[keep].clip(-1.0, raster.width + 1.0) for m in (left - pad, right + pad))
-        return cls(at[keep] + shape.first, row[keep], left, right)
+        return cls(at[keep] + first, row[keep], left, right)
 
 
 class Rows(NamedTuple):
@@ -93,13 +94,13 @@ class Rows(NamedTuple):
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def covered(self, shape: Shape, raster: Raster) -> tuple[Ints, Ints, Ints, Ints]:
+    def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
         """Spans of samples that may see objects of a shape.
 
         Returns the object, the index of the span's y among those of the samples, the first sample,
         and how many there are.
         """
-        owner, row, left, right = Spans.of(shape, raster, self.y, pad=_PAD)
+        owner, row, left, right = Spans.of(shape, view, self.y, pad=_PAD)
         columns = self.x.size
         first = self.x[0] + self.shift[row]
         start = np.ceil(left - first).astype(np.intp).clip(0, columns)
@@ -151,10 +152,10 @@ class Scattered(NamedTuple):
         """x and y of some samples."""
         return self.x[index], self.y[index]
 
-    def covered(self, shape: Shape, raster: Raster) -> tuple[Ints, Ints, Ints, Ints]:
+    def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
         """See `Rows.covered`: here each sample is a span of its own."""
         rows = self.row[changes(self.row)]
-        owner, row, left, right = Spans.of(shape, raster, rows, height=1.0, pad=_PAD)
+        owner, row, left, right = Spans.of(shape, view, rows, height=1.0, pad=_PAD)
         begin, half = rows[row] * self.wide, self.wide / 2
         start = self.place.searchsorted(begin + left.clip(-half, half))
         stop = self.place.searchsorted(begin + right.clip(-half, half), side="right")

@@ -32,10 +32,11 @@ class View(NamedTuple):
     boxes : Boxes
     frames, eye_inside
         As in `Spheres`, of all n objects, spheres first.
-    slope : (n,)
-        As in `Boxes`, 0 for spheres.
     curvature : (n,)
         One over the radius; 0 for planes.
+    repeated : (n,)
+        Whether an object equals one that is earlier in the file: it is never seen, and shades
+        nothing more.
     layers : float
         How many objects at most lie behind a sample, on average over any row.
     """
@@ -46,8 +47,8 @@ class View(NamedTuple):
     boxes: Boxes
     frames: Frames
     eye_inside: Bools
-    slope: Floats
     curvature: Floats
+    repeated: Bools
     layers: float
 
     @property
@@ -65,6 +66,8 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
     """Prepare surfaces to be seen from a raster's eye."""
     spheres, boxes = Spheres.of(raster, surfaces), Boxes.of(raster, surfaces)
     frames = Frames(*map(np.append, spheres.frames, boxes.frames))
+    same = _repeated(surfaces)
+    frames = frames._replace(top=np.where(same, np.inf, frames.top))
     return View(
         raster=raster,
         surfaces=surfaces,
@@ -72,43 +75,23 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
         boxes=boxes,
         frames=frames,
         eye_inside=np.append(spheres.eye_inside, boxes.eye_inside),
-        slope=np.append(np.zeros(spheres.count), boxes.slope),
         curvature=np.append(1 / spheres.radius, np.zeros(boxes.count)),
+        repeated=same,
         layers=frames.layers(raster),
     )
 
 
-def distinct(surfaces: Surfaces) -> Surfaces:
-    """Leave out all that repeat an earlier surface: they are never seen, and shade nothing more."""
-    spheres = np.column_stack([surfaces.center, surfaces.radius])
-    boxes = np.concatenate([surfaces.min_pt, surfaces.max_pt], axis=1)
-    sphere = _first_of_equal(spheres, surfaces.sphere_index)
-    box = _first_of_equal(boxes, surfaces.box_index)
-    if sphere.size + box.size == len(surfaces):
-        return surfaces
-    index = np.append(surfaces.sphere_index[sphere], surfaces.box_index[box])
-    index = index.argsort().argsort()
-    return Surfaces(
-        center=surfaces.center[sphere],
-        radius=surfaces.radius[sphere],
-        sphere_shader=surfaces.sphere_shader[sphere],
-        sphere_index=index[: sphere.size],
-        min_pt=surfaces.min_pt[box],
-        max_pt=surfaces.max_pt[box],
-        box_shader=surfaces.box_shader[box],
-        box_index=index[sphere.size :],
-        shaders=surfaces.shaders,
-    )
-
-
-def _first_of_equal(table: Floats, index: Ints) -> Ints:
-    """Rows (n, m) that equal none with a smaller index."""
-    # One column mostly tells all rows apart: to sort by all takes several times as long.
-    column = np.sort(table[:, 0])
-    if np.all(column[1:] != column[:-1]):
-        return np.arange(len(table))
-    order = np.lexsort((index, *table.T))
-    return np.sort(order[changes(*table[order].T)])
+def _repeated(surfaces: Surfaces) -> Bools:
+    """See `View.repeated`."""
+    radius = surfaces.radius[:, None]
+    spheres = np.hstack([surfaces.center, radius, radius, radius + np.inf])  # no box ends there
+    numbers = np.vstack([spheres, np.hstack([surfaces.min_pt, surfaces.max_pt])]).T
+    # By one number that hardly any others share: equal objects then follow each other.
+    number = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
+    order = np.lexsort((surfaces.file_index, number))
+    repeated = np.empty(order.size, dtype=np.bool_)
+    repeated[order] = ~changes(*numbers[:, order])
+    return repeated
 
 
 class Group(NamedTuple):

@@ -11,11 +11,8 @@ from tracer.arrays import Bools, Floats, Index, Ints, changes, expand, indices, 
 from tracer.view.samples import Samples, Scattered
 from tracer.view.view import Group, Shape, View, Visible
 
-# How much distances change across an angle counts as at least and at most so much, for one unit.
-_LEAST_SLOPE, _MOST_SLOPE = 32.0, 8192.0
-
-# Samples farther apart, in pixels, across or in depth, are no neighbours.
-_GAP = 4.0
+# Runs of scattered samples end at the borders of squares of so many pixels.
+_TILE = 4.0
 
 # With this many samples or more, an object is worth arrays of its own, with its data as numbers.
 _LARGE = 16384
@@ -27,16 +24,15 @@ def visible(view: View, samples: Samples) -> Visible:
     return _hits(view, samples, _seen(view, groups, _nearest(samples, groups)))
 
 
-def visible_and_behind(view: View, samples: Samples, size: float) -> tuple[Visible, Visible]:
-    """The `visible` surfaces, and those so close behind that the two may cross nearby.
-
-    Nearby is within the cell of the sample, a square of `size` pixels around it.
-    """
+def visible_and_hidden(view: View, samples: Samples) -> tuple[Visible, Visible]:
+    """The `visible` surfaces, and all that are hidden behind them."""
     groups = _fragments(view, samples)
     nearest = _nearest(samples, groups)
-    seen = _seen(view, groups, nearest)
-    behind = _close_behind(view, samples, groups, seen, nearest, size)
-    return _hits(view, samples, seen), _hits(view, samples, behind)
+    hidden = [g.where((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
+    return (
+        _hits(view, samples, _seen(view, groups, nearest)),
+        _hits(view, samples, hidden),
+    )
 
 
 class _Fragments(NamedTuple):
@@ -69,11 +65,8 @@ class _Fragments(NamedTuple):
 
     def where(self, mask: Bools) -> _Fragments:
         """The pairs where the mask holds."""
-        return self.take(indices(mask))
-
-    def take(self, index: Ints) -> _Fragments:
-        """Some of the pairs, in order."""
-        if index.size == self.t.size:
+        index = indices(mask)
+        if index.size == mask.size:
             return self
         if isinstance(self.span, slice):
             spans = self._replace(owner=select(self.owner, index), g=self.g[index])
@@ -92,7 +85,7 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     raster, found = view.raster, []
     s, down = samples.across(raster), raster.down(samples.y)
     for shape in view.shapes:
-        owners, rows, first, counts = samples.covered(shape, raster)
+        owners, rows, first, counts = samples.covered(shape, view)
         size = np.bincount(owners, counts, minlength=len(view.surfaces))
         small = indices((size[owners] < _LARGE) & (counts > 0))
         parts: list[tuple[Index, Ints]] = [(owners[small], small)] if small.size else []
@@ -136,38 +129,6 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
     return [g.where(m == least.take(g.sample)) for g, m in zip(first, places, strict=True)]
 
 
-def _close_behind(
-    view: View,
-    samples: Samples,
-    groups: list[_Fragments],
-    seen: list[_Fragments],
-    nearest: Floats,
-    size: float,
-) -> list[_Fragments]:
-    """Fragments so close behind the nearest of their samples: see `visible_and_behind`."""
-    raster = view.raster
-    pixel = size * max(raster.step_u, raster.step_v)
-    slope = view.slope.clip(_LEAST_SLOPE, _MOST_SLOPE)
-    ahead = np.full(samples.size, _LEAST_SLOPE)
-    for group in seen:
-        ahead[group.sample] = select(slope[group.owner], group.span)
-    behind = []
-    for group in groups:
-        first = nearest[group.sample]
-        # From a pixel's centre to where the two cross, each distance changes by at most its slope
-        # times half the diagonal.
-        step = 2 * pixel * np.maximum(ahead[group.sample], select(slope[group.owner], group.span))
-        # No direction is shorter than `depth`, so this keeps all that is close enough; the lengths
-        # of directions are then computed for these few alone.
-        most = first * (1 + 2 * step / raster.depth)
-        at = indices((group.t > first) & (group.t < most))
-        close, first, step = group.take(at), first[at], step[at]
-        s, g = close.s, select(close.g, close.span)
-        gap = (close.t - first) * np.sqrt(s * s + (g * g + raster.depth**2))
-        behind.append(close.where(gap < step * first))
-    return behind
-
-
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     """Visible of fragments that are seen."""
     raster = view.raster
@@ -181,7 +142,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
         np.multiply(part.t, raster.depth, out=here[2])
         surface = part.shape.surface(raster, owner, span, here, part.t, part.detail)
         groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
-    first, owner, begin = _runs(view, samples, groups, p[2])
+    first, owner, begin = _runs(samples, groups)
     x, y = samples.at(begin)
     return Visible(
         view=view,
@@ -195,26 +156,15 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     )
 
 
-def _runs(
-    view: View, samples: Samples, groups: list[Group], ahead: Floats
-) -> tuple[Ints, Ints, Ints]:
-    """Runs of hits, as in `Visible.first`: the first hit, the object, and the first sample of each.
-
-    `ahead` (n,): how far ahead of the eye hits are.
-    """
+def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
+    """Runs of hits, as in `Visible.first`: the first hit, object, and first sample of each."""
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
-    if isinstance(samples, Scattered):
-        raster = view.raster
-        gap = _GAP * max(raster.step_u, raster.step_v) / raster.depth
-        apart = np.diff(samples.x, prepend=0) > _GAP
-        piece = np.cumsum(apart | changes(samples.row))
     for group in groups:
         same: list[Any] = [4 * group.face + group.sign, group.span]
         if isinstance(samples, Scattered):
-            w = ahead[group.part]
-            jump = np.cumsum(np.abs(np.diff(w, prepend=w[:1])) > gap * w)
-            same[1:] = piece[group.sample], jump, group.spread(group.owner)
+            tile = np.floor(samples.x[group.sample] / _TILE)
+            same[1:] = samples.row[group.sample], tile, group.spread(group.owner)
         first = indices(changes(*(m for m in same if np.ndim(m))))
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(group.spread(group.owner), group.sample.shape)[first])
