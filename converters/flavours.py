@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import atan, degrees, isqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,13 +51,12 @@ def convert(
     beyond those of float32, and for too many square pixels.
     """
     count = SAMPLES[flavour] if samples is None else samples
-    if flavour == "stock-lights":
-        return _stock_lights(scene, picture, count)
-    return (exact if flavour == "exact" else stock)(scene, count), None
+    if flavour == "exact":
+        return exact(scene, count), None
+    return _stock(scene, count, picture if flavour == "stock-lights" else None)
 
 
-@dataclass(frozen=True, slots=True)
-class Normalisation:
+class Normalisation(NamedTuple):
     """Moves and scales a scene, p -> (p - center) * scale, which changes no picture."""
 
     center: Floats
@@ -89,7 +89,7 @@ def _stock_place(scene: Scene) -> Normalisation:
         place = Normalisation(np.zeros(3), 1.0)
     largest = place.scale * float(scene.surfaces.radius.max(initial=0))
     if largest > _LARGEST_RADIUS:
-        place = replace(place, scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
+        place = place._replace(scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
     return place
 
 
@@ -153,11 +153,16 @@ def exact(scene: Scene, samples: int = 1) -> str:
     parts = [
         plugin("integrator", "every_light", tolerance=_TOLERANCE_ROUNDINGS * largest * 2.0**-24),
         _exact_sensor(scene, place, samples),
-        *(_exact_emitter(light, place) for light in scene.lights),
-        *(_exact_bsdf(shader, name) for name, shader in bsdfs.items()),
-        *_shapes(scene, place, names),
     ]
-    return document(_EXACT.format(moved=place), parts)
+    for light in scene.lights:
+        position = xyz("point", "position", place(np.array(light.position)))
+        intensity = xyz("vector", "intensity", light.intensity)
+        parts.append(plugin("emitter", "unattenuated_point", position, intensity))
+    for name, shader in bsdfs.items():
+        phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
+        lobes = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
+        parts.append(plugin("bsdf", "blinn_phong", *lobes, name=name, exponent=phong.exponent))
+    return document(_EXACT.format(moved=place), [*parts, *_shapes(scene, place, names)])
 
 
 def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
@@ -165,8 +170,7 @@ def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
     window = window_of(scene.camera)
     right, down, _ = window.axes
     # A little wider than the scene, so that no ray starts on a surface.
-    low, high = place(bounds(scene.surfaces))
-    margin = 1e-3 * _EXTENT
+    (low, high), margin = place(bounds(scene.surfaces)), 1e-3 * _EXTENT
     return plugin(
         "sensor",
         "window",
@@ -179,18 +183,6 @@ def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
         _film(scene),
         plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )
-
-
-def _exact_emitter(light: PointLight, place: Normalisation) -> str:
-    position = xyz("point", "position", place(np.array(light.position)))
-    intensity = xyz("vector", "intensity", light.intensity)
-    return plugin("emitter", "unattenuated_point", position, intensity)
-
-
-def _exact_bsdf(shader: Shader, name: str) -> str:
-    phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-    lobes = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
-    return plugin("bsdf", "blinn_phong", *lobes, name=name, exponent=phong.exponent)
 
 
 def squared(scene: Scene) -> Scene:
@@ -230,31 +222,25 @@ a pixel, not {width} x {given}.
 """
 
 
-@_QUIET
 def stock(scene: Scene, samples: int = 64) -> str:
     """By stock plugins, a similar picture: point lights that fall off."""
-    place, strength = _stock_place(scene), gain(scene.surfaces)
-    seen = visible_points(scene)
-    if not len(seen):
-        seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
-    lights = [_point(light, place, strength, place(seen)) for light in scene.lights]
-    return _stock_document(scene, samples, place, _POINTS, lights)
+    return _stock(scene, samples, None)[0]
 
 
 @_QUIET
-def _stock_lights(scene: Scene, picture: str, samples: int) -> tuple[str, bytes]:
-    """By stock plugins, with projectors that do not fall off, and the contents of `picture`."""
-    place, strength = _stock_place(scene), gain(scene.surfaces)
-    found, shown = projectors(scene)
-    lights = [_projector(projector, place, strength, picture) for projector in found]
-    return _stock_document(scene, samples, place, _PROJECTORS, lights), shown
-
-
-def _stock_document(
-    scene: Scene, samples: int, place: Normalisation, note: str, lights: list[str]
-) -> str:
+def _stock(scene: Scene, samples: int, picture: str | None) -> tuple[str, bytes | None]:
+    """By stock plugins, with point lights or, where they have a `picture`, with projectors."""
+    place, square, strength = _stock_place(scene), squared(scene), gain(scene.surfaces)
     names, bsdfs = _bsdf_names(scene.surfaces)
-    square, strength = squared(scene), gain(scene.surfaces)
+    shown = None
+    if picture is None:
+        seen = visible_points(scene)
+        if not len(seen):
+            seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
+        lights = [_point(light, place, strength, place(seen)) for light in scene.lights]
+    else:
+        found, shown = projectors(scene)
+        lights = [_projector(projector, place, strength, picture) for projector in found]
     parts = [
         # Light straight from the lights, of which one is picked at random for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
@@ -264,9 +250,13 @@ def _stock_document(
         *_shapes(scene, place, names),
     ]
     film = _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
-    film = film if square.height != scene.height else ""
-    moved = "" if place.scale == 1 and not place.center.any() else place
-    return document(_STOCK.format(lights=note, film=film, gain=strength, moved=moved), parts)
+    comment = _STOCK.format(
+        lights=_POINTS if picture is None else _PROJECTORS,
+        film=film if square.height != scene.height else "",
+        gain=strength,
+        moved="" if place.scale == 1 and not place.center.any() else place,
+    )
+    return document(comment, parts), shown
 
 
 def _evenly(samples: int, lights: int) -> int:
@@ -324,15 +314,10 @@ def _point(light: PointLight, place: Normalisation, strength: float, seen: Float
 
 def _projector(projector: Projector, place: Normalisation, strength: float, picture: str) -> str:
     zoom = projector.zoom
-    to_uv = xyz("scale", None, (zoom, zoom, 1)), xyz("translate", None, (*projector[3:], 0))
-    texture = plugin(
-        'texture name="irradiance"',
-        "bitmap",
-        element('transform name="to_uv"', *to_uv),
-        filename=picture,
-        raw=True,
-        filter_type="nearest",
-    )
+    steps = xyz("scale", None, (zoom, zoom, 1)), xyz("translate", None, (*projector[3:], 0))
+    to_uv = element('transform name="to_uv"', *steps)
+    shown = 'texture name="irradiance"'
+    texture = plugin(shown, "bitmap", to_uv, filename=picture, raw=True, filter_type="nearest")
     to_world = _to_world(window_of(projector.camera), place)
     scale = strength * projector.brightest * place.scale**2
     return plugin("emitter", "projector", to_world, texture, fov=90.0, scale=scale)
@@ -365,11 +350,8 @@ def _stock_bsdf(shader: Shader, name: str, strength: float) -> str:
             distribution="beckmann",
             alpha=(2 / (shader.exponent + 2)) ** 0.5,
         )
-        bsdf = plugin("bsdf", "blendbsdf", _diffuse(2 * diffuse / strength), lobe, weight=0.5)
+        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / strength))
+        bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:
-        bsdf = _diffuse(diffuse / strength)
+        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / strength))
     return plugin("bsdf", "twosided", bsdf, name=name)
-
-
-def _diffuse(reflectance: Floats) -> str:
-    return plugin("bsdf", "diffuse", rgb("reflectance", reflectance))

@@ -37,9 +37,8 @@ def plugin(
 def _value(name: str, value: bool | int | float | str) -> str:
     """A parameter of one value."""
     kind = {bool: "boolean", int: "integer", float: "float", str: "string"}[type(value)]
-    if isinstance(value, bool):
-        value = str(value).lower()
     text = _number(name, value) if isinstance(value, float) else str(value)
+    text = text.lower() if kind == "boolean" else text
     return f'<{kind} name="{name}" value={quoteattr(text)}/>'
 
 

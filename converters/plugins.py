@@ -123,14 +123,6 @@ class BlinnPhong(mi.BSDF):
         return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
 
 
-def _exit(box: mi.ScalarBoundingBox3f, p: mi.Point3f, d: mi.Vector3f) -> mi.Float:
-    """Distance from a point inside a box to a little beyond it, in direction `d`."""
-    size = dr.max(box.max - box.min)
-    inverse = dr.rcp(dr.select(dr.abs(d) > 1e-20, d, 1e-20))
-    far = dr.maximum((box.min - p) * inverse, (box.max - p) * inverse)
-    return dr.min(far) + 1e-3 * size
-
-
 class EveryLight(mi.SamplingIntegrator):
     """Light that comes straight from every emitter.
 
@@ -153,14 +145,16 @@ class EveryLight(mi.SamplingIntegrator):
         if valid is False:
             # In a scalar variant, where a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
-        bsdf = si.bsdf(ray)
+        bsdf, box = si.bsdf(ray), scene.bbox()
         total = mi.Spectrum(0)
         for emitter in scene.emitters():
             ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
             value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
             facing = valid & dr.any(value > 0)
-            # It starts a little before the light, which may lie on a surface.
-            reach = dr.minimum(ds.dist - self.tolerance, _exit(scene.bbox(), si.p, ds.d))
+            # It starts a little before the light, which may lie on a surface, or beyond the scene.
+            inverse = dr.rcp(dr.select(dr.abs(ds.d) > 1e-20, ds.d, 1e-20))
+            far = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
+            reach = dr.minimum(ds.dist - self.tolerance, far + 1e-3 * dr.max(box.max - box.min))
             shadow_ray = mi.Ray3f(si.p + reach * ds.d, -ds.d)
             first = scene.ray_intersect_preliminary(shadow_ray, active=facing)
             height = (reach - first.t) * dr.abs(dr.dot(ds.d, si.n))

@@ -27,15 +27,7 @@ _SIDE, _LARGEST = 256, 3072
 _LEAST = 1 / 256
 
 # Directions to the middle of each face of a cube, and to its upper side.
-_FACES = [
-    face
-    for s in (1.0, -1.0)
-    for face in (
-        ((s, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        ((0.0, s, 0.0), (0.0, 0.0, 1.0)),
-        ((0.0, 0.0, s), (1.0, 0.0, 0.0)),
-    )
-]
+_FACES = [(s * np.eye(3)[k] + 0, np.eye(3)[k - 2]) for s in (1, -1) for k in range(3)]
 
 
 class Projector(NamedTuple):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
 _MOST_SAMPLES = 2**32 - 1
 
 
-@dataclass(frozen=True, slots=True)
-class Rendering:
+class Rendering(NamedTuple):
     """A picture by Mitsuba: (h, w, 3) float64, linear; by which variant, in how many seconds."""
 
     image: Floats
@@ -45,8 +44,7 @@ def render_mitsuba(
     given.  Raises ImportError for a variant that does not work, ValueError for more samples than
     Mitsuba can count and for what `convert` refuses.
     """
-    side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
-    every = scene.width * scene.height * side**2
+    every = scene.width * scene.height * (isqrt((samples or SAMPLES[flavour]) - 1) + 1) ** 2
     if every > _MOST_SAMPLES:
         raise ValueError(
             f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"

@@ -12,8 +12,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 try:
     import mitsuba as mi
@@ -37,8 +37,7 @@ assert abs(dr.mean(hit.t)[0] - 2) < .1
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(NamedTuple):
     """A variant, and why it was chosen."""
 
     variant: str

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -47,18 +46,12 @@ __all__ = [
     "resemblance",
 ]
 
-EDGE_SHIFT = 0.003
-"""How far a sample moves, in pixels and both ways, to see whether an edge is near."""
-EDGE_CHANGE = 1e-2
-"""What change of linear radiance makes an edge."""
-MAX_MASKED = 0.015
-"""Largest share of a picture that may be masked."""
-MIN_SSIM = 0.999
-"""Least SSIM of the two pictures, masked pixels included."""
-MAX_DIFFERENCE = 1e-4
-"""Largest difference in linear radiance outside the mask."""
-MAX_MEDIAN = 1e-6
-"""Largest median of these differences."""
+EDGE_SHIFT = 0.003  # how far a sample moves, in pixels and both ways, to see if an edge is near
+EDGE_CHANGE = 1e-2  # what change of linear radiance makes an edge
+MAX_MASKED = 0.015  # largest share of a picture that may be masked
+MIN_SSIM = 0.999  # least SSIM of the two pictures, masked pixels included
+MAX_DIFFERENCE = 1e-4  # largest difference in linear radiance outside the mask
+MAX_MEDIAN = 1e-6  # largest median of these differences
 
 # Exact arithmetic is slow: of more pixels that differ some are traced, evenly chosen.
 _MOST_ASKED = 500
@@ -68,28 +61,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The result of a comparison.
+    """The result of a comparison of two linear pictures, (h, w, 3) float64.
 
-    Attributes
-    ----------
-    tracer, mitsuba : (h, w, 3) float64
-        The two pictures, linear.
-    reference : (h, w, 3) float64
-        Mitsuba's, but the tracer's where exact arithmetic says that Mitsuba errs.
-    mask : (h, w) bool
-        Edge pixels that differ, which do not count.
-    figures : Figures
-        Of `tracer` against `reference`, outside the mask, in units of the brightest pixel where
-        that is more than 1; the SSIM is of the whole picture.
-    variant : str
-        Mitsuba's.
-    tracer_seconds, mitsuba_seconds : float
-        Rendering times, warm where that makes a difference.
-    differing, asked, agreed : int
-        Pixels that differ outside the mask; of these, those that were traced exactly; of these,
-        those on which the tracer is right.
-    judged : bool
-        Whether the pictures should be the same, and not only similar.
+    `reference` is Mitsuba's, but the tracer's where exact arithmetic says that Mitsuba errs.
+    `mask` (h, w) marks edge pixels that differ, which do not count.  The figures are of `tracer`
+    against `reference`, outside the mask, in units of the brightest pixel where that is more than
+    1; the SSIM is of the whole picture.  Times are warm where that makes a difference.
     """
 
     name: str
@@ -102,9 +79,12 @@ class CheckResult:
     tracer_seconds: float
     mitsuba_seconds: float
     differing: int = 0
+    """Pixels that differ outside the mask, of which `asked` were traced exactly."""
     asked: int = 0
     agreed: int = 0
+    """Pixels among these on which the tracer is right."""
     judged: bool = True
+    """Whether the pictures should be the same, and not only similar."""
 
     @property
     def remark(self) -> str:
@@ -114,10 +94,8 @@ class CheckResult:
         pixels = f"{self.differing} pixel{'s' * (self.differing != 1)}"
         if self.agreed == self.asked:
             return f"Mitsuba errs on {pixels}, says exact arithmetic (asked about {self.asked})"
-        return (
-            f"exact arithmetic, asked about {self.asked} of the {pixels} that differ,"
-            f" agrees with the tracer on {self.agreed}"
-        )
+        asked = f"exact arithmetic, asked about {self.asked} of the {pixels} that differ"
+        return f"{asked}, agrees with the tracer on {self.agreed}"
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -183,16 +161,15 @@ def check(
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Compare all light, by this project's plugins."""
     rendered = load(exact(scene), variant=variant)
-    rendering = rendered()
-    if rendering.variant == LLVM:
-        # The first time compiles the kernel.
-        rendering = rendered()
-    return compare(scene, name, rendering)
+    if use(variant).variant == LLVM:
+        rendered()  # compiles the kernel
+    return compare(scene, name, rendered())
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Compare diffuse light, by Mitsuba's own parts, in square pixels."""
-    matte = _matte(scene)
+    surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
+    matte = replace(squared(scene), surfaces=Surfaces.of(surfaces))
     return compare(matte, f"{name}, diffuse light by stock plugins", _diffuse(matte, variant))
 
 
@@ -200,11 +177,10 @@ def resemblance(
     scene: Scene, name: str, variant: str | None = None, flavour: str = "stock-lights"
 ) -> CheckResult:
     """Compare the smooth picture with that of a stock flavour, in square pixels."""
-    square, start = squared(scene), perf_counter()
-    image = render(square, samples=16)
+    start = perf_counter()
+    image = render(squared(scene), samples=16)
     middle = perf_counter()
     similar = render_mitsuba(scene, variant=variant, flavour=flavour)
-    end = perf_counter()
     return CheckResult(
         name=f"{name}, {flavour} flavour",
         tracer=image,
@@ -214,7 +190,7 @@ def resemblance(
         figures=figures(image, similar),
         variant=use(variant).variant,
         tracer_seconds=middle - start,
-        mitsuba_seconds=end - middle,
+        mitsuba_seconds=perf_counter() - middle,
         judged=False,
     )
 
@@ -259,12 +235,6 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
     )
 
 
-def _matte(scene: Scene) -> Scene:
-    """A scene with the diffuse part of every shader alone, in square pixels."""
-    surfaces = [replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces]
-    return replace(squared(scene), surfaces=Surfaces.of(surfaces))
-
-
 def _diffuse(scene: Scene, variant: str | None) -> Rendering:
     """Render a matte scene by Mitsuba's own parts alone.
 
@@ -291,17 +261,16 @@ def _diffuse(scene: Scene, variant: str | None) -> Rendering:
     return Rendering(image, use(variant).variant, perf_counter() - start)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a table of how similar the stock flavours are, in Markdown; returns 0."""
+def main() -> None:
+    """Print a table of how similar the stock flavours are, in Markdown."""
     used = parser("reference.check", __doc__)
-    used.parse_args(arguments)
+    used.parse_args()
     need_scenes(used)
     print("| scene | stock | stock-lights |\n|---|---|---|")
     for path in own_scenes():
         scene = load_small(path)
         found = (resemblance(scene, "", None, name) for name in ("stock", "stock-lights"))
         print(f"| {path.stem} |", " | ".join(f"{f.figures.ssim:.3f}" for f in found), "|")
-    return 0
 
 
 if __name__ == "__main__":
