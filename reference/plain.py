@@ -1,14 +1,9 @@
-"""A plain renderer of the scene format: every ray against every object.
+"""The format's picture by the plainest means: all rays against all objects.  Read this first.
 
-    python -m reference.plain SCENE.xml [-o PICTURE.png] [--arithmetic decimal] ...
-
-Read it first: it says in few lines what a picture of the format is, and takes its time for it.
-Of the tracer it knows nothing but the scene, so that it can judge it:
-
-* In decimals of 80 digits it is the oracle.  Lengths that agree to 50 digits are equal, since the
-  scene's own numbers have 16: contact and ties are decided exactly.
-* In float32, with the textbook's quadratic or with an epsilon for shadows, it is what the
-  stability chart (`reference.stability`) shows to fail.
+Of the tracer it knows nothing but the scene, so that it can judge it: in decimals of 80 digits it
+is the oracle.  Lengths that agree to 50 digits are equal, since the scene's own numbers have 16:
+contact and ties are decided exactly.  In float32, with the textbook's quadratic or with an epsilon
+for shadows, it is what the stability chart (`reference.stability`) shows to fail.
 
 The nearest root t > 0 of a camera ray is seen; of equal ones the first in the file.  With the eye
 inside an object, or on it, that is the far root, and the normal points inwards.
@@ -18,17 +13,16 @@ from __future__ import annotations
 
 import decimal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reference.command import parser, run
-from tracer import Phong, Scene, SceneFileError, Shader, Sphere, load_scene, write_png
+from tracer import Phong, Scene, SceneFileError, Sphere, load_scene, write_png
 from tracer.commands import printable
 
 __all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "Seen", "render", "trace"]
@@ -50,6 +44,18 @@ ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Array], float]] = {
     "decimal": (_decimal, 1e-50),
 }
 """A cast to the numbers to compute in; and the length, relative to the scene's, that is none."""
+
+
+def _dot(a: Array, b: Array) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _norm(a: Array) -> Any:
+    return np.sqrt(_dot(a, a))
+
+
+def _unit(a: Array) -> Any:
+    return a / _norm(a)
 
 
 def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
@@ -87,54 +93,57 @@ def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 SPHERES = {"closest": closest_approach, "textbook": textbook, "expanded": expanded}
 """From origin, direction, centre and radius to near and far t; NaN where the ray misses."""
 
-
-def _ulps(p: Array, n: Array) -> tuple[Array, float]:
-    """Wächter and Binder (Ray Tracing Gems, ch. 6), with their constants."""
-    return p + n * np.where(np.abs(p) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(p))), 0
-
-
-SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]] | None] = {
-    "exact": None,
+SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
+    "exact": lambda p, n: (p, 0),
     "t>0": lambda p, n: (p, 0),
     "t>1e-4": lambda p, n: (p, 1e-4),
     "t>1e-6": lambda p, n: (p, 1e-6),
     "normal": lambda p, n: (p + 1e-4 * n, 0),
-    "ulps": _ulps,
+    # Wächter and Binder (Ray Tracing Gems, ch. 6), with their constants.
+    "ulps": lambda p, n: (
+        p + n * np.where(np.abs(p) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(p))),
+        0,
+    ),
 }
 """From point and normal to where the shadow ray starts, and the least length t that blocks.
 
-The first needs neither: it leaves out the own object, which is exact, since all are convex.
+The first leaves out the own object, which is exact, since all are convex.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
+class Seen(NamedTuple):
     """Views of n rays: linear RGB, the surface's place in the file or -1, lights that reach it."""
 
     radiance: NDArray[np.float64]
     surface: NDArray[np.intp]
-    lit: NDArray[np.bool_]
-    """(lights, n)"""
+    lit: NDArray[np.bool_]  # (lights, n)
 
 
 class _Plain:
     """A scene in numbers of one arithmetic, with the methods to trace it by."""
 
-    def __init__(self, scene: Scene, arithmetic: str, spheres: str, shadows: str) -> None:
-        self.scene, self.surfaces = scene, scene.surfaces[:]
-        cast, contact = ARITHMETICS[arithmetic]
-        self.cast, self.roots, self.start = cast, SPHERES[spheres], SHADOWS[shadows]
-        self.eye = cast(scene.camera.view_point)[:, None]
-        self.lights = [cast(light.position)[:, None] for light in scene.lights]
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        arithmetic: str = "float64",
+        spheres: str = "closest",
+        shadows: str = "exact",
+    ) -> None:
+        self.scene, self.surfaces, self.exact = scene, scene.surfaces[:], shadows == "exact"
+        self.cast, contact = ARITHMETICS[arithmetic]
+        self.roots, self.start = SPHERES[spheres], SHADOWS[shadows]
+        self.eye = self.cast(scene.camera.view_point)[:, None]
+        self.lights = [self.cast(light.position)[:, None] for light in scene.lights]
         self.is_sphere = [isinstance(s, Sphere) for s in self.surfaces]
-        self.shapes = [
-            (cast(s.center)[:, None], cast([s.radius]))
-            if isinstance(s, Sphere)
-            else (cast(s.min_pt)[:, None], cast(s.max_pt)[:, None])
+        # Centre and radius, or lowest and highest corner.
+        pairs = [
+            (s.center, [s.radius]) if isinstance(s, Sphere) else (s.min_pt, s.max_pt)
             for s in self.surfaces
         ]
+        self.shapes = [(self.cast(a)[:, None], self.cast(b)[:, None]) for a, b in pairs]
         lengths = [self.eye, *self.lights, *(v for pair in self.shapes for v in pair)]
-        self.contact = cast(contact)
+        self.contact = self.cast(contact)
         self.none = self.contact * max(np.abs(v).max() for v in lengths)
         self.inside = [bool(self.side(i, self.eye)[0] <= 0) for i in range(len(self.shapes))]
 
@@ -142,11 +151,28 @@ class _Plain:
         """Numbers of which those no larger than `most` become 0."""
         return np.where(np.abs(v) <= most, self.cast(0), v) if self.contact else v
 
+    def settled(self, d: Array) -> Array:
+        """Directions, of which those that nearly lie in a plane of two axes lie in it."""
+        return self.zeroed(d, self.contact * np.abs(d).max(axis=0))
+
     def side(self, i: int, p: Array) -> Array:
         """Signed distance of points from a surface: 0 on it, negative inside."""
         a, b = self.shapes[i]
-        gap = _norm(p - a) - b if self.is_sphere[i] else np.maximum(a - p, p - b).max(axis=0)
+        gap = _norm(p - a) - b[0] if self.is_sphere[i] else np.maximum(a - p, p - b).max(axis=0)
         return self.zeroed(gap, self.none)
+
+    def rays(self, x: Array, y: Array) -> Array:
+        """Return directions (3, n) from the eye to the window, for places in pixels."""
+        cast, camera = self.cast, self.scene.camera
+        width, height = self.scene.width, self.scene.height
+        ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
+        w = -w if _dot(w, ahead) > 0 else w
+        u = _unit(np.cross(cast(camera.view_up), w))
+        v = np.cross(w, u)
+        right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
+        up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
+        middle = ahead * cast(camera.proj_distance)
+        return self.settled(middle[:, None] + np.outer(u, right) + np.outer(v, up))
 
     def slabs(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
         """Return t (3, n) at which rays enter and leave a box, closed or open, along each axis."""
@@ -160,26 +186,9 @@ class _Plain:
     def intersect(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
         """Near and far t (n,) of rays with a surface; near <= far unless they miss."""
         if self.is_sphere[i]:
-            return self.roots(o, d, *self.shapes[i])
+            return self.roots(o, d, self.shapes[i][0], self.shapes[i][1][0])
         near, far = self.slabs(i, o, d, closed)
         return near.max(axis=0), far.min(axis=0)
-
-    def rays(self, x: Array, y: Array) -> Array:
-        """Return directions (3, n) from the eye to the window, for places in pixels."""
-        cast, camera = self.cast, self.scene.camera
-        width, height = self.scene.width, self.scene.height
-        ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
-        w = -w if _dot(w, ahead) > 0 else w
-        u = _unit(np.cross(cast(camera.view_up), w))
-        v = np.cross(w, u)
-        right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
-        up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
-        middle = ahead * cast(camera.proj_distance)
-        return self.settled(np.array([middle[k] + right * u[k] + up * v[k] for k in range(3)]))
-
-    def settled(self, d: Array) -> Array:
-        """Directions, of which those that nearly lie in a plane of two axes lie in it."""
-        return self.zeroed(d, self.contact * np.abs(d).max(axis=0))
 
     def trace(self, x: Array, y: Array) -> Seen:
         """Find what rays see, and shade it."""
@@ -198,11 +207,10 @@ class _Plain:
         for light, position, reached in zip(self.scene.lights, self.lights, lit, strict=True):
             reached[seen] = self.reached(own, p, n, position)
             wi, wo = _unit(position - p), -_unit(d)
-            for i in np.unique(own).tolist():
+            for i in np.unique(own[reached[seen]]).tolist():
                 mine = np.flatnonzero(reached[seen] & (own == i))
-                shader = self.surfaces[i].shader
-                shade = self.reflected(shader, n.take(mine, 1), wi.take(mine, 1), wo.take(mine, 1))
-                radiance[seen[mine]] += shade * light.intensity
+                vectors = (v.take(mine, 1) for v in (n, wi, wo))
+                radiance[seen[mine]] += self.reflected(i, *vectors) * light.intensity
         return Seen(radiance, owner, lit)
 
     def points(self, own: Array, d: Array, t: Array) -> tuple[Array, Array]:
@@ -225,18 +233,17 @@ class _Plain:
 
     def reached(self, own: Array, p: Array, n: Array, light: Array) -> Array:
         """Tell whether a light reaches points p with normals n on the objects `own`."""
-        lit = _dot(n, light - p) > self.none
+        lit = np.asarray(_dot(n, light - p) > self.none)
         for i, inside in enumerate(self.inside):
             at = np.flatnonzero(lit)
-            if self.start is None:
+            start, least = self.start(p.take(at, 1), n.take(at, 1))
+            blocks = self.blocks(i, start, light, least)
+            if self.exact:
                 # Seen from inside, the own object keeps out what is not inside, too.
                 hidden = inside and self.side(i, light)[0] >= 0
-                blocks = np.where(own[at] == i, hidden, self.blocks(i, p.take(at, 1), light, 0))
-            else:
-                start, least = self.start(p.take(at, 1), n.take(at, 1))
-                blocks = self.blocks(i, start, light, least)
+                blocks = np.where(own[at] == i, hidden, blocks)
             lit[at] = ~blocks
-        return np.asarray(lit)
+        return lit
 
     def blocks(self, i: int, p: Array, light: Array, least: float) -> Array:
         """Tell whether a surface has a root strictly between points and a light.
@@ -246,22 +253,23 @@ class _Plain:
         reach = _norm(light - p)
         d = self.settled((light - p) / reach)
 
-        def between(t: Array) -> Array:
-            return np.asarray((t > self.cast(least) + self.none) & (t < reach - self.none))
+        def between(t: Array) -> Any:
+            return (t > self.cast(least) + self.none) & (t < reach - self.none)
 
         near, far = self.intersect(i, p, d, closed=False)
         blocks = (near <= far) & (between(near) | between(far))
-        if self.contact and self.start is None and self.is_sphere[i]:
+        if self.contact and self.exact and self.is_sphere[i]:
             # With a root at one end, the other is as far beyond the middle of the chord.
             toward = _dot(self.shapes[i][0] - p, d)
             outwards = (toward < -self.none) | between(2 * toward)
             leaves = outwards if self.inside[i] else toward > self.none
             blocks = np.where(self.side(i, light) == 0, between(2 * toward - reach), blocks)
             blocks = np.where(self.side(i, p) == 0, leaves, blocks)
-        return blocks
+        return np.asarray(blocks)
 
-    def reflected(self, shader: Shader, n: Array, wi: Array, wo: Array) -> NDArray[np.float64]:
+    def reflected(self, i: int, n: Array, wi: Array, wo: Array) -> NDArray[np.float64]:
         """Lambert's and Blinn's terms (n, 3) for a light of intensity 1."""
+        shader = self.surfaces[i].shader
         value = np.outer(_dot(n, wi).astype(float), shader.diffuse)
         if isinstance(shader, Phong) and any(shader.specular):
             cosine = _dot(n, _unit(wi + wo))
@@ -272,42 +280,14 @@ class _Plain:
         return value
 
 
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
+def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> Seen:
+    """Trace one ray through each of n places in the picture.
 
-
-def _norm(a: Array) -> Array:
-    length: Array = np.sqrt(_dot(a, a))
-    return length
-
-
-def _unit(a: Array) -> Array:
-    scaled: Array = a / _norm(a)
-    return scaled
-
-
-def trace(
-    scene: Scene,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    arithmetic: str = "float64",
-    spheres: str = "closest",
-    shadows: str = "exact",
-) -> Seen:
-    """Trace one ray through each place in the picture.
-
-    Parameters
-    ----------
-    scene : Scene
-    x, y : (n,)
-        Pixels to the right of and below the upper left corner; centres are at + 0.5.
-    arithmetic, spheres, shadows : str
-        The methods, of `ARITHMETICS`, `SPHERES` and `SHADOWS`.
+    They are pixels `x` (n,) to the right of and `y` below the upper left corner; centres are at
+    + 0.5.  `methods` are `arithmetic`, `spheres` and `shadows`, keys of the tables.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
-        return _Plain(scene, arithmetic, spheres, shadows).trace(np.asarray(x), np.asarray(y))
+        return _Plain(scene, **methods).trace(np.asarray(x), np.asarray(y))
 
 
 def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
