@@ -1,7 +1,6 @@
-"""Write the generated scenes: ``python -m reference.generate``.
+"""Write the scenes that have too many objects to write by hand: ``python -m reference.generate``.
 
-Two scenes of ``scenes/`` have too many objects to write by hand.  Both come
-out the same every time, and on every machine.
+They come out the same every time, and on every machine.
 """
 
 from __future__ import annotations
@@ -10,35 +9,31 @@ import colorsys
 import io
 import math
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 from reference.command import SCENES, need_scenes, parser, run
-from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, Surfaces, save_scene
+from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, save_scene
 
 __all__ = ["main", "many_objects", "sunflower", "write"]
 
-
-Vector: TypeAlias = tuple[float, float, float]
-Lights: TypeAlias = Sequence[tuple[Vector, Vector]]
+Lights: TypeAlias = Sequence[tuple[Sequence[float], Sequence[float]]]
 """Position and intensity of each."""
 
 
-def _rounded(*values: float) -> Vector:
-    """Three numbers with three decimals; adding 0 makes a rounded -0 plain 0."""
-    x, y, z = (round(value, 3) + 0 for value in values)
-    return x, y, z
+def _rounded(*values: float) -> list[float]:
+    """Numbers with three decimals; adding 0 makes a rounded -0 plain 0."""
+    return [round(value, 3) + 0 for value in values]
 
 
 def _phong(color: Sequence[float], specular: float, exponent: float) -> Phong:
     return Phong(diffuse=_rounded(*color), specular=(specular,) * 3, exponent=exponent)
 
 
-def _scene(camera: Camera, lights: Lights, surfaces: Iterable[Sphere | Box]) -> Scene:
-    points = tuple(PointLight(position=at, intensity=color) for at, color in lights)
-    shown = Surfaces.of(surfaces)
-    return Scene(camera=camera, width=320, height=180, lights=points, surfaces=shown)
+def _scene(camera: Camera, lights: Lights, surfaces: Sequence[Sphere | Box]) -> Scene:
+    points = [PointLight(position=at, intensity=color) for at, color in lights]
+    return Scene(camera=camera, width=320, height=180, lights=points, surfaces=surfaces)
 
 
 def many_objects(count: int = 500, seed: int = 1) -> Scene:
@@ -60,15 +55,15 @@ def many_objects(count: int = 500, seed: int = 1) -> Scene:
             low, high = _rounded(x - a, y - b, z - c), _rounded(x + a, y + b, z + c)
             surfaces.append(Box(min_pt=low, max_pt=high, shader=shuffled.choice(palette)))
     camera = Camera(view_point=(0, 0, 9), view_width=2.4, view_height=1.35)
-    lights: Lights = (((6, 9, 8), (0.75, 0.72, 0.66)), ((-9, 2, 5), (0.2, 0.26, 0.36)))
+    lights = [((6, 9, 8), (0.75, 0.72, 0.66)), ((-9, 2, 5), (0.2, 0.26, 0.36))]
     return _scene(camera, lights, surfaces)
 
 
 def sunflower(count: int = 233) -> Scene:
     """Make balls in a sunflower's spiral on a dark ground.
 
-    Seed k stands at the golden angle from the one before, at a distance that
-    grows as the root of k (H. Vogel, Mathematical Biosciences 44, 1979).
+    Seed k stands at the golden angle from the one before, at a distance that grows as the root of k
+    (H. Vogel, Mathematical Biosciences 44, 1979).
     """
     ground = _phong((0.1, 0.11, 0.17), 0.12, 12)
     surfaces: list[Sphere | Box] = [Box(min_pt=(-60, -2, -60), max_pt=(60, 0, 60), shader=ground)]
@@ -87,33 +82,30 @@ def sunflower(count: int = 233) -> Scene:
         view_width=3.68,
         view_height=2.07,
     )
-    lights: Lights = (
+    lights = [
         ((9, 8, 3), (0.9, 0.76, 0.56)),
         ((-10, 6, 6), (0.14, 0.24, 0.5)),
         ((-4, 3, -14), (0.42, 0.28, 0.36)),
-    )
+    ]
     return _scene(camera, lights, surfaces)
-
-
-_GENERATED = {
-    "many-objects": (many_objects, "500 small objects at random"),
-    "sunflower": (
-        sunflower,
-        "A sunflower of 233 balls, each turned from the one before by the golden angle,\n"
-        "     under a warm light, a cool one and a low one from behind",
-    ),
-}
 
 
 def write(folder: Path) -> list[Path]:
     """Write the scenes into a folder, each under a comment that says what it shows."""
-    paths = []
-    for name, (make, shows) in _GENERATED.items():
-        save_scene(make(), text := io.BytesIO())
-        paths.append(folder / f"{name}.xml")
-        head = f"<!-- {shows} (python -m reference.generate). -->\n"
-        paths[-1].write_bytes(head.encode() + text.getvalue())
-    return paths
+    many, flower = folder / "many-objects.xml", folder / "sunflower.xml"
+    _write(many, many_objects(), "500 small objects at random")
+    shows = (
+        "A sunflower of 233 balls, each turned from the one before by the golden angle,\n"
+        "     under a warm light, a cool one and a low one from behind"
+    )
+    _write(flower, sunflower(), shows)
+    return [many, flower]
+
+
+def _write(path: Path, scene: Scene, shows: str) -> None:
+    save_scene(scene, text := io.BytesIO())
+    head = f"<!-- {shows} (python -m reference.generate). -->\n"
+    path.write_bytes(head.encode() + text.getvalue())
 
 
 def main() -> None:

@@ -33,15 +33,12 @@ def _xyz(values: Iterable[float]) -> str:
 
 
 def _texture(shader: Shader) -> str:
-    lobe = ""
+    finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
         # The exponent is 1 / roughness.
         roughness = 1 / max(shader.exponent, 1e-9)
-        lobe = f" specular {sum(shader.specular) / 3!r} roughness {roughness!r}"
-    return (
-        f"texture {{ pigment {{ rgb {_xyz(shader.diffuse)} }}"
-        f" finish {{ ambient 0 diffuse 1{lobe} }} }}"
-    )
+        finish += f" specular {sum(shader.specular) / 3!r} roughness {roughness!r}"
+    return f"texture {{ pigment {{ rgb {_xyz(shader.diffuse)} }} finish {{ {finish} }} }}"
 
 
 def _camera(scene: Scene) -> str:
@@ -60,19 +57,14 @@ def _camera(scene: Scene) -> str:
 
 def to_pov(scene: Scene, exposure: float = 1.0) -> str:
     """Write the scene in POV-Ray 3.7's language, its lights times `exposure`."""
-    lines = [
-        "#version 3.7;",
-        "global_settings { assumed_gamma 1 }",
-        "background { rgb 0 }",
-        _camera(scene),
-        *(
-            f"light_source {{ {_xyz(light.position)} rgb {exposure!r} * {_xyz(light.intensity)} }}"
-            for light in scene.lights
-        ),
-        *(f"#declare S{k} = {_texture(shader)}" for k, shader in enumerate(scene.surfaces.shaders)),
-    ]
+    head = "#version 3.7; global_settings { assumed_gamma 1 } background { rgb 0 }"
+    lines = [head, _camera(scene)]
+    for light in scene.lights:
+        color = f"{exposure!r} * {_xyz(light.intensity)}"
+        lines.append(f"light_source {{ {_xyz(light.position)} rgb {color} }}")
     shaders = {shader: k for k, shader in enumerate(scene.surfaces.shaders)}
-    for s in scene.surfaces[:]:
+    lines += [f"#declare S{k} = {_texture(shader)}" for shader, k in shaders.items()]
+    for s in scene.surfaces:
         if isinstance(s, Sphere):
             shape = f"sphere {{ {_xyz(s.center)}, {s.radius!r}"
         else:
@@ -107,12 +99,7 @@ def picture(target: Path) -> NDArray[np.float64]:
 def trace(command: Sequence[str]) -> float:
     """Run POV-Ray, and return the seconds that it says it traced, without its start.
 
-    It rounds them to milliseconds; 0 counts as half of one.
-
-    Raises
-    ------
-    RuntimeError
-        If POV-Ray fails.
+    It rounds them to milliseconds; 0 counts as half of one.  Raises RuntimeError if it fails.
     """
     done = subprocess.run(command, capture_output=True, text=True, errors="replace")
     found = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", done.stderr)

@@ -6,15 +6,15 @@ Writes ``sheet.png``, a picture of every scene of ``scenes/``, and
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-import tracer
 from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
+from tracer import Scene, load_scene, render, to_codes
 
 __all__ = ["main", "sheet"]
 
@@ -26,28 +26,24 @@ _PAPER, _INK = (255, 255, 255), (60, 60, 60)
 
 def sheet(paths: Iterable[Path]) -> Image.Image:
     """All scenes on one sheet, each over its name: square ones first, then wide ones."""
-    scenes = [(path.stem, tracer.load_scene(path)) for path in sorted(paths)]
-    rows: list[list[Image.Image]] = []
+    scenes = {path.stem: load_scene(path) for path in sorted(paths)}
+    places: list[tuple[Image.Image, tuple[int, int]]] = []
+    top = 0
     for per_row in (5, 3):
         width = (_WIDTH - (per_row - 1) * _GAP) // per_row
-        tiles = [
-            _tile(name, scene, width)
-            for name, scene in scenes
-            if (scene.width == scene.height) == (per_row == 5)
-        ]
-        rows += [tiles[k : k + per_row] for k in range(0, len(tiles), per_row)]
-    heights = [max(tile.height for tile in row) for row in rows]
-    height = sum(heights) + _GAP * (len(rows) - 1)
-    image = Image.new("RGB", (_WIDTH, height), _PAPER)
-    top = 0
-    for row, tallest in zip(rows, heights, strict=True):
-        for k, tile in enumerate(row):
-            image.paste(tile, (k * (tile.width + _GAP), top))
-        top += tallest + _GAP
+        square = per_row == 5
+        shown = [name for name, s in scenes.items() if (s.width == s.height) == square]
+        for first in range(0, len(shown), per_row):
+            tiles = [_tile(name, scenes[name], width) for name in shown[first : first + per_row]]
+            places += ((tile, (k * (width + _GAP), top)) for k, tile in enumerate(tiles))
+            top += max(tile.height for tile in tiles) + _GAP
+    image = Image.new("RGB", (_WIDTH, top - _GAP), _PAPER)
+    for tile, place in places:
+        image.paste(tile, place)
     return image
 
 
-def _tile(name: str, scene: tracer.Scene, width: int) -> Image.Image:
+def _tile(name: str, scene: Scene, width: int) -> Image.Image:
     picture = _drawn(scene, width)
     tile = Image.new("RGB", (width, picture.height + _LABEL), _PAPER)
     tile.paste(picture)
@@ -56,11 +52,10 @@ def _tile(name: str, scene: tracer.Scene, width: int) -> Image.Image:
     return tile
 
 
-def _drawn(scene: tracer.Scene, width: int) -> Image.Image:
+def _drawn(scene: Scene, width: int) -> Image.Image:
     """The scene at another size, anti-aliased."""
-    height = round(scene.height * width / scene.width)
-    sized = dataclasses.replace(scene, width=width, height=height)
-    return Image.fromarray(np.ascontiguousarray(tracer.to_codes(tracer.render(sized, _SAMPLES))))
+    sized = replace(scene, width=width, height=round(scene.height * width / scene.width))
+    return Image.fromarray(np.ascontiguousarray(to_codes(render(sized, _SAMPLES))))
 
 
 def main() -> None:
@@ -68,7 +63,7 @@ def main() -> None:
     used = parser("reference.sheet", __doc__)
     used.parse_args()
     need_scenes(used)
-    sunflower = _drawn(tracer.load_scene(SCENES / "sunflower.xml"), _WIDTH)
+    sunflower = _drawn(load_scene(SCENES / "sunflower.xml"), _WIDTH)
     for name, image in (("sheet.png", sheet(own_scenes())), ("sunflower.png", sunflower)):
         image.save(HERE / name, optimize=True)
         print(HERE / name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,15 +11,12 @@ from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 
 __all__ = ["crowd", "resized", "rods"]
 
+_DIM = (0.6, 0.6, 0.6)
 _SHADERS = (
     Lambertian(diffuse=(0.9, 0.6, 0.3)),
     Lambertian(diffuse=(0.3, 0.6, 0.9)),
     Phong(diffuse=(0.2, 0.7, 0.3), specular=(0.6, 0.6, 0.6), exponent=40.0),
 )
-
-
-def _lights(*positions: tuple[float, float, float], intensity: float) -> tuple[PointLight, ...]:
-    return tuple(PointLight(position=at, intensity=(intensity,) * 3) for at in positions)
 
 
 def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
@@ -32,17 +30,12 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     size = rng.uniform(0.5, 1.5, n) * 1.6 / np.sqrt(count)
     spheres = n // 2
     half = size[spheres:, None] * rng.uniform(0.4, 0.8, (n - spheres, 3))
+    window: Any = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
     return Scene(
-        camera=Camera(
-            view_point=(0, 1, 9),
-            view_dir=(0, -0.1, -1),
-            proj_distance=9,
-            view_width=9.6,
-            view_height=5.4,
-        ),
+        camera=Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window),
         width=width,
         height=height,
-        lights=_lights((6, 8, 7), (-7, 6, 5), intensity=0.6),
+        lights=[PointLight(position=at, intensity=_DIM) for at in ((6, 8, 7), (-7, 6, 5))],
         surfaces=Surfaces(
             center=center[:spheres],
             radius=size[:spheres],
@@ -55,23 +48,18 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     )
 
 
-def rods(count: int, *, width: int = 640, height: int = 360) -> Scene:
+def rods(count: int) -> Scene:
     """Make a floor and `count` long thin boxes, along all three axes, under two lights."""
     rng = np.random.default_rng(count)
     center = rng.uniform(-3, 3, (count, 3))
     half = np.full((count, 3), 0.01)
     half[np.arange(count), rng.integers(0, 3, count)] = rng.uniform(0.3, 1, count)
+    window: Any = {"proj_distance": 12, "view_width": 14.4, "view_height": 8.1}
     return Scene(
-        camera=Camera(
-            view_point=(0, 2, 12),
-            view_dir=(0, -0.2, -1),
-            proj_distance=12,
-            view_width=14.4,
-            view_height=8.1,
-        ),
-        width=width,
-        height=height,
-        lights=_lights((5, 8, 9), (-6, 7, 3), intensity=0.6),
+        camera=Camera(view_point=(0, 2, 12), view_dir=(0, -0.2, -1), **window),
+        width=640,
+        height=360,
+        lights=[PointLight(position=at, intensity=_DIM) for at in ((5, 8, 9), (-6, 7, 3))],
         surfaces=Surfaces(
             min_pt=np.vstack([center - half, [(-10, -4, -10)]]),
             max_pt=np.vstack([center + half, [(10, -3.5, 10)]]),
@@ -83,8 +71,5 @@ def rods(count: int, *, width: int = 640, height: int = 360) -> Scene:
 
 def resized(scene: Scene, width: int, height: int) -> Scene:
     """Show the same in other pixels; the window grows sideways to keep them square."""
-    camera = scene.camera
-    pixel = camera.view_height / height
-    return replace(
-        scene, width=width, height=height, camera=replace(camera, view_width=pixel * width)
-    )
+    camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
+    return replace(scene, width=width, height=height, camera=camera)
