@@ -33,15 +33,10 @@ Array: TypeAlias = NDArray[Any]
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
 
-def _decimal(values: ArrayLike) -> Array:
-    exact = np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64))
-    return np.asarray(exact, dtype=object)
-
-
-ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Array], float]] = {
+ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Any], float]] = {
     "float64": (partial(np.asarray, dtype=np.float64), 0),
     "float32": (partial(np.asarray, dtype=np.float32), 0),
-    "decimal": (_decimal, 1e-50),
+    "decimal": (lambda v: np.frompyfunc(Decimal, 1, 1)(np.asarray(v, dtype=np.float64)), 1e-50),
 }
 """A cast to the numbers to compute in; and the length, relative to the scene's, that is none."""
 
@@ -61,8 +56,7 @@ def _unit(a: Array) -> Any:
 def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """Haines, Günther and Akenine-Möller (Ray Tracing Gems, ch. 7): error grows as eps D.
 
-    The roots come in the stable form (Numerical Recipes, 5.6), which does not cancel on a sphere
-    much larger than the origin's distance from it.
+    The roots' stable form (Numerical Recipes, 5.6) does not cancel on huge spheres.
     """
     m = c - o
     a, b = _dot(d, d), _dot(m, d)
@@ -75,18 +69,16 @@ def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Arr
 
 def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The quadratic formula as most textbooks print it: error grows as eps D^2."""
-    m = o - c
-    return _quadratic(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
+    m, a = o - c, _dot(d, d)
+    b = 2 * _dot(m, d)
+    root = np.sqrt(b * b - 4 * a * (_dot(m, m) - r * r))
+    return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
 def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The same with |o - c|^2 multiplied out: error grows as the square of an offset, too."""
-    b = 2 * (_dot(o, d) - _dot(c, d))
-    return _quadratic(_dot(d, d), b, _dot(o, o) - 2 * _dot(o, c) + _dot(c, c) - r * r)
-
-
-def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    root = np.sqrt(b * b - 4 * a * c)
+    a, b = _dot(d, d), 2 * (_dot(o, d) - _dot(c, d))
+    root = np.sqrt(b * b - 4 * a * (_dot(o, o) - 2 * _dot(o, c) + _dot(c, c) - r * r))
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
@@ -144,22 +136,19 @@ class _Plain:
         self.shapes = [(self.cast(a)[:, None], self.cast(b)[:, None]) for a, b in pairs]
         lengths = [self.eye, *self.lights, *(v for pair in self.shapes for v in pair)]
         self.contact = self.cast(contact)
-        self.none = self.contact * max(np.abs(v).max() for v in lengths)
+        self.scale = max(np.abs(v).max() for v in lengths)
+        self.none = self.contact * self.scale
         self.inside = [bool(self.side(i, self.eye)[0] <= 0) for i in range(len(self.shapes))]
 
-    def zeroed(self, v: Array, most: Array) -> Array:
-        """Numbers of which those no larger than `most` become 0."""
-        return np.where(np.abs(v) <= most, self.cast(0), v) if self.contact else v
-
-    def settled(self, d: Array) -> Array:
-        """Directions, of which those that nearly lie in a plane of two axes lie in it."""
-        return self.zeroed(d, self.contact * np.abs(d).max(axis=0))
+    def zeroed(self, v: Array, scale: Array) -> Array:
+        """Numbers of which those that are none beside `scale` become 0."""
+        return np.where(np.abs(v) <= self.contact * scale, self.cast(0), v) if self.contact else v
 
     def side(self, i: int, p: Array) -> Array:
         """Signed distance of points from a surface: 0 on it, negative inside."""
         a, b = self.shapes[i]
         gap = _norm(p - a) - b[0] if self.is_sphere[i] else np.maximum(a - p, p - b).max(axis=0)
-        return self.zeroed(gap, self.none)
+        return self.zeroed(gap, self.scale)
 
     def rays(self, x: Array, y: Array) -> Array:
         """Return directions (3, n) from the eye to the window, for places in pixels."""
@@ -172,16 +161,18 @@ class _Plain:
         right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
         up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
         middle = ahead * cast(camera.proj_distance)
-        return self.settled(middle[:, None] + np.outer(u, right) + np.outer(v, up))
+        d = middle[:, None] + np.outer(u, right) + np.outer(v, up)
+        # What nearly lies in a plane of two axes lies in it.
+        return self.zeroed(d, np.abs(d).max(axis=0))
 
     def slabs(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
         """Return t (3, n) at which rays enter and leave a box, closed or open, along each axis."""
-        low, high = (self.zeroed(v - o, self.none) for v in self.shapes[i])
+        low, high = (self.zeroed(v - o, self.scale) for v in self.shapes[i])
         between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
         along = np.where(between, self.cast(np.inf), self.cast(-np.inf))
         a, b = low / d, high / d
-        near = np.where(d == 0, -along, np.minimum(a, b))
-        return near, np.where(d == 0, along, np.maximum(a, b))
+        near, far = np.minimum(a, b), np.maximum(a, b)
+        return np.where(d == 0, -along, near), np.where(d == 0, along, far)
 
     def intersect(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
         """Near and far t (n,) of rays with a surface; near <= far unless they miss."""
@@ -202,7 +193,12 @@ class _Plain:
 
         seen = np.flatnonzero(owner >= 0)
         own, d = owner[seen], d.take(seen, 1)
-        p, n = self.points(own, d, nearest[seen])
+        p = self.eye + nearest[seen] * d
+        n = np.zeros_like(p)
+        for i in np.unique(own).tolist():
+            mine = np.flatnonzero(own == i)
+            p[:, mine], n[:, mine] = self.settle(i, p.take(mine, 1), d.take(mine, 1))
+
         radiance, lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
         for light, position, reached in zip(self.scene.lights, self.lights, lit, strict=True):
             reached[seen] = self.reached(own, p, n, position)
@@ -213,22 +209,18 @@ class _Plain:
                 radiance[seen[mine]] += self.reflected(i, *vectors) * light.intensity
         return Seen(radiance, owner, lit)
 
-    def points(self, own: Array, d: Array, t: Array) -> tuple[Array, Array]:
-        """Points where rays meet their objects, put back on the surface, and normals."""
-        p = self.eye + t * d
+    def settle(self, i: int, p: Array, d: Array) -> tuple[Array, Array]:
+        """Put points where rays meet a surface back on it; with their normals."""
+        inside, (a, b) = self.inside[i], self.shapes[i]
+        if self.is_sphere[i]:
+            outward = (p - a) / b[0]
+            return a + b[0] * outward, -outward if inside else outward
+        near, far = self.slabs(i, self.eye, d, closed=True)
+        axis, every = far.argmin(axis=0) if inside else near.argmax(axis=0), np.arange(d.shape[1])
+        forward = d[axis, every] > 0
+        p[axis, every] = np.where(forward == inside, b[axis, 0], a[axis, 0])
         n = np.zeros_like(p)
-        for i in np.unique(own).tolist():
-            mine, inside, (a, b) = np.flatnonzero(own == i), self.inside[i], self.shapes[i]
-            if self.is_sphere[i]:
-                outward = (p.take(mine, 1) - a) / b
-                p[:, mine] = a + b * outward
-                n[:, mine] = -outward if inside else outward
-                continue
-            near, far = self.slabs(i, self.eye, d.take(mine, 1), closed=True)
-            axis = far.argmin(axis=0) if inside else near.argmax(axis=0)
-            forward = d[axis, mine] > 0
-            p[axis, mine] = np.where(forward == inside, b[axis, 0], a[axis, 0])
-            n[axis, mine] = self.cast(np.where(forward, -1, 1))
+        n[axis, every] = self.cast(np.where(forward, -1, 1))
         return p, n
 
     def reached(self, own: Array, p: Array, n: Array, light: Array) -> Array:
@@ -251,7 +243,8 @@ class _Plain:
         A sphere that a point is on blocks what leaves the side that it is seen from.
         """
         reach = _norm(light - p)
-        d = self.settled((light - p) / reach)
+        d = (light - p) / reach
+        d = self.zeroed(d, np.abs(d).max(axis=0))
 
         def between(t: Array) -> Any:
             return (t > self.cast(least) + self.none) & (t < reach - self.none)
