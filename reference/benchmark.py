@@ -19,13 +19,14 @@ from functools import partial
 from pathlib import Path
 from statistics import geometric_mean
 from time import sleep
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
+import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
-from reference import povray, rivals
+from reference import povray
 from reference.command import SCENES, built, own_scenes, run
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
 from reference.workloads import crowd, resized
@@ -39,6 +40,17 @@ _SMALL, _MEDIUM, _LARGE = (320, 180), (1280, 720), (2560, 1440)
 
 # Loading more objects takes Mitsuba most of a minute.
 _MOST_OF_MITSUBA = 10_000
+
+# What anyone's script to render one scene with Mitsuba amounts to.
+_MITSUBA = """
+import sys
+import mitsuba as mi
+variant, source, target = sys.argv[1:]
+mi.set_variant(variant)
+if "unattenuated_point" in open(source).read():
+    import converters.plugins
+mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
+"""
 
 Section: TypeAlias = Callable[[int, bool], Table]
 """Measures one table, given the number of rounds, and whether to be quick."""
@@ -54,21 +66,29 @@ def _speedup(of: Timing, over: Timing) -> Ratio:
     return Ratio(over.median / of.median)
 
 
-def _mitsuba(loaded: Any) -> Task:
+def _mitsuba(text: str) -> Task:
+    loaded = mi.load_string(text)
     return lambda: np.array(mi.render(loaded))
 
 
-def _beside(scene: Scene, rounds: int, load: Callable[[Scene], Any]) -> list[Timing]:
-    """Time the tracer and Mitsuba in turns, with no other scene of Mitsuba's alive."""
+def _beside(scene: Scene, rounds: int, text: str) -> list[Timing]:
+    """Time the tracer and Mitsuba in turns, with no other scene of Mitsuba's alive.
+
+    For its kernels choose among all objects alive in the process.
+    """
     gc.collect()
-    tasks: dict[str, Task] = {"ours": partial(render, scene), "theirs": _mitsuba(load(scene))}
+    tasks: dict[str, Task] = {"ours": partial(render, scene), "theirs": _mitsuba(text)}
     return [*interleaved(tasks, rounds).values()]
+
+
+def _tracer(source: Path) -> list[str]:
+    return [sys.executable, "-m", "tracer", "--quiet", "-o", str(built("out.png")), str(source)]
 
 
 def whole_process(rounds: int, quick: bool) -> Table:
     """Time commands from XML to PNG."""
-    variant = use().variant
-    png = built("out.png")
+    variant, png = use().variant, str(built("out.png"))
+    mitsuba = [sys.executable, "-c", _MITSUBA]
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL,) if quick else (_SMALL, _LARGE):
         for name in _FEW:
@@ -78,13 +98,13 @@ def whole_process(rounds: int, quick: bool) -> Table:
             (similar := built("stock.xml")).write_text(stock(scene, 1))
             commands = {
                 "import numpy": [sys.executable, "-c", "import numpy"],
-                "tracer": rivals.tracer_command(ours, png),
-                "Mitsuba exact": rivals.mitsuba_command(exactly, png),
-                "Mitsuba stock": rivals.mitsuba_command(similar, png),
-                "the same, scalar": rivals.mitsuba_command(similar, png, SCALAR),
+                "tracer": _tracer(ours),
+                "Mitsuba exact": [*mitsuba, variant, str(exactly), png],
+                "Mitsuba stock": [*mitsuba, variant, str(similar), png],
+                "the same, scalar": [*mitsuba, SCALAR, str(similar), png],
             }
             if povray.installed():
-                commands["POV-Ray"] = povray.command(scene, png)
+                commands["POV-Ray"] = povray.command(scene, Path(png))
             tasks = {who: process(command) for who, command in commands.items()}
             found = interleaved(tasks, rounds, enough=2.0)
             over_exact, *over_stock = (
@@ -112,8 +132,8 @@ def rendering(rounds: int, quick: bool) -> Table:
         found: list[tuple[Ratio, Ratio]] = []
         for name in _FEW if quick else [path.stem for path in own_scenes()]:
             scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            ours, exactly = _beside(scene, rounds, rivals.mitsuba_exact)
-            again, stocks = _beside(scene, rounds, rivals.mitsuba_stock)
+            ours, exactly = _beside(scene, rounds, exact(scene))
+            again, stocks = _beside(scene, rounds, stock(scene, 1))
             found.append((_speedup(ours, exactly), _speedup(again, stocks)))
             rows.append((f"{name} {size[0]}×{size[1]}", ours, exactly, stocks, *found[-1]))
         means = (Ratio(geometric_mean(column)) for column in zip(*found, strict=True))
@@ -130,14 +150,6 @@ def rendering(rounds: int, quick: bool) -> Table:
     )
 
 
-def _first(path: Path) -> object:
-    return render(load_scene(path))
-
-
-def _first_of_mitsuba(text: str) -> object:
-    return np.array(mi.render(mi.load_string(text)))
-
-
 def growth_in_objects(rounds: int, quick: bool) -> Table:
     """Time N small objects, spread out, beside Mitsuba."""
     use()
@@ -148,23 +160,24 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         scene, path = crowd(count), built("many.xml")
         save_scene(scene, path)
         tasks: dict[str, Task] = {
-            "first": partial(_first, path),
+            "first": lambda path=path: render(load_scene(path)),  # type: ignore[misc]
             "warm": partial(render, scene),
         }
         if count <= _MOST_OF_MITSUBA:
             gc.collect()
-            tasks["Mitsuba, first"] = partial(_first_of_mitsuba, exact(scene))
-            tasks["Mitsuba, warm"] = _mitsuba(rivals.mitsuba_exact(scene))
+            text = exact(scene)
+            tasks["Mitsuba, first"] = lambda text=text: _mitsuba(text)()  # type: ignore[misc]
+            tasks["Mitsuba, warm"] = _mitsuba(exact(scene))
         found = interleaved(tasks, rounds)
         tasks.clear()
         timings.append(found["warm"])
-        row: list[object] = [f"{count:,}"]
+        times: list[object] = []
         speedups: list[object] = []
         for kind in ("first", "warm"):
             ours, theirs = found[kind], found.get(f"Mitsuba, {kind}")
-            row += (ours, theirs or "–")
+            times += (ours, theirs or "–")
             speedups.append(_speedup(ours, theirs) if theirs else "–")
-        rows.append((*row, *speedups))
+        rows.append((f"{count:,}", *times, *speedups))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",
         "Milliseconds, first from a scene's text to its picture, then warm. Mitsuba has a shape per"
@@ -189,12 +202,12 @@ def loading(rounds: int, quick: bool) -> Table:
     tasks: dict[str, Task] = {"tracer": partial(load_scene, path), "etree": partial(ET.parse, path)}
     found = interleaved(tasks, rounds)
     gc.unfreeze()
-    ratio = Ratio(found["tracer"].median / found["etree"].median)
+    ratio = _speedup(found["etree"], found["tracer"])
     return Table(
         "Loading",
         "Milliseconds to read and validate a scene file, and for `xml.etree` only to parse it.",
         ("objects", "tracer", "xml.etree", "ratio"),
-        [(f"{count:,}", found["tracer"], found["etree"], ratio)],
+        [(f"{count:,}", *found.values(), ratio)],
     )
 
 
@@ -245,15 +258,12 @@ def memory(rounds: int, quick: bool) -> Table:
     rows, path = list[tuple[str, str]](), built("scene.xml")
     for name, scene in scenes.items():
         save_scene(scene, path)
-        rows.append((name, f"{peak(*rivals.tracer_command(path, built('out.png'))):.0f}"))
-    base = peak(sys.executable, "-c", "import numpy")
-    return Table(
-        "Memory",
+        rows.append((name, f"{peak(*_tracer(path)):.0f}"))
+    note = (
         "Peak resident MB of `python -m tracer` with its workers; Python with NumPy alone takes"
-        f" {base:.0f}.",
-        ("scene", "tracer"),
-        rows,
+        f" {peak(sys.executable, '-c', 'import numpy'):.0f}."
     )
+    return Table("Memory", note, ("scene", "tracer"), rows)
 
 
 SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, memory]

@@ -13,7 +13,6 @@ errs.  Limits are of linear radiance, in units of the brightest pixel's where th
 
 from __future__ import annotations
 
-import os
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from itertools import product
@@ -84,7 +83,7 @@ class CheckResult:
     agreed: int = 0
     """Pixels among these on which the tracer is right."""
     judged: bool = True
-    """Whether the pictures should be the same, and not only similar."""
+    """Whether the pictures are to be the same, and not only similar."""
 
     @property
     def remark(self) -> str:
@@ -145,15 +144,13 @@ def _unit(image: Floats) -> float:
     return max(1.0, float(image.max(initial=0)))
 
 
-def check(
-    path: str | os.PathLike[str], variant: str | None = None, flavour: str = "exact"
-) -> CheckResult:
+def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare.
 
     The exact flavour judges all light, "stock" diffuse light, by stock parts alone; "stock-lights"
     does not judge.  Raises what `load_scene` and `converters.variant.use` do.
     """
-    scene, name = load_scene(path), printable(Path(path).stem)
+    scene, name = load_scene(path), printable(path.stem)
     ways = {"exact": check_scene, "stock": check_diffuse, "stock-lights": resemblance}
     return ways[flavour](scene, name, variant)
 
@@ -176,26 +173,14 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 def resemblance(
     scene: Scene, name: str, variant: str | None = None, flavour: str = "stock-lights"
 ) -> CheckResult:
-    """Compare the smooth picture with that of a stock flavour, in square pixels."""
+    """Compare the smooth picture with that of a stock flavour, in square pixels, and judge not."""
     start = perf_counter()
-    image = render(squared(scene), samples=16)
-    middle = perf_counter()
-    similar = render_mitsuba(scene, variant=variant, flavour=flavour)
-    return CheckResult(
-        name=f"{name}, {flavour} flavour",
-        tracer=image,
-        mitsuba=similar,
-        reference=similar,
-        mask=np.zeros(image.shape[:2], dtype=np.bool_),
-        figures=figures(image, similar),
-        variant=use(variant).variant,
-        tracer_seconds=middle - start,
-        mitsuba_seconds=perf_counter() - middle,
-        judged=False,
-    )
+    image = render_mitsuba(scene, variant=variant, flavour=flavour)
+    rendering = Rendering(image, use(variant).variant, perf_counter() - start)
+    return compare(squared(scene), f"{name}, {flavour} flavour", rendering, judged=False)
 
 
-def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
+def compare(scene: Scene, name: str, rendering: Rendering, *, judged: bool = True) -> CheckResult:
     """Hold the tracer's picture of a scene against one that Mitsuba has made.
 
     Raises ValueError if a radiance of Mitsuba's is not finite, or every pixel is masked.
@@ -204,19 +189,20 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    render(scene)  # so that the next, which is timed, is warm
+    samples = 1 if judged else 16
+    render(scene, samples=samples)  # so that the next, which is timed, is warm
     start = perf_counter()
-    image = render(scene)
+    image = render(scene, samples=samples)
     seconds = perf_counter() - start
-    reference, limit = rendering.image.copy(), MAX_DIFFERENCE * _unit(image)
-    differs = np.abs(image - reference).max(axis=2) > limit
+    reference, unit = rendering.image.copy(), _unit(image) if judged else 1.0
+    differs = (np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit) & judged
     mask = differs & edge_mask(scene, image) if differs.any() else differs
     differs &= ~mask
     pixels = np.argwhere(differs)
     asked = pixels[:: 1 + len(pixels) // _MOST_ASKED]
     row, column = asked.T
     exactly = plain.trace(scene, column + 0.5, row + 0.5, arithmetic="decimal").radiance
-    agrees = np.abs(image[row, column] - exactly).max(axis=1) <= limit
+    agrees = np.abs(image[row, column] - exactly).max(axis=1) <= MAX_DIFFERENCE * unit
     if agrees.all():
         reference[differs] = image[differs]
     return CheckResult(
@@ -225,13 +211,14 @@ def compare(scene: Scene, name: str, rendering: Rendering) -> CheckResult:
         mitsuba=rendering.image,
         reference=reference,
         mask=mask,
-        figures=figures(image / _unit(image), reference / _unit(image), mask),
+        figures=figures(image / unit, reference / unit, mask),
         variant=rendering.variant,
         differing=len(pixels),
         asked=len(asked),
         agreed=int(agrees.sum()),
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
+        judged=judged,
     )
 
 
@@ -245,7 +232,7 @@ def _diffuse(scene: Scene, variant: str | None) -> Rendering:
     for light in scene.lights:
         white = replace(light, intensity=(1.0, 1.0, 1.0))
         root = ET.fromstring(stock(replace(scene, lights=(white,)), 1))
-        parts = {part.get("type"): part for part in root.iter() if part.get("type")}
+        parts = {part.get("type"): part for part in root.iter("*")}
         root.remove(parts["direct"])
         aov = ET.SubElement(root, "integrator", type="aov")
         ET.SubElement(aov, "string", name="aovs", value="p:position")

@@ -11,6 +11,7 @@ the one before, all methods are timed in turns; those that would take too long s
 from __future__ import annotations
 
 import gc
+import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -21,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+from converters.flavours import exact
 from converters.variant import LLVM, mi, use
-from reference import plain, povray, rivals
+from reference import plain, povray
 from reference.charts import BACKED, LOOKS, headline, make_chart, plt
 from reference.command import SCENES, built, run
 from reference.measurements import interleaved
@@ -83,8 +86,15 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
 
 def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
     """Render with 4^k samples a pixel, times a number, by each method but POV-Ray."""
+    # Mitsuba's kernels choose among all scenes alive: there is one, with a sensor a sampler.
     gc.collect()
-    loaded = rivals.mitsuba_exact(scene, [*_SAMPLERS.values()])
+    text = exact(scene)
+    (sensor,) = re.findall("<sensor .*?</sensor>", text, re.DOTALL)
+    sensors = [
+        re.sub("<sampler .*?</sampler>", f'<sampler type="{name}"/>', sensor, flags=re.DOTALL)
+        for name in _SAMPLERS.values()
+    ]
+    loaded = mi.load_string(text.replace(sensor, "\n".join(sensors)))
     tasks: dict[tuple[str, int], Callable[[], Any]] = {
         (_OURS, 1): partial(render, scene, 4**k),
         # With 9, 36, 144, ... samples a pixel: the others have powers of four.
@@ -115,8 +125,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             yield Point(name, method, times * 4**k, truth.error(picture), *seconds)
             if timing.median > _LONG:
                 long.add(key)
-        # Mitsuba's kernels choose among all scenes alive: this one goes before the next comes.
-        tasks.clear()
+        tasks.clear()  # so that Mitsuba's scene goes before the next comes
 
 
 def lead(points: Sequence[Point]) -> tuple[float, float] | None:
