@@ -6,17 +6,17 @@ import csv
 import os
 import platform
 import re
+import shlex
 import subprocess
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 from statistics import median
 from time import perf_counter, sleep
-from typing import TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
-from reference.command import need_scenes, parser, result
+from reference.command import HERE, need_scenes, parser, result
 
 __all__ = [
     "Ratio",
@@ -45,8 +45,7 @@ _PAUSE = 0.02
 _ENOUGH, _MORE = 0.5, 5
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(NamedTuple):
     """Seconds over some rounds."""
 
     median: float
@@ -107,8 +106,7 @@ def process(command: Sequence[str]) -> Task:
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(NamedTuple):
     """One table of a page; cells that are timings or ratios go to the CSV in full."""
 
     title: str
@@ -121,13 +119,6 @@ class Table:
         lines = [self.header, ["---"] * len(self.header), *self.rows]
         table = ["| " + " | ".join(map(str, line)) + " |" for line in lines]
         return "\n".join([f"## {self.title}", "", self.note, "", *table]) + "\n"
-
-    def records(self) -> Iterator[tuple[object, ...]]:
-        """A line for each cell: table, row, column, value (median), low, high."""
-        for row in self.rows:
-            for name, cell in zip(self.header[1:], row[1:], strict=True):
-                values = astuple(cell) if isinstance(cell, Timing) else (cell, "", "")
-                yield self.title, row[0], name, *values
 
 
 def measure_page(
@@ -148,12 +139,17 @@ def measure_page(
 
 
 def write_tables(page: Path, head: str, where: str, tables: Sequence[Table]) -> None:
-    """Write a page of tables below its head, and the same numbers as CSV beside it."""
+    """Write a page of tables below its head, and beside it as CSV a line for each cell."""
     text = "\n".join([f"{head} Measured on {where}.\n", *(table.markdown() for table in tables)])
     page.write_text(text, encoding="utf-8")
-    records = (record for table in tables for record in table.records())
+    cells: list[tuple[object, ...]] = []
+    for table in tables:
+        for name, *row in table.rows:
+            for column, cell in zip(table.header[1:], row, strict=True):
+                values = cell if isinstance(cell, Timing) else (cell, "", "")
+                cells.append((table.title, name, column, *values))
     header = ("table", "row", "column", "value", "low", "high")
-    write_csv(page.with_suffix(".csv"), where, header, records)
+    write_csv(page.with_suffix(".csv"), where, header, cells)
 
 
 def write_csv(
@@ -177,7 +173,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 def measured_on() -> str:
     """One line: date, commit, processor, system, versions."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    povray = re.search(r"POV-Ray \d+(\.\d+)*", _output("povray", "--version"))
+    povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     return ", ".join(
         [
             datetime.now(timezone.utc).strftime("%Y-%m-%d"),
@@ -194,27 +190,16 @@ def measured_on() -> str:
     )
 
 
-def _output(*command: str) -> str:
-    """What a command prints; nothing if there is none."""
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    except FileNotFoundError:
-        return ""
-    return done.stdout + done.stderr if done.returncode == 0 else ""
-
-
 def _commit() -> str:
     """The commit that is checked out, with + if a module has been changed since."""
-    git = ("git", "-C", str(Path(__file__).parent))
-    commit = _output(*git, "rev-parse", "--short=7", "HEAD").strip()
-    changed = _output(*git, "status", "--porcelain", "--", ":/*.py")
-    return f"commit {commit}{'+' if changed else ''}" if commit else "no commit"
+    git = f"git -C {shlex.quote(str(HERE))}"
+    failed, commit = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
+    changed = subprocess.getoutput(f"{git} status --porcelain -- ':/*.py'")
+    return "no commit" if failed else f"commit {commit}{'+' * bool(changed)}"
 
 
 def _processor() -> str:
-    try:
-        text = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        text = ""
-    name = re.search(r"^model name\s*: (.*)", text, re.M)
-    return name[1] if name else platform.processor() or platform.machine()
+    """The processor's name, where Linux tells it."""
+    info = Path("/proc/cpuinfo")
+    named = re.search(r"^model name\s*: (.*)", info.read_text() if info.exists() else "", re.M)
+    return named[1] if named else platform.processor() or platform.machine()

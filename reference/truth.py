@@ -6,9 +6,10 @@ import hashlib
 import io
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,14 +54,11 @@ def supersampled(
 @cache
 def _code() -> bytes:
     """A hash of the tracer's code, which decides what samples are."""
-    found = hashlib.sha256()
-    for path in sorted(Path(tracer.__file__).parent.rglob("*.py")):
-        found.update(path.read_bytes())
-    return found.digest()
+    paths = sorted(Path(tracer.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).digest()
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """Some rows of a converged picture."""
 
     rows: slice
