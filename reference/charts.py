@@ -14,10 +14,7 @@ import matplotlib.pyplot as plt
 from reference.command import need_scenes, need_table, parser, result
 from reference.measurements import measured_on, read_csv, write_csv
 
-__all__ = ["BACKED", "LOOKS", "headline", "make_chart", "plt"]
-
-BACKED = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1}
-"""The box behind a text that stands across lines."""
+__all__ = ["LOOKS", "headline", "make_chart", "plt"]
 
 plt.rcParams.update(
     {

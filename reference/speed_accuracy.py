@@ -26,7 +26,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
 from reference import plain, povray
-from reference.charts import BACKED, LOOKS, headline, make_chart, plt
+from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import SCENES, built, run
 from reference.measurements import interleaved
 from reference.truth import Truth, supersampled, truth_side
@@ -195,7 +195,7 @@ def _panel(axes: Any, points: Sequence[Point]) -> None:
         words = f"{ratio:.1f}× faster" if ratio >= 1 else f"{1 / ratio:.1f}× slower"
         # To the lower left, where few curves are.
         place = {"xytext": (-14, -11), "textcoords": "offset points", "ha": "right", "va": "center"}
-        axes.annotate(words, (min(times), _LEVEL), **place, weight="bold", bbox=BACKED, zorder=8)
+        axes.annotate(words, (min(times), _LEVEL), **place, weight="bold", zorder=8)
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:

@@ -25,7 +25,7 @@ import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
 from reference import plain
-from reference.charts import BACKED, LOOKS, headline, make_chart, plt
+from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import run
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 
@@ -35,10 +35,9 @@ Floats: TypeAlias = NDArray[np.float64]
 Vector: TypeAlias = tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 
-# Half a level of an 8-bit picture near white: where errors begin to be seen.
-_VISIBLE = 1 / 512
-# Smaller errors are drawn as this one; a curve ends where errors stay above the second.
-_DIGITS, _LOST = 1e-17, 0.3
+# Half a level of an 8-bit picture near white, where errors begin to be seen; smaller errors than
+# the second are drawn as that.
+_VISIBLE, _DIGITS = 1 / 512, 1e-17
 
 
 def _scene(
@@ -109,23 +108,23 @@ def mitsuba_render(scene: Scene, variant: str) -> Floats:
     """
     mi.set_variant(variant)
     mi.set_log_level(mi.LogLevel.Error)
-    camera, window = scene.camera, window_of(scene.camera)
+    window, depth = window_of(scene.camera), scene.camera.proj_distance
     right, down, ahead = window.axes
     to_world = np.vstack([np.transpose([-right, -down, ahead, window.eye]), (0, 0, 0, 1)])
     film = {"type": "hdrfilm", "width": scene.width, "height": scene.height}
     sensor = {
         "type": "perspective",
         "to_world": mi.ScalarTransform4f(to_world.tolist()),
-        "fov": float(np.degrees(2 * np.arctan(camera.view_width / 2 / camera.proj_distance))),
-        "near_clip": camera.proj_distance * 1e-2,
-        "far_clip": camera.proj_distance * 1e4,
+        "fov": float(np.degrees(2 * np.arctan(window.width / 2 / depth))),
+        "near_clip": depth * 1e-2,
+        "far_clip": depth * 1e4,
         "film": film | {"rfilter": {"type": "box"}, "component_format": "float32"},
         "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
     }
     light = {"type": "unattenuated_point", "position": [*scene.lights[0].position]}
+    light["intensity"] = [float(np.pi)] * 3
+    parts = {"integrator": {"type": "direct"}, "sensor": sensor, "light": light}
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    parts = {"integrator": {"type": "direct"}, "sensor": sensor}
-    parts["light"] = light | {"intensity": [float(np.pi)] * 3}
     for k, s in enumerate(scene.surfaces.center.tolist()):
         radius = float(scene.surfaces.radius[k])
         parts[f"{k}"] = {"type": "sphere", "center": s, "radius": radius, "bsdf": white}
@@ -172,8 +171,8 @@ class Panel:
     scene: Callable[[float], Scene]
     judge: Callable[[Floats, Floats], float]
     methods: tuple[str, ...]
-    guides: tuple[tuple[str, int, int], ...] = ()
-    """Lines of ε, of float32 and of float64, times a power of x; named above (1) or below (-1)."""
+    guides: tuple[str, ...] = ()
+    """Names of lines of ε, of float32 and of float64, times x; then times its square."""
     nearby: tuple[float, ...] = (1.0,)
     """A point shows the worst of the scenes at these multiples of its place on the axis."""
 
@@ -190,21 +189,21 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 # fmt: off
 PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant,
-          largest_error, (*_HITS, *_MITSUBA), (("εD", 1, -1), ("εD²", 2, -1))),
+          largest_error, (*_HITS, *_MITSUBA), ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of the limb", "distance / radius (D)",
           np.logspace(3, 25, 12, base=2), limb, wrong_share, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
-          largest_error, _MOVED, (("ε · offset", 1, 1), ("ε · offset²", 2, 1)), _NEARBY),
+          largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground, largest_error, (*_HITS, *_MITSUBA), (("ε · radius", 1, 1),)),
+          ground, largest_error, (*_HITS, *_MITSUBA), ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
           wrong_share, _SHADOWS),
     Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), shiny,
-          largest_error, _SHINY, (("εe", 1, -1),)),
+          largest_error, _SHINY, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
           np.logspace(-30, 30, 16, base=2), lambda x: ball_on_ground(scale=x),
           wrong_share, _SHADOWS),
@@ -245,7 +244,7 @@ def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
         figure,
         "Error of ray tracing methods, from easy scenes to hard ones",
         "Each point is a picture held against arithmetic of 80 digits. Left: largest error of the"
-        " radiance (✕: useless from there on). Right: share of pixels decided wrongly.",
+        " radiance, no more than 1. Right: share of pixels decided wrongly.",
     )
     for axes, panel in zip(grid.ravel(), PANELS, strict=True):
         curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
@@ -270,21 +269,12 @@ def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
     else:
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
-    for name, power, side in panel.guides:
-        for eps in (2.0**-24, 2.0**-53):
-            axes.plot(at, eps * at**power, color="#888888", lw=1, ls=(0, (1, 2.5)), zorder=1)
-        k = len(at) // 3 if power == 2 else len(at) - 2
-        place = {"xytext": (-3 * side, 9 * side - 4), "textcoords": "offset points"}
-        look = {"ha": "right" if side > 0 else "left", "color": "#555555", "bbox": BACKED}
-        axes.annotate(name, (at[k], eps * at[k] ** power), zorder=4, **place, **look)
     for name, (_, values) in curves.items():
-        look, shown = LOOKS[METHODS[name][0]], np.clip(values, floor, top)
-        # Points of the curve: up to where errors stay large.
-        kept = np.flatnonzero(shown < _LOST).max(initial=-1) + 2 if error else len(at)
-        axes.plot(at[:kept], shown[:kept], **look, label=name, clip_on=False)
-        if kept <= len(at) and error:
-            cross = {"color": look["color"], "ms": 11, "mew": 3, "clip_on": False, "zorder": 6}
-            axes.plot(at[kept - 1], shown[kept - 1], "x", **cross)
+        shown = np.clip(values, floor, top)
+        axes.plot(at, shown, **LOOKS[METHODS[name][0]], label=name, clip_on=False)
+    for power, name in enumerate(panel.guides, 1):
+        look = {"color": "#888888", "lw": 1, "ls": ":" if power == 1 else "-.", "zorder": 1}
+        axes.plot(at, np.outer(at**power, (2.0**-24, 2.0**-53)), **look, label=[name, None])
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.03), fontsize=9)
 
 
