@@ -116,14 +116,15 @@ def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[st
     balls = place(surfaces.center).tolist(), (surfaces.radius * place.scale).tolist()
     # Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved.
     cubes = half.tolist(), ((low + high) / 2).tolist()
+    bsdfs = [refs[shader] for shader in surfaces.shader_index.tolist()]
     shapes = [
-        plugin("shape", "sphere", xyz("point", "center", center), refs[shader], radius=radius)
-        for center, radius, shader in zip(*balls, surfaces.sphere_shader.tolist(), strict=True)
+        plugin("shape", "sphere", xyz("point", "center", center), bsdf, radius=radius)
+        for center, radius, bsdf in zip(*balls, bsdfs[: len(balls[0])], strict=True)
     ]
-    for scale, middle, shader in zip(*cubes, surfaces.box_shader.tolist(), strict=True):
+    for scale, middle, bsdf in zip(*cubes, bsdfs[len(shapes) :], strict=True):
         steps = xyz("scale", None, scale), xyz("translate", None, middle)
         to_world = element('transform name="to_world"', *steps)
-        shapes.append(plugin("shape", "cube", to_world, refs[shader]))
+        shapes.append(plugin("shape", "cube", to_world, bsdf))
     return [shapes[index] for index in np.argsort(surfaces.file_index).tolist()]
 
 

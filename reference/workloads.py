@@ -39,10 +39,9 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
         surfaces=Surfaces(
             center=center[:spheres],
             radius=size[:spheres],
-            sphere_shader=np.arange(spheres) % len(_SHADERS),
             min_pt=np.vstack([center[spheres:] - half, [(-50, -3, -50)]]),
             max_pt=np.vstack([center[spheres:] + half, [(50, -2.5, 50)]]),
-            box_shader=np.arange(n - spheres + 1) % len(_SHADERS),
+            shader_index=np.append(np.arange(spheres), np.arange(n - spheres + 1)) % len(_SHADERS),
             shaders=_SHADERS,
         ),
     )
@@ -63,7 +62,7 @@ def rods(count: int) -> Scene:
         surfaces=Surfaces(
             min_pt=np.vstack([center - half, [(-10, -4, -10)]]),
             max_pt=np.vstack([center + half, [(10, -3.5, 10)]]),
-            box_shader=np.arange(count + 1) % len(_SHADERS),
+            shader_index=np.arange(count + 1) % len(_SHADERS),
             shaders=_SHADERS,
         ),
     )

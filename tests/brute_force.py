@@ -13,8 +13,7 @@ from probe import Surface, Vector
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, pick
 from tracer.light.shading import highlight
-from tracer.scene.model import Scene, Surfaces
-from tracer.scene.objects import Phong
+from tracer.scene.model import Phong, Scene, Surfaces
 from tracer.shapes.rounding import INSIDE
 from tracer.view.camera import Raster, raster_of
 from tracer.view.view import Group, Shape, view_of

@@ -128,14 +128,14 @@ CHANGES = {
         "divmod(number, len(self._columns))": "divmod(number, len(self._rows))",
     },
     # Reader and writer, explanations, warnings
-    "tracer/scene/objects.py": {
+    "tracer/scene/model.py": {
         "default=(0.0, 0.0, -1.0)": "default=(0.0, 0.0, 1.0)",
         '_ONE, metadata=of(schema.COLOR, "int': '_ZERO, metadata=of(schema.COLOR, "int',
     },
     "tracer/scene/schema.py": {
-        "~((x > 0)": "~((x >= -1)",
+        "lambda x: x <= 0": "lambda x: x < 0",
         "wrong = min_pt > max_pt": "wrong = min_pt >= max_pt",
-        "lambda x: x < 0, lambda": "lambda x: x < -1, lambda",
+        "lambda x: x < 0,": "lambda x: x < -1,",
     },
     "tracer/scene/elements.py": {
         "element.line = parser.": "element.line = 1 + parser.",

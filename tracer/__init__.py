@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from tracer.explanation import Explanation, explain
     from tracer.picture.bands import render
     from tracer.picture.png import to_codes, write_png
-    from tracer.scene.model import Scene, Surfaces
-    from tracer.scene.objects import Box, Camera, Lambertian, Phong, PointLight, Shader, Sphere
+    from tracer.scene.model import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
+    from tracer.scene.model import Surfaces as Surfaces
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.scene.writer import save_scene
@@ -50,7 +50,7 @@ __all__ = [
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = (
-        *("scene.objects", "scene.model", "scene.reader", "scene.schema", "scene.writer"),
+        *("scene.model", "scene.reader", "scene.schema", "scene.writer"),
         *("picture.bands", "picture.png", "suspicions", "view.first_hits", "explanation"),
     )
 

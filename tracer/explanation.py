@@ -14,8 +14,7 @@ from tracer.arrays import Floats
 from tracer.arrays import Triple as Vectors
 from tracer.light.lighting import Lighting, incoming_at, lighting_of, radiance_at
 from tracer.picture.png import to_codes
-from tracer.scene.model import Scene
-from tracer.scene.objects import unit
+from tracer.scene.model import Scene, unit
 from tracer.view.camera import raster_of
 from tracer.view.first_hits import Hits, first_hits
 from tracer.view.view import Visible, view_of

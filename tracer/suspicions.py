@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.scene.model import Scene
-from tracer.scene.objects import Phong, Shader, VectorLike
+from tracer.scene.model import Phong, Scene, Shader, VectorLike
 from tracer.scene.schema import number
 from tracer.view.first_hits import first_hits
 

@@ -50,17 +50,6 @@ def test_modules_take_from_each_other_what_is_public(name):
             assert {alias.name for alias in node.names} <= set(public), node.module
 
 
-@pytest.mark.parametrize(
-    "name", ["tracer.scene.elements", "tracer.scene.reader", "tracer.scene.model"]
-)
-def test_constants_and_types_are_public_or_not_by_their_name(name):
-    module = import_module(name)
-    for node in ast.parse(inspect.getsource(module)).body:
-        for target in getattr(node, "targets", [getattr(node, "target", None)]):
-            if isinstance(target, ast.Name) and not target.id.startswith("_"):
-                assert target.id in module.__all__
-
-
 def test_converters_import_nothing_that_imports_them():
     """Only one command does, where it is told to compare."""
     for path in Path(converters.__path__[0]).glob("*.py"):

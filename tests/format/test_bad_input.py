@@ -120,11 +120,11 @@ OTHERS = [
             ("4.0 3", "needs two whole numbers.*; has '4.0 3'"),
             ("1e2 3", "needs two whole numbers.*; has '1e2 3'"),
             ("4 3 2", "needs two whole numbers.*; has '4 3 2'"),
-            ("0 3", "width: must be a whole number of at least 1, is 0"),
-            ("4 -3", "height: must be a whole number of at least 1, is -3"),
+            ("0 3", "width: must be a whole number from 1 to 268435456, is 0"),
+            ("4 -3", "height: must be a whole number from 1 to 268435456, is -3"),
             ("16384 16385", "width, height: 16384 x 16385 pixels .* would take 6 GiB of memory"),
             ("1000000 1000000", "width, height: .* 2.24e[+]04 GiB.*; at most 268435456 pixels"),
-            (f"1{'0' * 5000} 1", "width: must be at most 268435456"),
+            (f"1{'0' * 5000} 1", "needs two whole numbers"),
         )
     ),
     *(
@@ -136,9 +136,9 @@ OTHERS = [
             ("<viewPoint>0 0 1e999</viewPoint>", "viewPoint: must be finite"),
             ("<viewPoint>1e+80 0 0</viewPoint>", "viewPoint: 1e[+]80 is too large; lengths"),
             ("<viewWidth>1e-80</viewWidth>", "viewWidth: 1e-80 is too small; lengths"),
-            ("<projDistance>0</projDistance>", "projDistance: must be positive and finite, is 0"),
-            ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive and finite, is -1"),
-            ("<viewHeight>0</viewHeight>", "viewHeight: must be positive and finite, is 0"),
+            ("<projDistance>0</projDistance>", "projDistance: must be positive, is 0"),
+            ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive, is -1"),
+            ("<viewHeight>0</viewHeight>", "viewHeight: must be positive, is 0"),
             ("<viewUp>0 0 3</viewUp>", "viewUp: .* parallel to viewDir; choose another viewUp"),
             ("<viewUp>0 1e-15 1</viewUp>", "viewUp: must not be parallel to viewDir"),
             # The default viewUp is not in the file: the camera is to blame.
@@ -263,16 +263,6 @@ def test_bombs(faults, declarations):
     assert faults(f"<!DOCTYPE scene [{declarations}]>\n<scene>&j;&a;</scene>") == [
         "1: DOCTYPE: declarations are not allowed; write out what entities stand for"
     ]
-
-
-def test_few_shaders_get_a_suggestion(faults):
-    """It takes long to find, among many."""
-    defined = "".join(f'<shader name="a{i}" type="Phong"/>' for i in range(9))
-    used = "".join(SPHERE.format(f'<shader ref="a{i}b"/>') for i in range(99))
-    told = faults(f"<scene>{EMPTY}{defined}{used}</scene>")
-    assert told[0] == "1: shader: no shader is named 'a0b'; did you mean 'a0'?"
-    assert told[98] == "1: shader: no shader is named 'a98b'; define it"
-    assert len(told) == 99
 
 
 # What is no readable file
@@ -413,7 +403,7 @@ def test_too_little_memory_is_an_error_of_its_own(monkeypatch):
     def no_memory(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tracer.scene.reader.numbers", no_memory)
+    monkeypatch.setattr("tracer.scene.reader._numbers", no_memory)
     with pytest.raises(MemoryError):
         load_scene(
             io.BytesIO(f"<scene>{EMPTY}{SPHERE.format('<radius>1</radius>')}</scene>".encode())

@@ -121,8 +121,7 @@ def test_surfaces_keep_the_order_of_the_file(scene_of):
     brick = '<surface type="Box"><minPt>0 0 0</minPt><maxPt>1 1 1</maxPt></surface>'
     scene = scene_of(EMPTY + ball + brick + ball + brick + brick)
     assert [type(surface) for surface in scene.surfaces] == [Sphere, Box, Sphere, Box, Box]
-    assert scene.surfaces.sphere_index.tolist() == [0, 2]
-    assert scene.surfaces.box_index.tolist() == [1, 3, 4]
+    assert scene.surfaces.file_index.tolist() == [0, 2, 1, 3, 4]
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_a_light_may_be_as_far_away_as_the_sun():
 def test_what_nothing_is_made_of_is_left_out(flavour):
     odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
     surfaces = Surfaces(
-        center=np.zeros((1, 3)), radius=np.ones(1), sphere_shader=[1], shaders=[odd, plain]
+        center=np.zeros((1, 3)), radius=np.ones(1), shader_index=[1], shaders=[odd, plain]
     )
     scene = Scene(width=8, height=8, surfaces=surfaces)
     without = replace(scene, surfaces=[Sphere(shader=plain)])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, scaled, select
-from tracer.scene.objects import Phong, Shader
+from tracer.scene.model import Phong, Shader
 
 # If 1 + l.v is less, too many of its digits have cancelled.
 _CANCELLED = 1e-3

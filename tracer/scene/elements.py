@@ -14,8 +14,6 @@ from xml.parsers import expat
 from tracer.messages import quoted, short
 from tracer.scene.remedies import SCENE, malformed
 
-__all__ = ["MAX_BYTES", "MAX_NESTING", "MAX_TOKEN", "Element", "GiveUp", "parse"]
-
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""
 MAX_TOKEN = 1 << 20
@@ -47,20 +45,10 @@ class Element(list["Element"]):
 def parse(
     file: IO[bytes], take: Callable[[Element], None], note: Callable[[int, str, str], None]
 ) -> None:
-    """Parse a scene file.
+    """Parse a scene file: `take` its root when it begins, each child of that when it ends.
 
-    Parameters
-    ----------
-    file : binary file
-    take : callable
-        Called with the root when it begins, and with each of its children when that ends.
-    note : callable
-        Called for stray text, with its line, the tag of what holds it, and what is wrong.
-
-    Raises
-    ------
-    GiveUp
-        Where the file is no longer XML, or passes a limit; what ended before has been taken.
+    Stray text is noted: its line, the tag of what holds it, and what is wrong.  `GiveUp` is raised
+    where the file is no longer XML, or passes a limit; what ended before has been taken.
     """
     opened: list[Element] = []
     # Where stray text since the last tag is noted already: a long one comes in pieces.
@@ -68,12 +56,12 @@ def parse(
 
     def start(tag: str, attrib: dict[str, str]) -> None:
         nonlocal strayed
+        strayed = None
         element = Element()
         element.tag = tag
         element.attrib = attrib
         element.line = parser.CurrentLineNumber
         element.text = ""
-        strayed = None
         if len(opened) > 1:
             parent = opened[-1]
             parent.append(element)
@@ -101,20 +89,17 @@ def parse(
                 raise GiveUp(element.line, wrong)
         elif strayed is not element:
             # The event comes where the text ends; the fault is where it begins.
-            text = text.lstrip()
+            strayed, text = element, text.lstrip()
             line = parser.CurrentLineNumber - text.count("\n")
             note(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
-            strayed = element
 
     def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
-        # Nested entities grow exponentially, and declared attributes take quadratic time.
-        if declares:
-            wrong = "declarations are not allowed; write out what entities stand for"
-            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: {wrong}")
-        # That file would not be read, and entities it defines be skipped, some in silence.
-        if system is not None:
-            wrong = "declarations in another file are not allowed; remove the DOCTYPE"
-            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: {wrong}")
+        # Entities in others grow exponentially; those of another file would be skipped.
+        if declares or system is not None:
+            wrong = "are not allowed; write out what entities stand for"
+            if not declares:
+                wrong = "in another file are not allowed; remove the DOCTYPE"
+            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
 
     parser: Any = expat.ParserCreate()
     parser.buffer_text = True
@@ -141,7 +126,7 @@ def parse(
                 at = max(0, parser.ErrorByteIndex - given + len(latest))
                 after = (latest + file.read(_CHUNK))[at : at + 256]
                 tags = [(element.tag, element.line) for element in opened]
-                right = malformed(message, error.lineno, latest[:at][-_TAIL:], after, tags)
+                right = malformed(message, error.lineno, latest[:at], after, tags)
                 wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
                 raise GiveUp(error.lineno, wrong) from None
             except (LookupError, ValueError, Warning):

@@ -1,7 +1,8 @@
-"""The scene, and the arrays of its surfaces that the tracer reads.
+"""The scene: frozen dataclasses, checked when they are made, and the arrays of its surfaces.
 
-Surfaces come in thousands, so :class:`Surfaces` keeps them as arrays and checks them whole; it
-still reads like a sequence of :class:`~tracer.scene.objects.Sphere` and `Box`.
+Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75 in size, and colours not
+negative; `SceneError` reports all that is wrong, not only the first.  The fields' metadata are the
+table of elements that files are read and written by: see `schema.of`.
 """
 
 from __future__ import annotations
@@ -10,25 +11,214 @@ import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Ints
 from tracer.scene import schema
-from tracer.scene.objects import Box, Camera, Lambertian, Phong, PointLight, Shader, Sphere
-from tracer.scene.schema import Fault, of
+from tracer.scene.schema import Fault, Floats, of
 
-__all__ = ["Scene", "Surfaces"]
+VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
+"""Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
 
-_SHADERS = schema.list_of(Lambertian, Phong)
+_ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+
+# Below this sine or cosine the camera basis has no digit left worth trusting.
+_DEGENERATE = 1e-10
+
+
+@np.errstate(under="ignore")
+def unit(vector: ArrayLike) -> Floats:
+    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
+    array = np.asarray(vector, dtype=np.float64)
+    # By a power of two: exact, so that scaled scenes stay bit-identical.
+    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
+    return array / np.sqrt(array @ array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A perspective camera with a window that may be shifted or oblique.
+
+    Parameters
+    ----------
+    view_point : (3,)
+        Centre of projection.
+    view_dir : (3,)
+        From `view_point` to the window's centre; its length is not used.
+    view_up : (3,)
+        Orients the picture.
+    proj_normal : (3,), optional
+        Normal of the window; length and sign are not used.  The view direction if absent.
+    proj_distance : float
+        Distance from `view_point` to the window's centre along `view_dir`.
+    view_width, view_height : float
+        Size of the window.
+
+    Raises
+    ------
+    SceneError
+        For numbers of the wrong kind, a zero vector, `view_up` parallel to `proj_normal`, or
+        `proj_normal` perpendicular to `view_dir`.
+    """
+
+    view_point: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(default=(0.0, 0.0, -1.0), metadata=of(schema.DIRECTION, "viewDir"))
+    view_up: VectorLike = field(default=(0.0, 1.0, 0.0), metadata=of(schema.DIRECTION, "viewUp"))
+    proj_normal: VectorLike | None = field(
+        default=None, metadata=of(schema.DIRECTION, "projNormal")
+    )
+    proj_distance: float = field(default=1.0, metadata=of(schema.LENGTH, "projDistance"))
+    view_width: float = field(default=1.0, metadata=of(schema.LENGTH, "viewWidth"))
+    view_height: float = field(default=1.0, metadata=of(schema.LENGTH, "viewHeight"))
+
+    def __post_init__(self) -> None:
+        schema.check(self)
+        schema.raise_any(self.misfits())
+
+    @np.errstate(under="ignore")
+    def misfits(self) -> list[Fault]:
+        """Find vectors that are right, but do not go together."""
+        normal, faults = unit(self.normal), []
+        if np.linalg.norm(np.cross(unit(self.view_up), normal)) < _DEGENERATE:
+            other = "view_dir" if self.proj_normal is None else "proj_normal"
+            wrong = f"must not be parallel to {other}; choose another view_up"
+            faults.append(Fault("view_up", wrong))
+        if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
+            wrong = "must not be perpendicular to view_dir: no ray would meet it"
+            faults.append(Fault("proj_normal", wrong))
+        return faults
+
+    @property
+    def normal(self) -> VectorLike:
+        """The window's normal as given: `proj_normal`, or else `view_dir`."""
+        return self.view_dir if self.proj_normal is None else self.proj_normal
+
+
+class _Checked:
+    """Something whose values are checked when it is made."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        schema.check(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointLight(_Checked):
+    """A point light; its intensity does not fall off with distance.
+
+    Parameters
+    ----------
+    position : (3,)
+    intensity : (3,)
+        Linear RGB.
+    line : int, optional
+        In its file, if it is from one; no part of equality.
+    """
+
+    position: VectorLike = field(metadata=of(schema.POINT, "position"))
+    # The specification says color, the published scenes say intensity.
+    intensity: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "intensity", "color"))
+    line: int | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lambertian(_Checked):
+    """Matt: radiance I kd n.l from each light that is not hidden, of intensity I.
+
+    See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
+
+    Parameters
+    ----------
+    diffuse : (3,)
+        The colour kd: linear RGB, 1 for all of the light.
+    """
+
+    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phong(_Checked):
+    """Blinn-Phong: I (kd n.l + ks (n.h)^exponent) from each light that is not hidden (Blinn 1977).
+
+    A light, of intensity I, that is behind the surface (n.l <= 0) is hidden: it makes no highlight
+    either.
+
+    Parameters
+    ----------
+    diffuse, specular : (3,)
+        The colours kd and ks: linear RGB, 1 for all of the light.
+    exponent : float
+        The larger, the smaller the highlight.
+    """
+
+    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_ZERO, metadata=of(schema.COLOR, "specularColor"))
+    exponent: float = field(default=1.0, metadata=of(schema.EXPONENT, "exponent"))
+
+
+Shader: TypeAlias = Lambertian | Phong
+
+_SHADER = of(schema.one_of(Lambertian, Phong), "shader")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere(_Checked):
+    """A sphere; white and Lambertian if it has no shader.
+
+    Parameters
+    ----------
+    center : (3,)
+    radius : float
+    shader : Lambertian or Phong
+    line : int, optional
+        In its file, if it is from one; no part of equality.
+    """
+
+    center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
+    radius: float = field(default=1.0, metadata=of(schema.LENGTH, "radius"))
+    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box(_Checked):
+    """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
+
+    Parameters
+    ----------
+    min_pt, max_pt : (3,)
+        Opposite corners, with the least and the largest coordinates.
+    shader : Lambertian or Phong
+    line : int, optional
+        In its file, if it is from one; no part of equality.
+
+    Raises
+    ------
+    SceneError
+        For values of the wrong kind, or `min_pt` beyond `max_pt` along any axis.
+    """
+
+    min_pt: VectorLike = field(metadata=of(schema.POINT, "minPt"))
+    max_pt: VectorLike = field(metadata=of(schema.POINT, "maxPt"))
+    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    line: int | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        schema.check(self)
+        corners = np.array([self.min_pt, self.max_pt])
+        schema.raise_any(
+            Fault("min_pt", wrong) for _, wrong in schema.order_faults(corners[:1], corners[1:])
+        )
 
 
 class Surfaces(Sequence[Sphere | Box]):
-    """All surfaces of a scene, as arrays; also a sequence of Sphere and Box.
+    """All surfaces of a scene, as arrays, as they come in thousands; also a sequence of them.
 
-    The arrays are read-only copies.  Two objects are equal if they are equal as sequences.
+    The arrays are read-only copies; where all surfaces are numbered together, spheres come first.
+    Two objects are equal if they are equal as sequences.
 
     Parameters
     ----------
@@ -36,14 +226,14 @@ class Surfaces(Sequence[Sphere | Box]):
         The spheres.
     min_pt, max_pt : (B, 3)
         The boxes.
-    sphere_index, box_index : (S,) and (B,)
-        Place of each in the file: together a permutation of 0 ... S + B - 1.
+    shader_index : (S + B,)
+        Index of each into `shaders`.
+    file_index : (S + B,), optional
+        Place of each in the file: a permutation of 0 ... S + B - 1.
         Of two surfaces at the same distance, the earlier is seen.
-    sphere_shader, box_shader : (S,) and (B,)
-        Index into `shaders`.
     shaders : tuple of Lambertian or Phong
-    line : (S + B,)
-        Where each stands in its file, spheres first; 0 if it is from none.
+    line : (S + B,), optional
+        Where each stands in its file; 0 if it is from none.
 
     Raises
     ------
@@ -56,62 +246,53 @@ class Surfaces(Sequence[Sphere | Box]):
         *,
         center: ArrayLike = (),
         radius: ArrayLike = (),
-        sphere_shader: ArrayLike = (),
-        sphere_index: ArrayLike | None = None,
         min_pt: ArrayLike = (),
         max_pt: ArrayLike = (),
-        box_shader: ArrayLike = (),
-        box_index: ArrayLike | None = None,
+        shader_index: ArrayLike = (),
+        file_index: ArrayLike | None = None,
         shaders: tuple[Shader, ...] = (),
         line: ArrayLike | None = None,
     ) -> None:
-        self.center = schema.POINT.table(center, "center")
-        self.radius = schema.LENGTH.table(radius, "radius")
-        self.min_pt = schema.POINT.table(min_pt, "min_pt")
-        self.max_pt = schema.POINT.table(max_pt, "max_pt")
-        spheres, every = len(self.center), np.arange(len(self.center) + len(self.min_pt))
-        sphere_index = every[:spheres] if sphere_index is None else sphere_index
-        box_index = every[spheres:] if box_index is None else box_index
-        self.sphere_index = schema.integers(sphere_index, "sphere_index")
-        self.box_index = schema.integers(box_index, "box_index")
-        self.sphere_shader = schema.integers(sphere_shader, "sphere_shader")
-        self.box_shader = schema.integers(box_shader, "box_shader")
-        self.shaders: tuple[Shader, ...] = _SHADERS(shaders, "shaders")
-        line = np.zeros(every.size) if line is None else line
-        self.line = schema.integers(line, "line").astype(np.int32)
+        self.center = schema.POINT.rows(center, "center")
+        self.radius = schema.LENGTH.rows(radius, "radius")
+        self.min_pt = schema.POINT.rows(min_pt, "min_pt")
+        self.max_pt = schema.POINT.rows(max_pt, "max_pt")
+        self.shader_index = schema.integers(shader_index, "shader_index")
+        every = np.arange(len(self))
+        self.file_index = schema.integers(every if file_index is None else file_index, "file_index")
+        self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
+        lines = schema.integers(0 * every if line is None else line, "line")
+        self.line = lines.astype(np.int32)
         schema.raise_any(self._misfits())
         schema.raise_any(sorted(self._faults(), key=lambda fault: fault.surface or 0))
         self.__setstate__(vars(self))
 
     def _misfits(self) -> Iterator[Fault]:
         """Find arrays that do not fit together, and so cannot be checked further."""
-        for first, others in (
-            ("center", ("radius", "sphere_shader", "sphere_index")),
-            ("min_pt", ("max_pt", "box_shader", "box_index")),
+        every = "one a surface"
+        for name, needed, why in (
+            ("radius", len(self.center), "as many as center"),
+            ("max_pt", len(self.min_pt), "as many as min_pt"),
+            *((name, len(self), every) for name in ("shader_index", "file_index", "line")),
         ):
-            needed = len(getattr(self, first))
-            for name in others:
-                if (count := len(getattr(self, name))) != needed:
-                    yield Fault(name, f"needs {needed}, as many as {first}; has {count}")
-        count = len(self.shaders)
-        for name in ("sphere_shader", "box_shader"):
-            for place in [i for i in getattr(self, name).tolist() if not 0 <= i < count][:1]:
-                yield Fault(name, f"must be places among {count} shaders, has {place}")
-        index, count = self.file_index, len(self)
-        if len(index) == count and not np.array_equal(np.sort(index), np.arange(count)):
-            wrong = f"must together be a permutation of 0 ... {count - 1}"
-            yield Fault("sphere_index, box_index", wrong)
-        elif len(index) == count != len(self.line):
-            yield Fault("line", f"needs {count}, one a surface; has {len(self.line)}")
+            if (count := len(getattr(self, name))) != needed:
+                yield Fault(name, f"needs {needed}, {why}; has {count}")
+        index, count = self.shader_index, len(self.shaders)
+        for place in index[(index < 0) | (index >= count)].tolist()[:1]:
+            yield Fault("shader_index", f"must be places among {count} shaders, has {place}")
+        count = len(self.file_index)
+        if not np.array_equal(np.sort(self.file_index), np.arange(count)):
+            yield Fault("file_index", f"must be a permutation of 0 ... {count - 1}")
 
     def _faults(self) -> Iterator[Fault]:
         """Find numbers that no sphere or box may have."""
+        spheres, boxes = np.split(self.file_index, [self.sphere_count])
         for name, index, faults in (
-            ("radius", self.sphere_index, schema.LENGTH.faults(self.radius[:, None])),
-            ("center", self.sphere_index, schema.POINT.faults(self.center)),
-            ("min_pt", self.box_index, schema.POINT.faults(self.min_pt)),
-            ("max_pt", self.box_index, schema.POINT.faults(self.max_pt)),
-            ("min_pt", self.box_index, schema.order_faults(self.min_pt, self.max_pt)),
+            ("radius", spheres, schema.LENGTH.faults(self.radius[:, None])),
+            ("center", spheres, schema.POINT.faults(self.center)),
+            ("min_pt", boxes, schema.POINT.faults(self.min_pt)),
+            ("max_pt", boxes, schema.POINT.faults(self.max_pt)),
+            ("min_pt", boxes, schema.order_faults(self.min_pt, self.max_pt)),
         ):
             yield from (Fault(name, message, index.item(i)) for i, message in faults)
 
@@ -127,23 +308,24 @@ class Surfaces(Sequence[Sphere | Box]):
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
         """Gather Sphere and Box objects, in order."""
+        if isinstance(surfaces, Surfaces):
+            return surfaces
         items: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
         # By identity: objects that share a shader keep sharing it.
         shaders = {id(item.shader): item.shader for item in items}
         slot = {key: i for i, key in enumerate(shaders)}
         spheres = [i for i, item in enumerate(items) if isinstance(item, Sphere)]
         boxes = [i for i, item in enumerate(items) if isinstance(item, Box)]
+        order = spheres + boxes
         return cls(
             center=[items[i].center for i in spheres],
             radius=[items[i].radius for i in spheres],
-            sphere_shader=[slot[id(items[i].shader)] for i in spheres],
-            sphere_index=spheres,
             min_pt=[items[i].min_pt for i in boxes],
             max_pt=[items[i].max_pt for i in boxes],
-            box_shader=[slot[id(items[i].shader)] for i in boxes],
-            box_index=boxes,
+            shader_index=[slot[id(items[i].shader)] for i in order],
+            file_index=order,
             shaders=tuple(shaders.values()),
-            line=[items[i].line or 0 for i in spheres + boxes],
+            line=[items[i].line or 0 for i in order],
         )
 
     def __len__(self) -> int:
@@ -151,18 +333,8 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @property
     def sphere_count(self) -> int:
-        """How many are spheres: where all surfaces are numbered together, these come first."""
+        """How many are spheres."""
         return len(self.radius)
-
-    @property
-    def file_index(self) -> Ints:
-        """Place of each (S + B,) in the file, spheres first."""
-        return np.concatenate([self.sphere_index, self.box_index])
-
-    @property
-    def shader_index(self) -> Ints:
-        """Index of each (S + B,) into `shaders`, spheres first."""
-        return np.concatenate([self.sphere_shader, self.box_shader])
 
     @overload
     def __getitem__(self, index: int) -> Sphere | Box: ...
@@ -176,16 +348,14 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _surface(self, at: int) -> Sphere | Box:
-        """One by its place in the arrays, spheres first."""
-        values: dict[str, object] = {"line": self.line[at].item() or None}
+        """One by its place in the arrays."""
+        shader, line = self.shaders[self.shader_index[at]], self.line.item(at) or None
         if at < self.sphere_count:
-            values["shader"] = self.shaders[self.sphere_shader[at]]
-            values["center"] = tuple(self.center[at].tolist())
-            return schema.unchecked(Sphere, radius=self.radius[at].item(), **values)
-        at -= self.sphere_count
-        values["shader"] = self.shaders[self.box_shader[at]]
-        values["min_pt"] = tuple(self.min_pt[at].tolist())
-        return schema.unchecked(Box, max_pt=tuple(self.max_pt[at].tolist()), **values)
+            center, radius = tuple(self.center[at].tolist()), self.radius.item(at)
+            return schema.unchecked(Sphere, center=center, radius=radius, shader=shader, line=line)
+        low, high = (each[at - self.sphere_count].tolist() for each in (self.min_pt, self.max_pt))
+        corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
+        return schema.unchecked(Box, **corners, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -201,11 +371,6 @@ class Surfaces(Sequence[Sphere | Box]):
 
 
 _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
-
-
-def _surfaces(value: Any, _: str) -> Surfaces:
-    """The kind of a scene's surfaces."""
-    return value if isinstance(value, Surfaces) else Surfaces.of(value)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -228,7 +393,7 @@ class Scene:
 
     camera: Camera = field(metadata=of(schema.one_of(Camera)))
     lights: tuple[PointLight, ...] = field(metadata=of(schema.list_of(PointLight)))
-    surfaces: Surfaces = field(metadata=of(_surfaces))
+    surfaces: Surfaces = field(metadata=of(lambda value, _: Surfaces.of(value)))
     width: int = field(metadata=of(schema.size))
     height: int = field(metadata=of(schema.size))
 

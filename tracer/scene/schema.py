@@ -1,8 +1,7 @@
 """Kinds of values that a scene is made of, and what is wrong with one.
 
 A field of a dataclass holds its kind, and the tags that it has in a file, in its metadata (`of`).
-A kind takes a value as given and returns the one to keep, or raises `SceneError`; `check` goes on
-with the next field, so that all faults are reported at once.
+A kind takes a value as given and returns the one to keep, or raises `SceneError`.
 """
 
 from __future__ import annotations
@@ -17,15 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _Made = TypeVar("_Made")
+Floats: TypeAlias = NDArray[np.float64]
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
 
 # Between these in size are lengths and coordinates other than 0: float64 holds fourth powers.
 _SMALLEST, _LARGEST = 1e-75, 1e75
-
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 def number(value: float) -> str:
@@ -80,10 +77,7 @@ def of(kind: _Kind, *tags: str) -> dict[str, Any]:
 def check(made: Any, **values: object) -> None:
     """Set fields of a frozen dataclass to what their kinds make of `values`, or of theirs.
 
-    Raises
-    ------
-    SceneError
-        For all that is wrong with them.
+    `SceneError` is raised for all that is wrong with them.
     """
     faults: list[Fault] = []
     for field in fields(made):
@@ -105,33 +99,18 @@ def unchecked(made: type[_Made], **values: object) -> _Made:
     return new
 
 
-def _out_of_range(values: Floats) -> str:
-    too = "large" if abs(values[0]) > 1 else "small"
-    limits = f"lengths other than 0 are from {number(_SMALLEST)} to {number(_LARGEST)}"
-    return f"{number(values[0])} is too {too}; {limits}"
+# A rule: which of the values (n, count) break it, and the message, with the first that does.
+_Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
-
-# A condition on numbers: from values (n, count) to a mask of those that break it, of the same
-# shape; from such values of one row to what is wrong with them.
-_Rule: TypeAlias = tuple[Callable[[Floats], Any], Callable[[Floats], str]]
-
-_FINITE: _Rule = (lambda x: ~np.isfinite(x), lambda x: "must be finite")
-_IN_RANGE: _Rule = (
-    lambda x: (x != 0) & ((abs(x) > _LARGEST) | (abs(x) < _SMALLEST)),
-    _out_of_range,
-)
+_LIMITS = f"lengths other than 0 are from {number(_SMALLEST)} to {number(_LARGEST)}"
+_FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
+_NOT_LARGE: _Rule = (lambda x: abs(x) > _LARGEST, f"{{}} is too large; {_LIMITS}")
+_NOT_SMALL: _Rule = (lambda x: (abs(x) < _SMALLEST) & (x != 0), f"{{}} is too small; {_LIMITS}")
+_NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
+_POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, is {}")
 _NOT_ZERO: _Rule = (
     lambda x: (x == 0) & ~x.any(axis=1, keepdims=True),
-    lambda x: "must not be the zero vector",
-)
-_NONE_NEGATIVE: _Rule = (lambda x: x < 0, lambda x: f"must not be negative, has {number(x.min())}")
-_POSITIVE: _Rule = (
-    lambda x: ~((x > 0) & (x < np.inf)),
-    lambda x: f"must be positive and finite, is {number(x[0])}",
-)
-_NOT_NEGATIVE: _Rule = (
-    lambda x: ~((x >= 0) & (x < np.inf)),
-    lambda x: f"must be finite and not negative, is {number(x[0])}",
+    "must not be the zero vector",
 )
 
 
@@ -145,37 +124,40 @@ class Numbers:
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Return a tuple, or the single number."""
         array = _floats(value, name)
-        if array.shape != (self.count,) and (self.count > 1 or array.size != 1):
-            needs = f"needs {self.count} numbers" if self.count > 1 else "must be a single number"
-            has = f"shape {array.shape}" if self.count > 1 and array.ndim > 1 else array.size
-            raise SceneError([Fault(name, f"{needs}, has {has}")])
+        if array.size != self.count or array.ndim > 1:
+            has = f"shape {array.shape}" if array.ndim > 1 else array.size
+            raise SceneError([Fault(name, f"{self.needed}, has {has}")])
         row = array.reshape(1, self.count)
         raise_any(Fault(name, message) for _, message in self.faults(row))
-        return tuple(row[0].tolist()) if self.count > 1 else float(row[0, 0])
+        return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
-    def table(self, value: ArrayLike, name: str) -> Floats:
+    @property
+    def needed(self) -> str:
+        """How many numbers are needed, in words."""
+        return f"needs {self.count} number{'s' * (self.count > 1)}"
+
+    def rows(self, value: ArrayLike, name: str) -> Floats:
         """Return a copy (n, count), or (n,) of single numbers, which may break the rules."""
         array = _floats(value, name)
-        if self.count > 1 and (array.size % 3 or array.shape[1:] not in ((), (3,))):
-            raise SceneError([Fault(name, f"needs 3 numbers in each row, has shape {array.shape}")])
-        return array.reshape((-1, self.count) if self.count > 1 else -1).copy()
+        if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
+            raise SceneError([Fault(name, f"{self.needed} in each row, has shape {array.shape}")])
+        return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
         """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
-        reported: set[int] = set()
+        found: dict[int, str] = {}
         for is_broken, message in self.rules:
             broken = is_broken(values)
-            if broken.any():
-                for i in sorted({*np.nonzero(broken)[0].tolist()} - reported):
-                    yield i, message(values[i, broken[i]])
-                    reported.add(i)
+            for i in np.flatnonzero(broken.any(axis=1)).tolist():
+                found.setdefault(i, message.format(number(values[i, broken[i]][0])))
+        yield from found.items()
 
 
-POINT = Numbers(3, _FINITE, _IN_RANGE)
+POINT = Numbers(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
 DIRECTION = Numbers(3, _FINITE, _NOT_ZERO)
-COLOR = Numbers(3, _FINITE, _NONE_NEGATIVE)
-LENGTH = Numbers(1, _POSITIVE, _IN_RANGE)
-EXPONENT = Numbers(1, _NOT_NEGATIVE)
+COLOR = Numbers(3, _FINITE, _NOT_NEGATIVE)
+LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
+EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE)
 
 
 def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
@@ -205,12 +187,10 @@ def size(value: int, name: str) -> int:
         count = int(operator.index(value))
     except TypeError:
         raise SceneError([Fault(name, f"must be an int, is {value!r}")]) from None
-    # A message leaves out what may have more digits than float() or str() accepts.
-    if count < 1:
-        has = f", is {count}" if count > -MAX_PIXELS else ""
-        raise SceneError([Fault(name, f"must be a whole number of at least 1{has}")])
-    if count > MAX_PIXELS:
-        raise SceneError([Fault(name, f"must be at most {MAX_PIXELS}")])
+    if not 1 <= count <= MAX_PIXELS:
+        # float() and str() refuse numbers of many digits.
+        has = f", is {count}" if abs(count) < 1e18 else ""
+        raise SceneError([Fault(name, f"must be a whole number from 1 to {MAX_PIXELS}{has}")])
     return count
 
 
@@ -238,13 +218,13 @@ def one_of(*types: type) -> _Kind:
 
 
 def _floats(value: ArrayLike, name: str) -> Floats:
-    """As an array."""
+    """As an array: a copy."""
     try:
         array = np.asarray(value)
         # NumPy would read texts, make NaN of None and of times, and drop a part of complex numbers.
         if value is None or array.dtype.kind in "USmMc":
             raise TypeError
-        return np.asarray(array, dtype=np.float64)
+        return np.array(array, dtype=np.float64)
     except OverflowError:
         wrong = "must be finite"
     except (TypeError, ValueError):

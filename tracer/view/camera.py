@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Triple, cross, dot
-from tracer.scene.objects import Camera, unit
+from tracer.scene.model import Camera, unit
 
 
 class Raster(NamedTuple):
