@@ -6,7 +6,7 @@ A curve of levels that explains the rest is allowed for, so that a wrong gamma h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import permutations, product
 from typing import Any, NamedTuple, TypeAlias
@@ -156,7 +156,7 @@ def _background(a: Codes, b: Codes, noise: int) -> tuple[Codes, list[Diagnosis]]
     return np.where(empty[:, :, None], np.uint8(0), a), [Diagnosis("background", text)]
 
 
-_ORDERS = list(permutations(range(3)))
+_ORDERS = np.array(list(permutations(range(3))))
 _TURNS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "mirrored": ("A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
     "flipped": ("A is upside down: row 0 should be the top.", lambda a: a[::-1]),
@@ -166,46 +166,40 @@ _TURNS: dict[str, tuple[str, Callable[[Any], Any]]] = {
 
 
 def _unlike(a: Codes, b: Codes) -> Floats:
-    """How badly B's levels tell A's, for each order of A's channels: 1 - correlation ratio."""
+    """How little B's levels tell of A's, for each order of A's channels: 1 - r^2."""
     step = _step(b, _FEWER)
-    a, b = a[::step, ::step], b[::step, ::step]
-    shown = a.any(axis=2) | b.any(axis=2)
-    values, levels = a[shown].astype(np.float64), b[shown] >> 2
-    count = np.maximum(np.bincount(levels.ravel(), minlength=64), 1)
-    sums = [[np.bincount(y, x, 64) for x in values.T] for y in levels.T]
-    whole = max(values.var() * values.size, 1e-6)
-    mean = values.sum() ** 2 / max(1, values.size)
-    between = [(sum(sums[k][order[k]] for k in range(3)) ** 2 / count).sum() for order in _ORDERS]
-    return np.asarray(1 - (np.array(between) - mean) / whole)
+    x, y = (image[::step, ::step].reshape(-1, 3).astype(np.float64) for image in (a, b))
+    shown = (x + y).any(axis=1)
+    x, y = (levels[shown] - levels[shown].mean() for levels in (x, y))
+    cross = np.einsum("ni,nj->ij", x, y)[_ORDERS, range(3)].sum(axis=1)
+    return 1 - cross * np.abs(cross) / max(1, (x * x).sum() * (y * y).sum())
 
 
 def _rearranged(a: Codes, b: Codes) -> tuple[Codes, list[Diagnosis]]:
     """A as it would be if it were not turned over, with its channels in B's order."""
-    image, unlike, found = a, _unlike(a, b), []
-    limit, step = min(0.15, 0.4 * unlike.min()), _step(b)
-    edges, right = edges_of(a[::step, ::step]), edges_of(b[::step, ::step])
-    off = max(shared_edges(edges, right)) < 0.9
-    for kind, (text, turn) in _TURNS.items():
-        if (turned := turn(a)).shape == b.shape:
-            other = _unlike(turned, b)
-            by_edges = off and max(shared_edges(turn(edges), right)) > 0.95
-            if other.min() < (unlike.min() if by_edges else min(limit, unlike.min())):
-                image, unlike, found = turned, other, [Diagnosis(kind, text)]
+    found, unlike, step = [], _unlike(a, b), _step(b)
+    turns = [(turn(a), kind, text) for kind, (text, turn) in _TURNS.items()]
+    fitting = [turn for turn in turns if turn[0].shape == b.shape]
+    turned, kind, text = min(fitting, key=lambda turn: _unlike(turn[0], b).min())
+    edges = shared_edges(*(edges_of(image[::step, ::step]) for image in (turned, b)))
+    limit = (0.75 if max(edges) > 0.95 else 0.4) * unlike.min() - 1e-3
+    if (other := _unlike(turned, b)).min() < limit:
+        a, unlike, found = turned, other, [Diagnosis(kind, text)]
     best = int(unlike.argmin())
-    if unlike[best] < min(0.15, 0.5 * unlike[0] - 1e-3):
-        order = list(_ORDERS[best])
+    if unlike[best] < 0.5 * unlike[0] - 1e-3:
+        order = _ORDERS[best].tolist()
         names = ", ".join(("red", "green", "blue")[order.index(channel)] for channel in range(3))
-        text = f"A's channels are in another order: {names}."
-        return image[:, :, order], [*found, Diagnosis("channels", text)]
-    return image, found
+        found.append(Diagnosis("channels", f"A's channels are in another order: {names}."))
+        a = a[:, :, order]
+    return a, found
 
 
 def _moved(a: Codes, b: Codes, noise: int) -> tuple[Pair, list[Diagnosis]]:
     """Both at the same places: B shifted, stretched or turned as A is."""
     still = _Motion("", "", np.eye(2), np.zeros(2)).pair(a, b, noise)
     before = still.unexplained()
-    for motions in (_slid, _far) if before > 0.002 else ():
-        for motion in motions(a, b, still):
+    for search in (_slid, _far) if before > 0.002 else ():
+        if motion := search(a, b, still):
             moved, opposite = (m.pair(a, b, noise) for m in (motion, motion.back()))
             # The leeway that a motion brings would explain something the other way as well.
             if moved.unexplained() < min(0.3 * before, 0.5 * opposite.unexplained()):
@@ -213,7 +207,7 @@ def _moved(a: Codes, b: Codes, noise: int) -> tuple[Pair, list[Diagnosis]]:
     return still, []
 
 
-def _slid(a: Codes, b: Codes, still: Pair) -> Iterator[_Motion]:
+def _slid(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     """A shift by half pixels, or a stretch by one, estimated from gradients.
 
     Along each axis the shift is modelled as c + s x, x from -1/2 at one border to 1/2 at the
@@ -222,7 +216,7 @@ def _slid(a: Codes, b: Codes, still: Pair) -> Iterator[_Motion]:
     """
     height, width = b.shape[:2]
     if min(height, width) < 4:
-        return
+        return None
     step, there = _step(b), still.curve().astype(np.float32)[b].mean(axis=2)
     down, across = (gradient[::step, ::step] for gradient in np.gradient(there))
     x, y = np.linspace(-0.5, 0.5, width)[::step], np.linspace(-0.5, 0.5, height)[::step, None]
@@ -234,14 +228,15 @@ def _slid(a: Codes, b: Codes, still: Pair) -> Iterator[_Motion]:
     if shift.any() and np.abs(shift).max() <= 2:
         half = ": samples belong at the pixels' centres" if (shift % 1).any() else ""
         text = f"A is shifted by {_way(*shift.tolist())}{half}."
-        yield _Motion("shifted", text, np.eye(2), shift)
-    elif np.abs(stretch).max() == 1 and not shift.any():
+        return _Motion("shifted", text, np.eye(2), shift)
+    if np.abs(stretch).max() == 1 and not shift.any():
         word = "smaller" if stretch.sum() < 0 else "larger"
         text = (
             f"A is a pixel {word} than it should be, about its centre: pixel centres lie at"
             " (column + 1/2) / width, not at column / (width - 1)."
         )
-        yield _Motion("stretched", text, np.diag(1 - stretch / (width, height)), np.zeros(2))
+        return _Motion("stretched", text, np.diag(1 - stretch / (width, height)), np.zeros(2))
+    return None
 
 
 def _way(right: float, down: float) -> str:
@@ -255,45 +250,50 @@ def _way(right: float, down: float) -> str:
     return " and ".join(parts)
 
 
-def _far(a: Codes, b: Codes, still: Pair) -> Iterator[_Motion]:
+def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     """A zoom or stretch about the centre, a turn about it, or a shift by many pixels.
 
-    Each is searched for in small pictures, and the one that makes B most like A made precise.
+    What makes B most like A in small pictures is made precise in larger ones.
     """
     silhouettes = [image.max(axis=2) > still.noise for image in (still.a, still.low)]
     agree = (silhouettes[0] == silhouettes[1]).mean() > 0.995
     if agree and max(shared_edges(edges_of(still.a), edges_of(still.low))) > 0.85:
-        return
+        return None
     small, fine = ([_grey(image, size) for image in (a, b)] for size in (_SMALL, _FINE))
-    if min(image.std() for image in (*small, *fine)) < 1:
-        return
-    scale = max(1, max(a.shape) / _FINE)
 
-    def likeness(motion: _Motion, images: list[Floats]) -> float:
-        matrix, middle = motion.matrix[::-1, ::-1], (np.array(images[1].shape) - 1) / 2
-        offset = middle - matrix @ middle - motion.shift[::-1] / scale
-        moved = ndimage.affine_transform(images[1], matrix, offset, order=1, cval=np.nan)
-        return _correlation(images[0], moved)
+    def cost(kind: Callable[..., _Motion], by: Iterable[float], images: list[Floats]) -> float:
+        """How little A is like B moved: minus their correlation."""
+        motion, size = kind(*by), np.array(images[1].shape)
+        matrix, middle = motion.matrix[::-1, ::-1], (size - 1) / 2
+        shift = motion.shift[::-1] * size.max() / max(a.shape)
+        moved = ndimage.affine_transform(
+            images[1], matrix, middle - matrix @ middle - shift, order=1, cval=np.nan
+        )
+        return -_correlation(images[0], moved)
 
     shift = phase_cross_correlation(*fine, normalization=None, upsample_factor=10)[0][::-1]
-    motions = [_shift(scale * shift)]
-    for kind, grid in (_zoom, (slice(-2, 2.1, 0.125),) * 2), (_roll, (slice(-3.1, 3.1, 0.1),)):
+    tried = [(_shift, tuple(shift * max(a.shape) / max(fine[0].shape)))]
+    tried += [(_zoom, powers) for powers in product(np.arange(-2, 2.1, 0.25), repeat=2)]
+    tried += [(_roll, (angle,)) for angle in np.arange(-3.1, 3.1, 0.1)]
+    kind, start = min(tried, key=lambda one: cost(*one, small))
+    if cost(kind, start, small) > -0.7:
+        return None
+    found = optimize.fmin(
+        lambda by: cost(kind, by, fine),
+        start,
+        xtol=1e-4,
+        maxfun=60,
+        disp=False,
+        initial_simplex=start + 0.1 * np.eye(len(start) + 1, len(start)),
+    )
+    best = kind(*found)
+    return best if best.shift.any() or np.abs(best.matrix - np.eye(2)).max() > 0.01 else None
 
-        def cost(by: Floats, images: list[Floats], kind: Any = kind) -> float:
-            return -likeness(kind(*np.atleast_1d(by)), images)
 
-        start = optimize.brute(cost, grid, (small,), finish=None)
-        found = optimize.fmin(cost, start, (fine,), xtol=1e-4, maxfun=60, disp=False)
-        motions.append(kind(*found))
-    best = max(motions, key=lambda motion: likeness(motion, fine))
-    if best.shift.any() or 0.01 < np.abs(best.matrix - np.eye(2)).max() < 20:
-        yield best
-
-
-def _shift(by: Floats) -> _Motion:
-    shift = np.round(by)
-    text = f"A is shifted by {_way(*shift.tolist())}: check viewDir."
-    return _Motion("shifted", text, np.eye(2), shift, 1)
+def _shift(*by: float) -> _Motion:
+    right, down = map(round, by)
+    text = f"A is shifted by {_way(right, down)}: check viewDir."
+    return _Motion("shifted", text, np.eye(2), np.array(by), 1)
 
 
 def _zoom(*powers: float) -> _Motion:
