@@ -17,18 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from reference.alignment import (
-    EDGE,
-    SAME,
-    Bools,
-    Codes,
-    Diagnosis,
-    Floats,
-    Pair,
-    aligned,
-    edges_of,
-    shared_edges,
-)
+from reference.alignment import EDGE, Bools, Codes, Diagnosis, Floats, Pair, align, edges_of, shared
 
 __all__ = ["GAMMA", "Diagnosis", "diagnose", "linear"]
 
@@ -72,10 +61,10 @@ def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
     if lossy:
         # Half the size keeps little of what compression does.
         a, b = (np.asarray(Image.fromarray(np.ascontiguousarray(x)).reduce(2)) for x in (a, b))
-    pair, found = aligned(a, b, noise)
+    pair, found = align(a, b, noise)
     pair, encoded = _encoded(pair)
     found += encoded
-    left = pair.misfit(SAME, SAME)
+    left = pair.misfit()
     # At edges the amount of a shift is never quite known, and a format changes most.
     spare = 0.03 * (bool(found) + lossy)
     if not spare or left.sum() > spare * pair.shown.sum():
@@ -118,7 +107,7 @@ def _differ(count: int) -> str:
 def _encoded(pair: Pair) -> tuple[Pair, list[Diagnosis]]:
     """The same, B's levels mapped as A's are."""
     shown = max(1, int(pair.shown.sum()))
-    before = int(pair.misfit(SAME, SAME).sum()) / shown
+    before = int(pair.misfit().sum()) / shown
     tried = [(int(pair.misfit(t.low, t.high).sum()) / shown, t) for t in _tones(pair)]
     left, tone = min((t for t in tried if t[1].kind != "curve"), key=lambda one: one[0])
     if left > 0.03:
@@ -160,7 +149,7 @@ _CURVES: tuple[tuple[str, str, Callable[[Floats], Floats]], ...] = (
 
 def _tones(pair: Pair) -> Iterator[_Tone]:
     # B's light is known to within the half level by which it was rounded, unless it is clipped.
-    lights = [(np.maximum(SAME - 0.5, 0) / 255) ** GAMMA, ((SAME + 0.5) / 255) ** GAMMA]
+    lights = [(np.maximum(np.arange(256) + half, 0) / 255) ** GAMMA for half in (-0.5, 0.5)]
     lights[1][255] = np.inf
     curves = [(*curve, True) for curve in _CURVES]
     a, b = pair.a, pair.low
@@ -198,7 +187,7 @@ def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
     word = "brighter" if brighter else "darker" if darker else "brighter or darker"
     one_way, all_over = brighter or darker, part > 0.9
     edges = edges_of(a), edges_of(b)
-    kept, shared = shared_edges(*edges)
+    kept, common = shared(*edges)
     peak, right_peak = a.max(axis=2), b.max(axis=2)
     black, full = (float(found[wrong].mean()) for found in (peak <= pair.noise, peak == 255))
     colours, right_colours = (_palette(image[shown]) for image in (a, b))
@@ -237,8 +226,8 @@ def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
         (part > 0.8 and flat and colours < right_colours and a.max() > 64, "unshaded",
          f"A shows silhouettes in {'one colour' if colours == 1 else f'{colours} colours'}: nothing"
          " is shaded."),
-        (max(kept, shared) < (0.8 if clean else 0.6), "geometry",
-         f"The geometry differs: of B's edges, A has {shared:.0%}.  Check the camera first."),
+        (max(kept, common) < (0.8 if clean else 0.6), "geometry",
+         f"The geometry differs: of B's edges, A has {common:.0%}.  Check the camera first."),
         (brighter and part > 0.5 and full > 0.8, "overexposed",
          f"A is overexposed {share}: a vector in the shading is not of length 1."),
         (brighter and all_over and tint > 0.025, "colours",
@@ -255,9 +244,9 @@ def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
          f"A is darker {share}, and the same elsewhere: it lacks a light."),
         (darker and ((sharp and kept < 0.97) or black > 0.8), "extra shadows",
          f"A is darker {share}, within sharp borders: it has shadows that B has not."),
-        (brighter and sharp and shared < 0.95 and part > 0.6, "extra light",
+        (brighter and sharp and common < 0.95 and part > 0.6, "extra light",
          f"A is brighter {share}, and the same elsewhere: it has a light too many."),
-        (brighter and sharp and shared < 0.95, "missing shadows",
+        (brighter and sharp and common < 0.95, "missing shadows",
          f"Shadows are missing in A: it is brighter {share}, within sharp borders."),
         (fades and rise > 2.2, "highlights" if brighter else "missing highlight",
          f"Highlights are {'stronger or larger' if brighter else 'missing, or weaker,'} in A,"
@@ -286,15 +275,12 @@ def _palette(colours: Codes) -> int:
 
 
 def _sharpness(a: Codes, b: Codes, differs: Bools) -> float:
-    """How large the difference is where it ends, relative to what it is at most.
-
-    Ends at a silhouette, where both pictures have an edge, do not count.
-    """
-    size, values = np.abs(linear(a) - linear(b)).mean(axis=2), []
+    """How large the difference is where it ends, other than at a silhouette, part of its most."""
+    size, values = np.abs(linear(a) - linear(b)).mean(axis=2), [np.empty(0)]
     for axis in (0, 1) if min(differs.shape) > 1 else ():
         steps = [np.abs(np.diff(image.astype(np.int16), axis=axis)).max(axis=2) for image in (a, b)]
         ends = np.diff(differs, axis=axis) & (np.minimum(*steps) <= EDGE)
         pairs = np.lib.stride_tricks.sliding_window_view(size, 2, axis=axis)
         values.append(pairs.max(axis=2)[ends])
-    found = np.concatenate([*values, []])
+    found = np.concatenate(values)
     return float(np.median(found) / np.percentile(size[differs], 90)) if found.size else 1.0

@@ -111,7 +111,7 @@ def test_geometry_of_other_scenes(name: str, mistake: str) -> None:
         ("BGR", "in another order: blue, green, red."),
         ("one colour", "silhouettes in one colour: nothing is shaded"),
         ("background", "it has the levels 90, 123, 186."),
-        ("window ignored", "as large as B, about its centre"),
+        ("window ignored", "as wide and 1.* as B, about its centre"),
     ],
 )
 def test_words(mistakes: str, words: str) -> None:
@@ -211,7 +211,7 @@ def test_an_object_of_another_size_is_not_taken_for_a_light() -> None:
     full = scene("one-sphere")
     window = replace(full.camera, view_width=0.95 * full.camera.view_width)
     found = diagnose(to_codes(render(replace(full, camera=window))), right("one-sphere"))
-    assert "to 1.05 times B's width: check viewWidth" in found.text
+    assert "1.05 times as wide as B, about its centre: check viewWidth" in found.text
 
 
 @pytest.mark.parametrize(
