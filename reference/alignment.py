@@ -6,8 +6,9 @@ A curve of levels that explains the rest is allowed for, so that a wrong gamma h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import permutations, product
 from typing import NamedTuple, TypeAlias
 
@@ -138,6 +139,7 @@ _ORDERS = np.array(list(permutations(range(3))))
 _TURNS: tuple[tuple[str, str, Callable[[Codes], Codes]], ...] = (
     ("mirrored", "A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
     ("flipped", "A is upside down: row 0 should be the top.", lambda a: a[::-1]),
+    ("turned", "A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
     ("transposed", "A is transposed: x and y are swapped.", lambda a: a.swapaxes(0, 1)),
 )
 
@@ -225,7 +227,7 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
         return None
     small, fine = ([_grey(image, size) for image in (a, b)] for size in (_SMALL, _FINE))
 
-    def cost(kind: Callable[..., _Motion], by: Sequence[float], images: list[Floats]) -> float:
+    def cost(kind: Callable[..., _Motion], images: list[Floats], by: Sequence[float]) -> float:
         """How little A is like B moved: minus their correlation where B is known."""
         motion, size = kind(*by), np.array(images[1].shape)
         matrix, middle = motion.matrix[::-1, ::-1], (size - 1) / 2
@@ -238,23 +240,22 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
         return -float(np.corrcoef(x, y)[0, 1])
 
     shift = phase_cross_correlation(*fine, normalization=None, upsample_factor=10)[0][::-1]
-    tried: list[tuple[Callable[..., _Motion], Sequence[float]]] = [
-        (_shift, shift * max(a.shape) / max(fine[0].shape))
+    tried: list[tuple[Callable[..., _Motion], Iterable[Sequence[float]]]] = [
+        (_zoom, product(np.arange(-2, 2.1, 0.25), repeat=2)),
+        (_roll, np.arange(-3, 3.1, 0.1)[:, None]),
+        (_shift, [shift * max(a.shape) / max(fine[0].shape)]),
     ]
-    tried += [(_zoom, powers) for powers in product(np.arange(-2, 2.1, 0.25), repeat=2)]
-    tried += [(_roll, (angle,)) for angle in np.arange(-3.1, 3.1, 0.1)]
-    kind, start = min(tried, key=lambda one: cost(one[0], one[1], small))
-    if cost(kind, start, small) > -0.7:
-        return None
-    near = start + 0.1 * np.eye(len(start) + 1, len(start))
-    best = optimize.minimize(
-        lambda by: cost(kind, by, fine),
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": near, "xatol": 1e-4, "maxfev": 60},
-    )
-    motion = kind(*best.x)
-    return motion if motion.shift.any() or np.ptp(motion.matrix - np.eye(2)) > 0.01 else None
+    found = []
+    for kind, grid in tried:
+        start = min(grid, key=partial(cost, kind, small))
+        if cost(kind, small, start) < -0.7:
+            near = start + 0.1 * np.eye(len(start) + 1, len(start))
+            options = {"initial_simplex": near, "xatol": 1e-4, "maxfev": 60}
+            best = optimize.minimize(
+                partial(cost, kind, fine), start, method="Nelder-Mead", options=options
+            )
+            found.append((best.fun, kind(*best.x)))
+    return min(found, key=lambda one: one[0])[1] if found else None
 
 
 def _shift(*by: float, slack: float = 1) -> _Motion:

@@ -1,7 +1,13 @@
-"""Compare pictures with the right ones: figures, a three-part picture, the kind of difference.
+"""Compare pictures with the right ones, in linear light, and tell the kind of difference.
 
-``python -m reference.compare A.png B.png`` compares A with B, the right one, and
-``python -m reference.compare HAND-INS/ RIGHT/`` all of a class.
+    python -m reference.compare A.png B.png
+    python -m reference.compare HAND-INS/ RIGHT/
+
+B is the right picture, or a scene, which is rendered.  All pictures in a folder A, and in its
+folders, are compared with B, or with those of the same names in a folder B.  Beside each picture
+that differs goes one of A, B and the difference.  Exit status: 0 if all are within the tolerances,
+1 if some are not, 2 for wrong usage, 3 if some cannot be read.  Without a tolerance, no difference
+is tolerated.
 """
 
 from __future__ import annotations
@@ -11,16 +17,15 @@ import csv
 import io
 import json
 import os
-import re
 import stat
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +33,7 @@ from PIL import Image, ImageDraw, ImageFont
 from skimage.metrics import structural_similarity
 
 from reference.alignment import Bools, Floats
-from reference.command import run, spare_inputs
+from reference.command import parser, run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer import SceneFileError, load_scene, render, to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
@@ -41,7 +46,7 @@ _WINDOW = 7
 _OVER = 1e-3
 # Smaller panels are enlarged, pixel by pixel.
 _PANEL = 300
-# So many pictures take longer than to start a second process.
+# So many pictures take longer than to start further processes.
 _MANY = 8
 # Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
@@ -55,21 +60,18 @@ _BRIGHTER, _DARKER = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """How far apart two pictures are.
+    """How far apart two pictures are: pixels in linear light, each by its worst channel.
 
     Attributes
     ----------
     ssim : float
-        Mean structural similarity of the displayed pictures, masked pixels included.
+        Mean structural similarity as displayed, masked pixels included.
     max, p999, median : float
-        Largest, 99.9th percentile and median of the pixels' differences in
-        linear light, each pixel's the largest of its channels'.
+        Largest, 99.9th percentile and median of the pixels' differences.
     rmse : float
-        Root mean square of the linear difference over pixels and channels.
-    over : int
-        Pixels that differ by more than 1e-3.
-    masked : int
-        Pixels left out of everything but `ssim`.
+        Root mean square over pixels and channels.
+    over, masked : int
+        Pixels that differ by more than 1e-3; pixels left out of all but `ssim`.
     """
 
     ssim: float
@@ -112,7 +114,6 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
         raise ValueError("every pixel is masked")
     rows, columns = (max(_WINDOW - size, 0) for size in a.shape[:2])
     missing = (0, rows), (0, columns), (0, 0)
-    # What a screen is given, in 0 ... 1.
     shown = [
         np.pad(np.clip(image, 0, 1).astype(np.float32) ** (1 / GAMMA), missing, mode="edge")
         for image in (a, b)
@@ -132,7 +133,7 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
 
 
 def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
-    """Write a PNG of three parts: A, B and the difference, amplified.
+    """Write a PNG of A, B and the difference, amplified.
 
     Parameters
     ----------
@@ -144,56 +145,34 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
 
     Raises
     ------
-    ValueError
-        If the shapes differ.
     OSError
         If the file cannot be written.
     """
-    if a.shape != b.shape:
-        raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
     shown, gain = amplified(a, b)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
+    legend = "orange: the left is brighter, blue: it is darker" if gain else ""
     height, width = a.shape[:2]
     zoom = -(-_PANEL // max(width, height))
-    panel_width, panel_height = width * zoom, height * zoom
-    column = max(panel_width, _PANEL)  # wide enough for a label
-    sheet = Image.new(
-        "RGB", (3 * column + 4 * _MARGIN, panel_height + 2 * _MARGIN + 2 * _LABEL), _PAPER
-    )
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
-
-    def write(x: int, y: int, text: str) -> None:
-        """Write as much of a text as fits into a column."""
-        shown = text
-        while draw.textlength(shown, font) > column:
-            shown = shown.removesuffix("...")[:-1] + "..."
-        draw.text((x, y), shown, fill=_INK, font=font)
-
+    column = max(zoom * width, _PANEL)  # wide enough for a label
+    tall = zoom * height + 2 * _LABEL
+    sheet = Image.new("RGB", (3 * column + 4 * _MARGIN, tall + 2 * _MARGIN), _PAPER)
     panels = (to_codes(a), to_codes(b), np.round(255 * shown).astype(np.uint8))
     for k, (codes, title) in enumerate(zip(panels, titles, strict=True)):
-        left = _MARGIN + k * (column + _MARGIN)
-        panel = Image.fromarray(np.ascontiguousarray(codes)).resize(
-            (panel_width, panel_height), Image.Resampling.NEAREST
-        )
-        sheet.paste(panel, (left, _MARGIN + _LABEL))
-        write(left, _MARGIN, title)
-    if gain:
-        legend = "orange: the left is brighter, blue: it is darker"
-        write(left, _MARGIN + _LABEL + panel_height + 4, legend)
+        part = Image.new("RGB", (column, tall), _PAPER)  # cuts off what is too long for it
+        draw, font = ImageDraw.Draw(part), ImageFont.load_default(size=14)
+        draw.text((0, 0), title, fill=_INK, font=font)
+        draw.text((0, tall - _LABEL + 4), legend if k == 2 else "", fill=_INK, font=font)
+        part.paste(Image.fromarray(codes.repeat(zoom, axis=0).repeat(zoom, axis=1)), (0, _LABEL))
+        sheet.paste(part, (_MARGIN + k * (column + _MARGIN), _MARGIN))
     with atomic_file(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
 
 def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
-    """The difference as a picture, and by how much it is amplified.
+    """The difference in 0 ... 1, orange where A is brighter and blue where darker, and its gain.
 
-    Returns
-    -------
-    image : (h, w, 3)
-        In 0 ... 1: orange where A is brighter, blue where it is darker.
-    gain : float
-        1, 2 or 5 times a power of ten, such that all but a thousandth of the
-        pixels' differences fit; 0 if there is none.
+    The gain is 1, 2 or 5 times a power of ten, such that all but a thousandth of the pixels'
+    differences fit; 0 if there is none.
     """
     difference = a - b
     strongest = np.abs(difference).argmax(axis=2)[:, :, None]
@@ -240,8 +219,12 @@ def read_picture(path: Path) -> Picture:
             return Picture(np.repeat(grey[:, :, None], 3, axis=2))
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
-        if any(_deep(codec, coding) for codec, _, _, coding in image.tile):
-            raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
+        # How it would be decoded tells whether Pillow would drop low bits: a raw mode with 16
+        # bits a channel, in whichever byte order, or of a PPM the largest level.
+        for codec, _, _, coding in image.tile:
+            deep = coding[1] > 255 if codec.startswith("ppm") else ";16" in str(coding)
+            if deep:
+                raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
         note, lossy = "", image.format in _LOSSY or image.mode in ("P", "PA")
         if image.format in _LOSSY:
@@ -254,20 +237,11 @@ def read_picture(path: Path) -> Picture:
     return Picture(np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note, lossy)
 
 
-def _deep(codec: str, coding: Any) -> bool:
-    """Whether Pillow would drop the low bits of a picture, told by how it would decode it."""
-    if codec.startswith("ppm"):
-        _, largest = coding
-        return bool(largest > 255)
-    # The raw mode, alone or first of several: 16 bits a channel in whichever byte order.
-    return re.search(r";16[BLN]", str(coding)) is not None
-
-
 class _Result(NamedTuple):
-    """Names and values of `--json`; the lines that a pair alone is told in are not among them."""
+    """What `--json` and `--csv` tell of a picture; and the lines that a pair alone is told in."""
 
     picture: str
-    right: str | None = None
+    right: str | None
     agrees: bool = False
     ssim: float | None = None
     max: float | None = None
@@ -295,55 +269,42 @@ def tolerance(text: str) -> float:
     return value
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m reference.compare",
-        description="Compare picture A with B, the right one, or all pictures in a folder A, and in"
-        " its folders, with B or with those of the same names in a folder B: figures in linear"
-        " light, the kind of difference, and a picture of A, B and the difference.",
-        epilog="Exit status: 0 if all are within the tolerances, 1 if some are not, 2 for wrong"
-        " usage, 3 if some cannot be read.  Without a tolerance, no difference is tolerated.",
-    )
-    add = parser.add_argument
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    used = parser("reference.compare", __doc__)
+    add = used.add_argument
     add("a", metavar="A", type=Path, help="the picture in question, or a folder")
     add("b", metavar="B", type=Path, help="the right picture, a scene file, or a folder of these")
     add("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
     add("--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated")
     where = "the comparison (A.compare.png), or a folder, for which PATH may end in /"
     add("-o", "--output", type=file_name, metavar="PATH", help=where)
-    form = parser.add_mutually_exclusive_group()
+    form = used.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print a list with an object a picture")
     form.add_argument("--csv", action="store_true", help="print the same as a table")
-    return parser
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    options = used.parse_args(arguments)
     many = options.a.is_dir()
     pictures = sorted(filter(_is_hand_in, options.a.rglob("*"))) if many else [options.a]
     if not pictures:
-        parser.error(printable(f"{options.a}: holds no pictures"))
+        used.error(printable(f"{options.a}: holds no pictures"))
     if many and options.output is not None and not is_folder(options.output):
         wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
-        parser.error(printable(wrong))
+        used.error(printable(wrong))
     rights: list[Path | None] = [options.b] * len(pictures)
     if options.b.is_dir():
         # A picture comes before a scene of the same name.
-        known = [
-            *sorted(options.b.glob("*.xml")),
-            *filter(_is_hand_in, sorted(options.b.iterdir())),
-        ]
+        known = sorted(options.b.glob("*.xml")) + sorted(filter(_is_hand_in, options.b.iterdir()))
         by_name = {_key(path): path for path in known}
         rights = [by_name.get(_key(picture)) for picture in pictures]
     outputs = _outputs(options, pictures, many)
-    spare_inputs(parser, outputs, (*pictures, *filter(None, rights)))
-    results = []
-    for result in _shared_out(partial(_judge, options, many), pictures, rights, outputs):
-        results.append(result)
-        if many and not (options.json or options.csv):
-            print_line(sys.stdout, result.line())
+    spare_inputs(used, outputs, (*pictures, *filter(None, rights)))
+    results, listed = [], many and not (options.json or options.csv)
+    with ProcessPoolExecutor(2) as pool:
+        mapped = pool.map if len(pictures) >= _MANY else map
+        for result in mapped(partial(_judge, options, many), pictures, rights, outputs):
+            results.append(result)
+            if listed:
+                print_line(sys.stdout, result.line())
     agree, unread = sum(r.agrees for r in results), sum(r.error is not None for r in results)
     if options.json:
         print_line(sys.stdout, json.dumps([r.row() for r in results], indent=1))
@@ -365,15 +326,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 3 if unread else int(agree < len(results))
 
 
-def _shared_out(job: Callable[..., _Result], *arguments: Sequence[Any]) -> Iterator[_Result]:
-    """The results of a job, in order; of many by two processes."""
-    if len(arguments[0]) < _MANY or os.cpu_count() == 1:
-        yield from map(job, *arguments)
-    else:
-        with ProcessPoolExecutor(2) as pool:
-            yield from pool.map(job, *arguments)
-
-
 def _key(path: Path) -> str:
     """What a picture and the right one have in common: the name, without `.png` and `.xml`."""
     return path.name.removesuffix(path.suffix).removesuffix(".xml").lower()
@@ -389,15 +341,15 @@ def _outputs(options: argparse.Namespace, pictures: list[Path], many: bool) -> l
     if options.output is not None and not many and not is_folder(options.output):
         return [Path(options.output)]
     taken = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
-    names = [
-        picture.stem if taken[picture.with_suffix("")] == 1 else picture.name
-        for picture in pictures
-    ]
-    outputs = [p.with_name(f"{n}.compare.png") for p, n in zip(pictures, names, strict=True)]
-    if options.output is None:
-        return outputs
     above = options.a if many else options.a.parent
-    return [Path(options.output, path.relative_to(above)) for path in outputs]
+    outputs = []
+    for picture in pictures:
+        name = picture.stem if taken[picture.with_suffix("")] == 1 else picture.name
+        folder = picture.parent
+        if options.output is not None:
+            folder = Path(options.output, folder.relative_to(above))
+        outputs.append(folder / f"{name}.compare.png")
+    return outputs
 
 
 _read_right = lru_cache(maxsize=8)(read_picture)

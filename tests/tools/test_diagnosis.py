@@ -111,7 +111,7 @@ def test_geometry_of_other_scenes(name: str, mistake: str) -> None:
         ("BGR", "in another order: blue, green, red."),
         ("one colour", "silhouettes in one colour: nothing is shaded"),
         ("background", "it has the levels 90, 123, 186."),
-        ("window ignored", "as wide and 1.* as B, about its centre"),
+        ("window ignored", "as wide and 4.82 times as high as B, about its centre"),
     ],
 )
 def test_words(mistakes: str, words: str) -> None:
