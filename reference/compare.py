@@ -17,6 +17,7 @@ import csv
 import io
 import json
 import os
+import re
 import stat
 import sys
 from collections import Counter
@@ -219,11 +220,10 @@ def read_picture(path: Path) -> Picture:
             return Picture(np.repeat(grey[:, :, None], 3, axis=2))
         if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
             raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
-        # How it would be decoded tells whether Pillow would drop low bits: a raw mode with 16
-        # bits a channel, in whichever byte order, or of a PPM the largest level.
+        # Pillow would drop low bits without a word: how it decodes is what tells.
         for codec, _, _, coding in image.tile:
-            deep = coding[1] > 255 if codec.startswith("ppm") else ";16" in str(coding)
-            if deep:
+            largest = coding[1] if codec.startswith("ppm") and isinstance(coding, tuple) else 0
+            if largest > 255 or re.search(r";16[BLN]", str(coding)):
                 raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
         note, lossy = "", image.format in _LOSSY or image.mode in ("P", "PA")
@@ -238,7 +238,7 @@ def read_picture(path: Path) -> Picture:
 
 
 class _Result(NamedTuple):
-    """What `--json` and `--csv` tell of a picture; and the lines that a pair alone is told in."""
+    """What `--json` and `--csv` tell of a picture."""
 
     picture: str
     right: str | None
@@ -247,10 +247,6 @@ class _Result(NamedTuple):
     max: float | None = None
     diagnosis: str | None = None
     error: str | None = None
-    lines: tuple[str, ...] = ()
-
-    def row(self) -> dict[str, object]:
-        return {name: value for name, value in self._asdict().items() if name != "lines"}
 
     def line(self) -> str:
         """A line for a list of many."""
@@ -298,31 +294,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rights = [by_name.get(_key(picture)) for picture in pictures]
     outputs = _outputs(options, pictures, many)
     spare_inputs(used, outputs, (*pictures, *filter(None, rights)))
-    results, listed = [], many and not (options.json or options.csv)
+    results: list[_Result] = []
     with ProcessPoolExecutor(2) as pool:
         mapped = pool.map if len(pictures) >= _MANY else map
-        for result in mapped(partial(_judge, options, many), pictures, rights, outputs):
+        for result, lines in mapped(partial(_judge, options, many), pictures, rights, outputs):
             results.append(result)
-            if listed:
-                print_line(sys.stdout, result.line())
+            if not (options.json or options.csv):
+                for line in (result.line(),) if many else lines:
+                    print_line(sys.stdout, line)
     agree, unread = sum(r.agrees for r in results), sum(r.error is not None for r in results)
     if options.json:
-        print_line(sys.stdout, json.dumps([r.row() for r in results], indent=1))
+        print_line(sys.stdout, json.dumps([r._asdict() for r in results], indent=1))
     elif options.csv:
         table = io.StringIO()
-        writer = csv.DictWriter(table, results[0].row(), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(result.row() for result in results)
+        csv.writer(table, lineterminator="\n").writerows([_Result._fields, *results])
         print_line(sys.stdout, table.getvalue().removesuffix("\n"))
     elif many:
         differ = len(results) - agree - unread
         summary = f"{len(results)} pictures: {agree} agree, {differ} differ"
         print_line(sys.stdout, summary + (f", {unread} cannot be compared" if unread else ""))
-    else:
-        for line in results[0].lines:
-            print_line(sys.stdout, line)
-        if results[0].error:
-            print_line(sys.stderr, results[0].error)
+    elif unread:
+        print_line(sys.stderr, str(results[0].error))
     return 3 if unread else int(agree < len(results))
 
 
@@ -357,43 +349,47 @@ _read_right = lru_cache(maxsize=8)(read_picture)
 
 def _judge(
     options: argparse.Namespace, many: bool, picture: Path, right: Path | None, output: Path
-) -> _Result:
-    """Compare a picture; of many, a comparison is written only of those that differ."""
-    result = partial(_Result, str(picture), None if right is None else str(right))
+) -> tuple[_Result, list[str]]:
+    """Compare a picture; and the lines that a pair alone is told in.
+
+    Of many, a comparison is written only of those that differ.
+    """
+    result = _Result(str(picture), None if right is None else str(right))
     if right is None:
-        return result(error=printable(f"{picture}: {options.b} has no picture of this name"))
+        wrong = f"{picture}: {options.b} has no picture of this name"
+        return result._replace(error=printable(wrong)), []
+    where, what = picture, "read"
     try:
-        where, what = picture, "read"
         pictures = [read_picture(picture)]
         where = right
         pictures.append(_read_right(right))
         where, what = picture, "compared"
         lossy = any(picture.lossy for picture in pictures)
         diagnosis = diagnose(pictures[0].codes, pictures[1].codes, lossy=lossy)
-        words = [f"{n} {p.note}" for n, p in zip("AB", pictures, strict=True) if p.note]
-        words = [*(words if diagnosis.kind != "identical" else ()), diagnosis.text]
-        result.keywords["diagnosis"] = " ".join(words)
+        same = diagnosis.kind == "identical"
+        notes = [f"{n} {p.note}" for n, p in zip("AB", pictures, strict=True) if p.note]
+        words = [*(() if same else notes), diagnosis.text]
+        told = result._replace(diagnosis=" ".join(words))
         if diagnosis.kind == "size":
-            return result(lines=(*words,))
+            return told, words
         a, b = (linear(picture.codes) for picture in pictures)
         found = figures(a, b)
-        agrees = diagnosis.kind == "identical"
         if options.ssim is not None or options.max is not None:
             near = options.max is None or found.max <= options.max
-            agrees = near and (options.ssim is None or found.ssim >= options.ssim)
+            same = near and (options.ssim is None or found.ssim >= options.ssim)
         where, what = output, "written"
-        if not (many and agrees):
+        if not (many and same):
             output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(output, a, b, (printable(picture.name), printable(right.name)))
     except SceneFileError as error:
-        return result(diagnosis=None, error=str(error))
+        return result._replace(error=str(error)), []
     except (MemoryError, OSError, SyntaxError, ValueError) as error:
         # Pillow's of a PNG is a SyntaxError.
         memory = "not enough memory; compare a part" if isinstance(error, MemoryError) else error
         reason = getattr(error, "strerror", None) or memory
-        return result(diagnosis=None, error=printable(f"{where}: cannot be {what}: {reason}"))
-    lines = (str(found), *words, printable(str(output)))
-    return result(agrees=agrees, ssim=found.ssim, max=found.max, lines=lines)
+        return result._replace(error=printable(f"{where}: cannot be {what}: {reason}")), []
+    told = told._replace(agrees=same, ssim=found.ssim, max=found.max)
+    return told, [str(found), *words, printable(str(output))]
 
 
 if __name__ == "__main__":

@@ -1,14 +1,17 @@
-"""All scenes, the tracer's pictures beside Mitsuba's: ``python -m reference.report``.
+"""Render scenes with the tracer and with Mitsuba, and write one HTML page that shows both.
 
-Writes one HTML page that holds everything it shows: it opens from a file, and
-asks neither a server nor the network for anything.
+    python -m reference.report [SCENE.xml ...]
+
+The page holds everything it shows, the difference, the figures and the times among it: it opens
+from a file, and asks neither a server nor the network for anything.  Exit status: 0 if all agree,
+1 if not, 2 for wrong usage.
 """
 
 from __future__ import annotations
 
-import argparse
 import base64
 import io
+import itertools
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +27,7 @@ from tqdm import tqdm
 from converters.to_mitsuba import TROUBLE, told
 from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
-from reference.command import BUILD, HERE, need_scenes, own_scenes, run, spare_inputs
+from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, run, spare_inputs
 from reference.compare import amplified
 from reference.measurements import measured_on
 from tracer import to_codes
@@ -65,13 +68,8 @@ def page(
         What is wrong with each scene that could not be compared.
     """
     environment = Environment(autoescape=True, trim_blocks=True)
-    environment.filters |= {
-        "codes": to_codes,
-        "data": _data,
-        "difference": _difference,
-        "png": _png,
-        "time": _time,
-    }
+    environment.filters |= {"codes": to_codes, "data": _data, "difference": _difference}
+    environment.filters |= {"png": _png, "time": _time}
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         results=results,
@@ -110,24 +108,16 @@ def _data(content: bytes, kind: str) -> str:
 def _comment(path: Path) -> str:
     """The comment at the head of a scene file, before the first part of the scene, on one line."""
     with path.open("rb") as file:
-        for number, (event, element) in enumerate(ET.iterparse(file, ("comment", "start"))):
-            if event == "comment":
-                return " ".join((element.text or "").split())
-            if number:
-                break
-    return ""
+        first = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
+        texts = [element.text or "" for event, element in first if event == "comment"]
+    return " ".join("".join(texts[:1]).split())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 1 where a scene cannot be read or a tolerance is broken."""
-    parser = argparse.ArgumentParser(
-        prog="python -m reference.report",
-        description="Render scenes with the tracer and with Mitsuba, and write one HTML page that"
-        " shows both, the difference, the figures and the times.",
-        epilog="Exit status: 0 if all agree, 1 if not, 2 for wrong usage.",
-    )
-    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
-    parser.add_argument(
+    used = parser("reference.report", __doc__)
+    used.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
+    used.add_argument(
         "-o",
         "--output",
         type=file_name,
@@ -135,13 +125,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=str(BUILD / _NAME),
         help="the page to write, or a folder for it (%(default)s)",
     )
-    parser.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
-    options = parser.parse_args(arguments)
+    used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
+    options = used.parse_args(arguments)
     if not options.scenes:
-        need_scenes(parser)
+        need_scenes(used)
     paths = sorted({*(options.scenes or own_scenes())})
     output = Path(options.output, _NAME if is_folder(options.output) else "")
-    spare_inputs(parser, (output,), (*paths, TEMPLATE, *CHARTS.values()))
+    spare_inputs(used, (output,), (*paths, TEMPLATE, *CHARTS.values()))
     try:
         use(options.variant)
     except ImportError as error:
