@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ast
 import io
-import tokenize
 from functools import cache
 from pathlib import Path
+from tokenize import COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL, generate_tokens
 
 import pytest
 
@@ -17,6 +17,9 @@ BUDGET = {"tracer": 7800, "converters": 1330, "reference": 4330, "tests": 9950}
 # Lines of code of the tracer (not blank, no comment, no docstring), lines of each module, and the
 # longest chain of modules that import each other.
 CODE, MODULE, DEPTH = 4700, 450, 12
+
+BLANK = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 
 
 def modules(folder: str) -> dict[str, Path]:
@@ -32,19 +35,14 @@ def lines(path: Path) -> int:
 def lines_of_code(path: Path) -> int:
     """Lines that are not blank, no comment and no docstring."""
     text = path.read_text(encoding="utf-8")
-    skipped: set[int] = set()
+    code, documentation = set[int](), set[int]()
+    for token in generate_tokens(io.StringIO(text).readline):
+        if token.type not in BLANK:
+            code |= {*range(token.start[0], token.end[0] + 1)}
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(
-            node
-        ):
-            first = node.body[0]
-            skipped |= set(range(first.lineno, (first.end_lineno or 0) + 1))
-    code: set[int] = set()
-    blank = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type not in blank | {tokenize.ENDMARKER}:
-            code |= set(range(token.start[0], token.end[0] + 1))
-    return len(code - skipped)
+        if isinstance(node, DOCUMENTED) and ast.get_docstring(node):
+            documentation |= {*range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1)}
+    return len(code - documentation)
 
 
 def imports(path: Path) -> set[str]:
@@ -83,13 +81,11 @@ def test_the_tracers_modules_import_downwards() -> None:
         return 1 + max((depth(other, (*above, name)) for other in uses[name]), default=0)
 
     assert max(map(depth, paths)) <= DEPTH
+    # A submodule is no name that a package gathers; the version stands at the top.
+    allowed = {*paths, *faces, "tracer.__version__"}
     for name, path in paths.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and node.module in faces:
-                taken = {f"{node.module}.{alias.name}" for alias in node.names}
-                # A submodule is no name that the package gathers; the version stands at the top.
-                assert taken <= {*paths, "tracer.__version__"} | faces, name
+        taken = {each for each in imports(path) if each.rpartition(".")[0] in faces}
+        assert taken <= allowed, name
 
 
 @pytest.mark.parametrize("folder", ["converters", "reference"])
