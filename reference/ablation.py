@@ -1,9 +1,7 @@
 """What each part of the tracer buys: the same pictures, with one part at a time left out.
 
-    python -m reference.ablation [--quick]
-
-writes `ablation.md` and `ablation.csv` into this folder.  At one sample a pixel no part changes
-what is seen or which lights reach it; antialiasing is judged by time and error.
+``python -m reference.ablation`` writes `ablation.md` and `.csv` into this folder.  At one sample a
+pixel no part changes what is seen or lit; antialiasing is judged by time and error.
 """
 
 from __future__ import annotations

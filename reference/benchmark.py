@@ -1,10 +1,7 @@
 """Times of the tracer beside compiled renderers, measured in one run.
 
-    python -m reference.benchmark [--quick]
-
-writes `benchmark.md` and `benchmark.csv` into this folder.  Rivals run in turns; times are medians,
-followed by the fastest and the slowest.  Mitsuba's kernels are compiled, and its scene is built,
-before the clock starts.
+``python -m reference.benchmark`` writes `benchmark.md` and `.csv` into this folder.  Rivals run in
+turns; Mitsuba's kernels are compiled, and its scene is built, before the clock starts.
 """
 
 from __future__ import annotations
@@ -16,6 +13,7 @@ import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import geometric_mean
 from time import sleep
@@ -58,8 +56,7 @@ Section: TypeAlias = Callable[[int, bool], Table]
 
 def growth_exponent(sizes: Sequence[float], timings: Sequence[Timing]) -> float:
     """Slope of time against size, both logarithmic, by least squares."""
-    slope, _ = np.polyfit(np.log(sizes), np.log([t.median for t in timings]), 1)
-    return float(slope)
+    return float(np.polyfit(np.log(sizes), np.log([t.median for t in timings]), 1)[0])
 
 
 def _speedup(of: Timing, over: Timing) -> Ratio:
@@ -72,10 +69,7 @@ def _mitsuba(text: str) -> Task:
 
 
 def _beside(scene: Scene, rounds: int, text: str) -> list[Timing]:
-    """Time the tracer and Mitsuba in turns, with no other scene of Mitsuba's alive.
-
-    For its kernels choose among all objects alive in the process.
-    """
+    """Time the tracer and Mitsuba, whose kernels choose among all objects alive, in turns."""
     gc.collect()
     tasks: dict[str, Task] = {"ours": partial(render, scene), "theirs": _mitsuba(text)}
     return [*interleaved(tasks, rounds).values()]
@@ -90,29 +84,26 @@ def whole_process(rounds: int, quick: bool) -> Table:
     variant, png = use().variant, str(built("out.png"))
     mitsuba = [sys.executable, "-c", _MITSUBA]
     rows: list[tuple[object, ...]] = []
-    for size in (_SMALL,) if quick else (_SMALL, _LARGE):
-        for name in _FEW:
-            scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-            save_scene(scene, ours := built("tracer.xml"))
-            (exactly := built("exact.xml")).write_text(exact(scene))
-            (similar := built("stock.xml")).write_text(stock(scene, 1))
-            commands = {
-                "import numpy": [sys.executable, "-c", "import numpy"],
-                "tracer": _tracer(ours),
-                "Mitsuba exact": [*mitsuba, variant, str(exactly), png],
-                "Mitsuba stock": [*mitsuba, variant, str(similar), png],
-                "the same, scalar": [*mitsuba, SCALAR, str(similar), png],
-            }
-            if povray.installed():
-                commands["POV-Ray"] = povray.command(scene, Path(png))
-            tasks = {who: process(command) for who, command in commands.items()}
-            found = interleaved(tasks, rounds, enough=2.0)
-            over_exact, *over_stock = (
-                _speedup(found["tracer"], found[rival])
-                for rival in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
-            )
-            speedups = over_exact, min(over_stock)
-            rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
+    for size, name in product((_SMALL,) if quick else (_SMALL, _LARGE), _FEW):
+        scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
+        save_scene(scene, ours := built("tracer.xml"))
+        (exactly := built("exact.xml")).write_text(exact(scene))
+        (similar := built("stock.xml")).write_text(stock(scene, 1))
+        commands = {
+            "import numpy": [sys.executable, "-c", "import numpy"],
+            "tracer": _tracer(ours),
+            "Mitsuba exact": [*mitsuba, variant, str(exactly), png],
+            "Mitsuba stock": [*mitsuba, variant, str(similar), png],
+            "the same, scalar": [*mitsuba, SCALAR, str(similar), png],
+        }
+        if povray.installed():
+            commands["POV-Ray"] = povray.command(scene, Path(png))
+        tasks = {who: process(command) for who, command in commands.items()}
+        found = interleaved(tasks, rounds, enough=2.0)
+        rivals = ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
+        over_exact, *over_stock = (_speedup(found["tracer"], found[rival]) for rival in rivals)
+        speedups = over_exact, min(over_stock)
+        rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
     return Table(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell. Mitsuba {variant} with a warm kernel cache; its stock"
@@ -171,12 +162,9 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
         found = interleaved(tasks, rounds)
         tasks.clear()
         timings.append(found["warm"])
-        times: list[object] = []
-        speedups: list[object] = []
-        for kind in ("first", "warm"):
-            ours, theirs = found[kind], found.get(f"Mitsuba, {kind}")
-            times += (ours, theirs or "–")
-            speedups.append(_speedup(ours, theirs) if theirs else "–")
+        pairs = [(found[kind], found.get(f"Mitsuba, {kind}")) for kind in ("first", "warm")]
+        speedups = (_speedup(ours, theirs) if theirs else "–" for ours, theirs in pairs)
+        times = (timing or "–" for pair in pairs for timing in pair)
         rows.append((f"{count:,}", *times, *speedups))
     return Table(
         "Growth in objects: N small ones, two lights, 640×360",

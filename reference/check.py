@@ -4,11 +4,10 @@ With this project's plugins (the exact flavour) all light is compared; with Mits
 diffuse light, so that no plugin has a say in what is seen, and by which light.
 ``python -m reference.check`` prints how similar the pictures of the stock flavours are.
 
-Both renderers sample the pixels' centres.  Mitsuba computes in float32, so where an edge runs
-through a centre the two may fall on different sides of it: pixels that change by more than
-`EDGE_CHANGE` when the tracer's sample moves by `EDGE_SHIFT` pixels are masked, and counted, if they
-differ.  Every other pixel has to agree; where one does not, exact arithmetic says which of the two
-errs.  Limits are of linear radiance, in units of the brightest pixel's where that is more than 1.
+Both sample the pixels' centres.  Mitsuba's float32 may fall on the other side of an edge that runs
+through one: pixels that change by more than `EDGE_CHANGE` when the tracer's sample moves by
+`EDGE_SHIFT` pixels are masked if they differ.  Every other pixel has to agree, or exact arithmetic
+says which of the two errs.  Limits are in units of the brightest pixel where that is more than 1.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """The speed-accuracy chart: how long each renderer takes to come how near to the true picture.
 
-    python -m reference.speed_accuracy [--quick | --redraw]
-
-writes `speed_accuracy.svg` and `.csv` into this folder.  The error is the root mean square of the
-linear radiance, over evenly spread rows of the picture, against 129 x 129 samples in every pixel,
-traced one by one; these rows are kept in the `build` folder.  At each number of samples, four times
+``python -m reference.speed_accuracy`` writes `speed_accuracy.svg` and `.csv` into this folder.  The
+error is the root mean square of the linear radiance, over evenly spread rows of the picture,
+against 129 x 129 samples in every pixel (`reference.truth`).  At each number of samples, four times
 the one before, all methods are timed in turns; those that would take too long stop.
 """
 

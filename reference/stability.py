@@ -1,12 +1,9 @@
 """The stability chart: where each method fails, and that this tracer does not.
 
-    python -m reference.stability [--quick | --redraw]
-
-writes `stability.svg` and `.csv` into this folder.  Every point is a small picture of a scene
-that gets harder along the axis, held against the same picture in decimals of 80 digits by
-`reference.plain`, which draws the methods that fail, too.  The left column shows the largest
-error of the radiance, the right one the share of pixels that are decided wrongly: hit or missed,
-lit or in shadow.
+``python -m reference.stability`` writes `stability.svg` and `.csv` into this folder.  A point is a
+small picture of a scene that gets harder along the axis, held against arithmetic of 80 digits by
+`reference.plain`, which draws the methods that fail, too: by the largest error of the radiance, or
+by the share of pixels that are decided wrongly.
 """
 
 from __future__ import annotations

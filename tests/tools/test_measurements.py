@@ -16,17 +16,9 @@ import pytest
 from scene_files import small
 
 from converters.variant import LLVM, use
-from reference import ablation, benchmark, command, speed_accuracy
+from reference import ablation, benchmark, command, measurements, speed_accuracy
 from reference.benchmark import growth_exponent
-from reference.measurements import (
-    Ratio,
-    Table,
-    Timing,
-    interleaved,
-    measured_on,
-    read_csv,
-    write_tables,
-)
+from reference.measurements import Ratio, Table, Timing, interleaved, measured_on, write_tables
 from reference.speed_accuracy import Point, lead
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd
@@ -63,7 +55,7 @@ def test_a_page_and_its_csv_say_where_they_were_measured(tmp_path: Path) -> None
     )
     time, ratio = ("time", "0.05", "0.04", "0.09"), ("ratio", "0.25", "", "")
     cells = [["Title", "room", *cell] for cell in (time, ratio)]
-    assert read_csv(tmp_path / "page.csv") == (where, cells)
+    assert measurements.read_csv(tmp_path / "page.csv") == (where, cells)
 
 
 def test_memory_is_that_of_a_process_with_its_workers() -> None:
@@ -81,10 +73,9 @@ def test_memory_is_that_of_a_process_with_its_workers() -> None:
 @pytest.mark.parametrize("section", benchmark.SECTIONS, ids=lambda section: section.__name__)
 def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
     table = section(1, True)
-    assert table.rows
-    assert all(len(row) == len(table.header) for row in table.rows)
-    lines = table.markdown().splitlines()
-    assert {line.count("|") for line in lines if line.startswith("|")} == {len(table.header) + 1}
+    lines = [line for line in table.markdown().splitlines() if line.startswith("|")]
+    assert len(lines) == 2 + len(table.rows) > 2
+    assert {line.count("|") for line in lines} == {len(table.header) + 1}
 
 
 @pytest.mark.parametrize("part", ablation.ONE_SAMPLE, ids=lambda part: part.name)
@@ -134,15 +125,10 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_
             speed_accuracy.main()
         return
     speed_accuracy.main()
-    _, rows = read_csv(tmp_path / "speed_accuracy.csv")
+    _, rows = measurements.read_csv(tmp_path / "speed_accuracy.csv")
     ours = {int(row[2]): float(row[3]) for row in rows if row[1] == "this tracer"}
     assert sorted(ours) == [1, 4, 9, 16, 36, 144]
     assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
     truth = Truth.of(scene, truth_side(quick=True))
     assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
-    chart = tmp_path / "speed_accuracy.svg"
-    chart.unlink()
-    monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick", "--redraw"])
-    monkeypatch.delattr(speed_accuracy, "measure")
-    speed_accuracy.main()
-    assert chart.exists()
+    assert (tmp_path / "speed_accuracy.svg").exists()
