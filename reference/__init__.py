@@ -18,8 +18,7 @@ def _told(kind: type[BaseException], error: BaseException, trace: TracebackType 
     missing = issubclass(kind, ModuleNotFoundError)
     remedy = "; install it with pip install -e '.[reference]'" if missing else ""
     print(f"{error}{remedy}", file=sys.stderr)
-    # Not 1, which says that pictures differ.
-    raise SystemExit(2)
+    raise SystemExit(2)  # not 1, which says that pictures differ
 
 
 # As a command: python -m has not yet found which module to run.  Who imports this package as a

@@ -11,7 +11,7 @@ import math
 import random
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from reference.command import SCENES, need_scenes, parser, run
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, save_scene
@@ -75,13 +75,8 @@ def sunflower(count: int = 233) -> Scene:
         center = _rounded(distance * math.cos(turn), radius, distance * math.sin(turn))
         shader = _phong(color, 0.45, 60)
         surfaces.append(Sphere(center=center, radius=round(radius, 3), shader=shader))
-    camera = Camera(
-        view_point=(0, 7.6, 11),
-        view_dir=(0, -8.25, -10.6),
-        proj_distance=3,
-        view_width=3.68,
-        view_height=2.07,
-    )
+    window: Any = {"proj_distance": 3, "view_width": 3.68, "view_height": 2.07}
+    camera = Camera(view_point=(0, 7.6, 11), view_dir=(0, -8.25, -10.6), **window)
     lights = [
         ((9, 8, 3), (0.9, 0.76, 0.56)),
         ((-10, 6, 6), (0.14, 0.24, 0.5)),
@@ -90,22 +85,19 @@ def sunflower(count: int = 233) -> Scene:
     return _scene(camera, lights, surfaces)
 
 
+_SUNFLOWER = """A sunflower of 233 balls, each turned from the one before by the golden angle,
+     under a warm light, a cool one and a low one from behind"""
+
+
 def write(folder: Path) -> list[Path]:
     """Write the scenes into a folder, each under a comment that says what it shows."""
-    many, flower = folder / "many-objects.xml", folder / "sunflower.xml"
-    _write(many, many_objects(), "500 small objects at random")
-    shows = (
-        "A sunflower of 233 balls, each turned from the one before by the golden angle,\n"
-        "     under a warm light, a cool one and a low one from behind"
-    )
-    _write(flower, sunflower(), shows)
-    return [many, flower]
-
-
-def _write(path: Path, scene: Scene, shows: str) -> None:
-    save_scene(scene, text := io.BytesIO())
-    head = f"<!-- {shows} (python -m reference.generate). -->\n"
-    path.write_bytes(head.encode() + text.getvalue())
+    shown = {"500 small objects at random": many_objects(), _SUNFLOWER: sunflower()}
+    paths = [folder / "many-objects.xml", folder / "sunflower.xml"]
+    for path, (shows, scene) in zip(paths, shown.items(), strict=True):
+        save_scene(scene, text := io.BytesIO())
+        head = f"<!-- {shows} (python -m reference.generate). -->\n"
+        path.write_bytes(head.encode() + text.getvalue())
+    return paths
 
 
 def main() -> None:

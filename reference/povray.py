@@ -29,7 +29,7 @@ def installed() -> bool:
 
 
 def _xyz(values: Iterable[float]) -> str:
-    return "<" + ", ".join(repr(float(value)) for value in values) + ">"
+    return f"<{', '.join(repr(float(value)) for value in values)}>"
 
 
 def _texture(shader: Shader) -> str:
@@ -69,14 +69,13 @@ def to_pov(scene: Scene, exposure: float = 1.0) -> str:
             shape = f"sphere {{ {_xyz(s.center)}, {s.radius!r}"
         else:
             shape = f"box {{ {_xyz(s.min_pt)}, {_xyz(s.max_pt)}"
-        lines.append(f"{shape} texture {{ S{shaders[s.shader]} }} }}")
-    return "\n".join([*lines, ""])
+        lines.append(f"{shape} texture {{ S{shaders[s.shader]} }} }}\n")
+    return "\n".join(lines)
 
 
 def command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
     """Write a scene beside `target`, and return the command that draws it there as a PNG."""
-    source = target.with_suffix(".pov")
-    source.write_text(to_pov(scene, exposure), encoding="utf-8")
+    (source := target.with_suffix(".pov")).write_text(to_pov(scene, exposure), encoding="utf-8")
     size = (f"+W{scene.width}", f"+H{scene.height}")
     return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
 

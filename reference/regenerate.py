@@ -1,8 +1,7 @@
 """Mitsuba's pictures of every scene: ``python -m reference.regenerate``.
 
-Writes ``reference/mitsuba/NAME.exr``, linear RGB, and a manifest that tells how each was made.
-They are small (`WIDTH` pixels wide, of the window that the scene file asks for), at one sample a
-pixel, through its centre, in the exact flavour of the converter.
+Writes ``reference/mitsuba/NAME.exr``, linear RGB, `WIDTH` pixels wide, at one sample a pixel in the
+exact flavour of the converter, and a manifest that tells how they were made.
 """
 
 from __future__ import annotations
@@ -46,8 +45,7 @@ def scene_hash(path: Path) -> str:
 
 def manifest(folder: Path = FOLDER) -> dict[str, Any]:
     """How the stored pictures were made."""
-    loaded: dict[str, Any] = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    return loaded
+    return dict(json.loads((folder / "manifest.json").read_text(encoding="utf-8")))
 
 
 def stored(name: str, folder: Path = FOLDER) -> Floats:
@@ -68,12 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     need_scenes(used)
     choice = use(options.variant)
     options.output.mkdir(parents=True, exist_ok=True)
-    scenes = {}
     for path in own_scenes():
-        scene = load_small(path)
-        image = render_mitsuba(scene, variant=choice.variant)
+        image = render_mitsuba(load_small(path), variant=choice.variant)
         write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
-        scenes[path.stem] = {"sha256": scene_hash(path)}
         print(f"{path.stem}.exr")
     made = {
         "command": "python -m reference.regenerate",
@@ -84,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "variant": choice.variant,
         "samples": 1,
         "width": WIDTH,
-        "scenes": scenes,
+        "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},
     }
     (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
     return 0

@@ -1,8 +1,4 @@
-"""Draw the README's pictures: ``python -m reference.sheet``.
-
-Writes ``sheet.png``, a picture of every scene of ``scenes/``, and
-``sunflower.png``, a large picture of one of them, into this folder.
-"""
+"""Draw the README's pictures, all scenes and a large one of them: ``python -m reference.sheet``."""
 
 from __future__ import annotations
 
@@ -31,8 +27,8 @@ def sheet(paths: Iterable[Path]) -> Image.Image:
     top = 0
     for per_row in (5, 3):
         width = (_WIDTH - (per_row - 1) * _GAP) // per_row
-        square = per_row == 5
-        shown = [name for name, s in scenes.items() if (s.width == s.height) == square]
+        square = [name for name, s in scenes.items() if s.width == s.height]
+        shown = square if per_row == 5 else [name for name in scenes if name not in square]
         for first in range(0, len(shown), per_row):
             tiles = [_tile(name, scenes[name], width) for name in shown[first : first + per_row]]
             places += ((tile, (k * (width + _GAP), top)) for k, tile in enumerate(tiles))
