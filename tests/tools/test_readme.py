@@ -35,14 +35,21 @@ def test_the_readme_is_one_page_that_begins_with_two_commands() -> None:
     assert "'.[test]'" in test
 
 
-def test_the_python_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
     for block in blocks("python"):
         exec(block, space)
-    assert (tmp_path / "four-spheres.png").exists()
-    assert load_scene("ball.xml") == space["scene"]
+    assert Path("four-spheres.png").exists()
+    (file,) = blocks("xml")
+    Path("good.xml").write_text(file)
+    assert load_scene("ball.xml") == load_scene("good.xml") == space["scene"]
+    # And its fault is reported as it says.
+    Path("bad.xml").write_text(file.replace("3 5 4", "3 five 4"))
+    with pytest.raises(SceneFileError) as error:
+        load_scene("bad.xml")
+    assert f"\n```text\n{error.value}\n```\n" in README
 
 
 @pytest.mark.slow
@@ -53,22 +60,6 @@ def test_the_python_examples_are_typed(checker: list[str], tmp_path: Path) -> No
     command = [sys.executable, "-m", *checker, str(example)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-def test_the_scene_file_is_the_scene_in_python(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (file,) = blocks("xml")
-    space: dict[str, object] = {}
-    monkeypatch.chdir(tmp_path)
-    exec(blocks("python")[-1], space)
-    Path("good.xml").write_text(file)
-    assert load_scene("good.xml") == space["scene"]
-    # And its fault is reported as it says.
-    Path("bad.xml").write_text(file.replace("3 5 4", "3 five 4"))
-    with pytest.raises(SceneFileError) as error:
-        load_scene("bad.xml")
-    assert f"\n```text\n{error.value}\n```\n" in README
 
 
 @pytest.mark.parametrize("page", PAGES)
