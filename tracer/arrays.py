@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]
+Sides: TypeAlias = NDArray[np.int8]
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
 Vector: TypeAlias = tuple[float, float, float]
 Index: TypeAlias = int | Ints

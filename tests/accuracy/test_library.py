@@ -80,13 +80,15 @@ def seen(*surfaces: Surface) -> Scene:
 
 
 def test_first_hits_in_closed_form():
-    # Positions on the axis, a ray (.5, -.5, -1) past the ball, and one that leaves the picture; of
+    # Positions on the axis, a ray (.5, -.5, -1) past the ball, and two that leave the picture; of
     # equal surfaces the first.
-    hits = first_hits(seen(WALL, BALL, WALL, BALL), [2, 3, 2], [2, 3, -2])
-    assert hits.surface.tolist() == [1, 0, 0]
-    np.testing.assert_allclose(hits.distance, [3, 10 * np.sqrt(1.5), 10 * np.sqrt(5)], rtol=1e-15)
-    np.testing.assert_allclose(hits.point, [(0, 0, -3), (5, -5, -10), (0, 20, -10)], atol=1e-14)
-    np.testing.assert_allclose(hits.normal, [(0, 0, 1)] * 3, atol=1e-15)
+    hits = first_hits(seen(WALL, BALL, WALL, BALL), [2, 3, 2, -2], [2, 3, -2, 2])
+    assert hits.surface.tolist() == [1, 0, 0, 0]
+    far = 10 * np.sqrt([1.5, 5, 5])
+    np.testing.assert_allclose(hits.distance, [3, *far], rtol=1e-15)
+    points = [(0, 0, -3), (5, -5, -10), (0, 20, -10), (-20, 0, -10)]
+    np.testing.assert_allclose(hits.point, points, atol=1e-14)
+    np.testing.assert_allclose(hits.normal, [(0, 0, 1)] * 4, atol=1e-15)
     # From inside, normals look towards the eye as well.
     for surface in (Sphere(radius=3), Box(min_pt=(-3, -3, -3), max_pt=(3, 3, 3))):
         inside = first_hits(seen(surface), [2], [2])

@@ -26,23 +26,19 @@ def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     none = np.zeros(0, dtype=np.intp)
     found: list[tuple[Ints, Ints, Floats, Floats]] = [(none, none, np.zeros(0), np.zeros(0))]
     for shape in view.shapes:
-        owner, row, left, right = Spans.of(shape, view, lines[:-1], height=1.0)
-        # Where a line just touches an object, rounding decides what that covers of it.
-        fills = top[owner] < lines[row] - _TOUCHING
-        fills &= bottom[owner] > lines[row + 1] + _TOUCHING
-        covering = Spans.of(shape, view, lines)
-        # One number for line and object: spans are sorted by it.  Last, a span of nothing.
-        key = np.append(covering.row * top.size + covering.owner, -1)
-        begin, end = np.append(covering.left, np.inf), np.append(covering.right, -np.inf)
+        between = columns.start, columns.stop
+        owner, row, left, right = Spans.of(shape, view, lines[:-1], between, height=1.0)
         full, full_end = left, right
         for line in (row, row + 1):
-            wanted = line * top.size + owner
-            place = key[:-1].searchsorted(wanted)
-            place[(key[place] != wanted) | ~fills] = -1
-            full, full_end = np.maximum(full, begin[place]), np.minimum(full_end, end[place])
+            begin, end = shape.ends(view.raster, owner, lines[line], 0.0)
+            full, full_end = np.maximum(full, begin), np.minimum(full_end, end)
+        # Where a line just touches an object, rounding decides what that covers of it.
+        fills = (top[owner] < lines[row] - _TOUCHING) & (full < full_end)
+        fills &= bottom[owner] > lines[row + 1] + _TOUCHING
         left, stop = np.floor(left), np.floor(right) + 1
-        full = np.clip(np.ceil(full), left, stop)
-        full_end = np.clip(np.floor(full_end), full, stop)
+        full, full_end = (np.where(fills, m, stop) for m in (np.ceil(full), np.floor(full_end)))
+        full = np.clip(full, left, stop)
+        full_end = np.clip(full_end, full, stop)
         found += [(row, owner, left, full), (row, owner, full_end, stop)]
     row, owner, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
     start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))

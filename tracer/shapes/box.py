@@ -10,13 +10,13 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracer.arrays import (
     Bools,
     Floats,
     Index,
     Ints,
+    Sides,
     Triple,
     each,
     entries,
@@ -108,7 +108,7 @@ class Boxes:
 
     def hit(
         self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
-    ) -> tuple[Floats, NDArray[np.int8]]:
+    ) -> tuple[Floats, Sides]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
         Slabs (Kay and Kajiya 1986); the face is that of the entry (of the exit, with the eye
@@ -126,22 +126,19 @@ class Boxes:
             faces.append((d < 0).view(np.int8) + np.int8(2 * k))
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
-        t, face = np.where(enter <= leave, enter, np.inf), _first_face(enter, near, faces)
+        t, place = np.where(enter <= leave, enter, np.inf), near
         inside = select(self.eye_inside[box], span)
         if inside.any():
             t = np.where(inside, leave, t)
-            face = np.where(inside, _first_face(leave, far, faces), face)
+            place = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
+        # Through an edge or a corner, the face of the first axis.
+        face = np.where(place[1] == t, faces[1], faces[2])
+        face = np.where(place[0] == t, faces[0], face)
         t[~(t > 0)] = np.inf
         return t, face
 
     def surface(
-        self,
-        raster: Raster,
-        owner: Index,
-        span: Ints | slice,
-        p: Floats,
-        t: Floats,
-        detail: NDArray[np.int8],
+        self, raster: Raster, owner: Index, span: Ints | slice, p: Floats, t: Floats, detail: Sides
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """See `Spheres.surface`."""
         face = detail.astype(np.intp) >> 1
@@ -160,27 +157,23 @@ class Boxes:
         box = owner - self.first
         return pick(self.min_pt, box), pick(self.max_pt, box)
 
-    def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
+    def side(self, owner: Ints, point: Triple) -> Sides:
         """See `Spheres.side`."""
-        low, high = self.corners(owner)
-        between = [(a < p) & (p < b) for a, p, b in zip(low, point, high, strict=True)]
-        return np.where(np.all(between, axis=0), INSIDE, OUTSIDE).astype(np.int8)
+        return np.where(self.gap(owner, point) < 0, INSIDE, OUTSIDE).astype(np.int8)
 
     def gap(self, owner: Ints, point: Triple) -> Floats:
         """See `Spheres.gap`."""
-        low, high = self.corners(owner)
-        sides = *each(np.subtract, low, point), *each(np.subtract, point, high)
-        return np.asarray(np.max(sides, axis=0))
+        return np.asarray(np.max(self._heights(owner, point), axis=0))
 
     def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
         """See `Spheres.touches`."""
-        touches = np.zeros((), dtype=np.bool_)
-        for m, low, high in zip(middle, *self.corners(owner), strict=True):
-            # The distance from the nearer of the two planes.
-            offset = np.abs(m - 0.5 * (low + high))
-            offset -= 0.5 * (high - low)
-            touches = touches | (np.abs(offset, out=offset) <= reach)
+        touches: Bools = np.any([np.abs(m) <= reach for m in self._heights(owner, middle)], axis=0)
         return touches
+
+    def _heights(self, owner: Ints, point: Triple) -> list[Floats]:
+        """Heights of points over the six planes of faces."""
+        low, high = self.corners(owner)
+        return [*each(np.subtract, low, point), *each(np.subtract, point, high)]
 
     def occludes(
         self,
@@ -257,11 +250,6 @@ def _slab(
         enter = np.where(parallel, np.where(between, -np.inf, np.inf), enter)
         leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
     return enter, leave
-
-
-def _first_face(t: Floats, times: list[Floats], faces: list[NDArray[np.int8]]) -> NDArray[np.int8]:
-    """Faces met at `t`: through an edge or a corner, that of the first axis span."""
-    return np.where(times[0] == t, faces[0], np.where(times[1] == t, faces[1], faces[2]))
 
 
 def _crosses(p: Triple, light: Triple, low: Triple, high: Triple) -> Bools:

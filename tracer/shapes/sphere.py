@@ -1,9 +1,10 @@
 """Spheres: what the eye sees of them, and which shadow segments they block.
 
 `Spheres` and `Boxes` answer the same questions; this class documents them for both.  Objects are
-numbered together, spheres first, and every method takes these numbers (`owner`).  Each pair of a
-ray and an object is decided alone: what else is in the scene, and in which order or batches the
-pairs come, changes no bit of an answer.
+numbered together, spheres first: every method takes these numbers, `owner`.  Rays from the eye have
+directions (s, g, depth) in the camera's axes, see `Raster`.  Each pair of a ray and an object is
+decided alone: what else is in the scene, and in which order or batches the pairs come, changes no
+bit of an answer.
 
 Infinities and NaN arise on the way and are meant: the caller turns off floating-point warnings.
 """
@@ -15,13 +16,13 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracer.arrays import (
     Bools,
     Floats,
     Index,
     Ints,
+    Sides,
     Triple,
     dot,
     each,
@@ -111,16 +112,8 @@ class Spheres:
     ) -> tuple[Floats, Floats]:
         """Columns at which objects begin and end in rows of the picture; a miss has its end first.
 
-        Exact for lines but for rounding; rows of some height are bounded.
-
-        Parameters
-        ----------
-        raster : Raster
-        owner : (n,)
-        rows : (n,)
-            Where each row begins, in pixels from the top.
-        height
-            Of the rows; 0 for lines.
+        `rows` (n,): where each row begins, in pixels from the top.  Exact but for rounding where
+        their `height` is 0; else more than is needed.
         """
         # A ray in the row meets the sphere no farther than this from the ray below or above it in
         # the row's middle, which meets the sphere if that is so much larger.
@@ -136,16 +129,10 @@ class Spheres:
     def _discs(
         self, raster: Raster, owner: Index, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Sections of spheres by the planes of rays (s, g, depth), for all s.
+        """Sections of spheres by the planes of rays (s, g, depth), for all s: discs.
 
-        Returns
-        -------
-        hypot2
-            Square of the rays' second component in that plane; the first, s, is along the row.
-        u, ahead
-            The disc's centre: along the row, and ahead.
-        chord2
-            Its squared radius; negative where the plane misses the sphere.
+        Returns the square of the rays' second component in that plane, where the first is s; each
+        disc's centre, along the row and ahead; and its squared radius, negative if it misses.
         """
         (u, v, w), depth = pick(self.local, owner), raster.depth
         hypot2 = g * g + depth * depth
@@ -156,23 +143,19 @@ class Spheres:
     def hit(
         self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
     ) -> tuple[Floats, Floats]:
-        """Distance at which rays of pixel rows meet objects, or infinity.
+        """Distance at which rays meet objects, or infinity.
 
-        The rays of a row lie in a plane through the eye, so a sphere is a disc
-        there: closest approach (Haines, Günther, Akenine-Möller, Ray Tracing
-        Gems, ch. 7) in two dimensions, with the near root in the stable form
-        t = C / (B + sqrt(B^2 - A C)).
+        The rays of a row lie in a plane through the eye, so a sphere is a disc there: closest
+        approach (Haines, Günther, Akenine-Möller, Ray Tracing Gems, ch. 7) in two dimensions, with
+        the near root in the stable form t = C / (B + sqrt(B^2 - A C)).
 
         Parameters
         ----------
-        raster : Raster
         owner : int or (spans,)
             One object, or one for each span of rays in a row.
         g : (spans,)
-            Second component of the rays' directions (s, g, depth).
         s : (n,)
-            First component, span by span.
-        span : (n,)
+        span : (n,), or a slice
             The span of each ray.
 
         Returns
@@ -203,13 +186,7 @@ class Spheres:
         return t, rise
 
     def surface(
-        self,
-        raster: Raster,
-        owner: Index,
-        span: Ints | slice,
-        p: Floats,
-        t: Floats,
-        detail: Floats,
+        self, raster: Raster, owner: Index, span: Ints | slice, p: Floats, t: Floats, detail: Floats
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
 
@@ -234,7 +211,7 @@ class Spheres:
 
     # What blocks light.
 
-    def side(self, owner: Ints, point: Triple) -> NDArray[np.int8]:
+    def side(self, owner: Ints, point: Triple) -> Sides:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
         return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
 
@@ -267,11 +244,9 @@ class Spheres:
         Parameters
         ----------
         eye : (3,)
-            From where the points are seen: their rounding is in proportion to the distance.
-        owner : (n,)
+        owner, closely : (n,)
+            `closely` is False where both ends are surely farther off than `touches` asks.
         p, light : three (n,)
-        closely : (n,)
-            False where both ends are surely farther from the object than `touches` asks.
         grown : (n,), optional
             By how much to grow objects on all sides; shrunk to less than nothing, none blocks.
         """
@@ -309,10 +284,9 @@ class Spheres:
 
         A capsule, all that is within a thickness of a segment, holds all segments from the ball
         around its start to its end (Haines and Wallace, Shaft culling, 1991).  An object that does
-        not meet it blocks none of them; one that holds all of it inside does not count as meeting
-        it.  One that cuts it blocks all of them: somewhere it holds the capsule's full
-        cross-section, and the ball around the start is outside it.  Both are on the safe side of
-        rounding.
+        not meet it, or holds all of it inside, blocks none of them.  One that cuts it blocks all:
+        somewhere it holds the full cross-section, and the ball around the start is outside it.
+        Both are on the safe side of rounding.
         """
         center, radius = pick(self.center, owner), self.radius[owner]
         d = each(np.subtract, end, start)

@@ -16,16 +16,14 @@ _PAD = 0.5
 
 
 class Spans(NamedTuple):
-    """Intervals of rows of the picture that objects cover.
+    """Intervals of rows that objects cover.
 
     Attributes
     ----------
-    owner : (n,)
-        The object.
-    row : (n,)
-        Index into the rows asked for; ascending.
+    owner, row : (n,)
+        The object, and the index into the rows asked for.
     left, right : (n,)
-        In pixels from the picture's left edge, clipped to one pixel beyond either edge.
+        In pixels from the picture's left edge.
     """
 
     owner: Ints
@@ -35,29 +33,28 @@ class Spans(NamedTuple):
 
     @classmethod
     def of(
-        cls, shape: Shape, view: View, rows: Floats, height: float = 0.0, pad: float = 0.0
+        cls,
+        shape: Shape,
+        view: View,
+        rows: Floats,
+        columns: tuple[float, float],
+        height: float = 0.0,
+        pad: float = 0.0,
     ) -> Spans:
-        """Spans, some of them empty, of objects in ascending rows, widened by `pad` pixels.
+        """Spans of objects in ascending rows, widened by `pad` pixels.
 
-        They are exact but for rounding in rows of no height, which are lines.
+        Exact but for rounding if their `height` is 0.  What is beside the `columns` is left out.
         """
-        raster, first = view.raster, shape.first
-        frames = view.frames.take(slice(first, first + shape.count))
-        beside = (frames.left - pad > raster.width + 1) | (frames.right + pad < -1)
-        at = indices(~beside & (frames.top - pad - height <= rows[-1]))
+        frames = view.frames.take(slice(shape.first, shape.first + shape.count))
+        at = indices((frames.left - pad <= columns[1]) & (frames.right + pad >= columns[0]))
         begin = rows.searchsorted(frames.top[at] - pad - height)
         end = rows.searchsorted(frames.bottom[at] + pad, side="right")
         which, row = expand(np.maximum(end - begin, 0), begin)
         at = at[which]
-        left, right = shape.ends(raster, at + first, rows[row], height)
+        left, right = shape.ends(view.raster, at + shape.first, rows[row], height)
         left, right = np.maximum(left, frames.left[at]), np.minimum(right, frames.right[at])
-        # An object that is beside the picture in one row may enter it before the next: its span
-        # there is empty, at the rim, but not left out.
         keep = indices(left <= right)
-        keep = keep[row[keep].argsort(kind="stable")]
-        # One column more than the picture has on either side: antialiasing looks there.
-        left, right = (m[keep].clip(-1.0, raster.width + 1.0) for m in (left - pad, right + pad))
-        return cls(at[keep] + first, row[keep], left, right)
+        return cls(at[keep] + shape.first, row[keep], left[keep] - pad, right[keep] + pad)
 
 
 class Rows(NamedTuple):
@@ -100,11 +97,11 @@ class Rows(NamedTuple):
         Returns the object, the index of the span's y among those of the samples, the first sample,
         and how many there are.
         """
-        owner, row, left, right = Spans.of(shape, view, self.y, pad=_PAD)
-        columns = self.x.size
+        beside, columns = (self.x[0] - 1, self.x[-1] + 1), self.x.size
+        owner, row, left, right = Spans.of(shape, view, self.y, beside, pad=_PAD)
         first = self.x[0] + self.shift[row]
-        start = np.ceil(left - first).astype(np.intp).clip(0, columns)
-        stop = (np.floor(right - first).astype(np.intp) + 1).clip(0, columns)
+        start = np.ceil(left - first).clip(0, columns).astype(np.intp)
+        stop = (np.floor(right - first) + 1).clip(0, columns).astype(np.intp)
         return owner, row, row * columns + start, np.maximum(stop - start, 0)
 
 
@@ -154,9 +151,9 @@ class Scattered(NamedTuple):
 
     def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
         """See `Rows.covered`: here each sample is a span of its own."""
-        rows = self.row[changes(self.row)]
-        owner, row, left, right = Spans.of(shape, view, rows, height=1.0, pad=_PAD)
-        begin, half = rows[row] * self.wide, self.wide / 2
+        rows, half = self.row[changes(self.row)], self.wide / 2
+        owner, row, left, right = Spans.of(shape, view, rows, (-half, half), height=1.0, pad=_PAD)
+        begin = rows[row] * self.wide
         start = self.place.searchsorted(begin + left.clip(-half, half))
         stop = self.place.searchsorted(begin + right.clip(-half, half), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
