@@ -1,7 +1,5 @@
 """What several test files share."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os
@@ -49,8 +47,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if expected is None or reporter is None:
         return
-    reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
     known = {f"Skipped: {name} is not installed" for name in expected.split(",")}
+    reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
     for reason in sorted(reasons - known):
         reporter.write_line(f"not expected: {reason}", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
@@ -65,8 +63,8 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def signals_heeded() -> Iterator[None]:
     """No interrupt is ignored: commands inherit that from nohup, or from a script's background."""
-    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
-    kinds = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    names = {"SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"}
+    kinds = [kind for kind in signal.Signals if kind.name in names]
     ignored = [kind for kind in kinds if signal.getsignal(kind) == signal.SIG_IGN]
     for kind in ignored:
         signal.signal(kind, signal.SIG_DFL)
@@ -94,16 +92,14 @@ def no_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "the working folder cannot be found: No such file or directory; change to another\n"
 
 
-def open_files() -> int:
-    """How many files this process has open, but for those that only wait for the collector."""
-    gc.collect()
-    return len(list(Path("/proc/self/fd").iterdir()))
-
-
 @pytest.fixture
 def files_left() -> Callable[[int], AbstractContextManager[None]]:
     """A context in which so many more files can be opened, and which must leave none open."""
     import resource  # not on all systems
+
+    def open_files() -> int:
+        gc.collect()
+        return len(list(Path("/proc/self/fd").iterdir()))
 
     @contextmanager
     def context(count: int) -> Iterator[None]:

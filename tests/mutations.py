@@ -8,8 +8,6 @@ the slow ones as well.  A mutation that no test notices has survived; the exit s
 has.  `--list` only says whether each can be applied.  By hand: all take an hour.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
@@ -20,15 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-
-
-class Mutation(NamedTuple):
-    """A module, a text that stands in it exactly once, and what takes its place."""
-
-    module: str
-    old: str
-    new: str
-
 
 CHANGES = {
     # Camera: half a pixel, mirrored, upside down, projNormal ignored
@@ -180,6 +169,15 @@ CHANGES = {
 }
 """For each module texts that stand in it exactly once, and what takes their place."""
 
+
+class Mutation(NamedTuple):
+    """One of them."""
+
+    module: str
+    old: str
+    new: str
+
+
 MUTATIONS = [Mutation(module, *both) for module, each in CHANGES.items() for both in each.items()]
 
 FIRST = {
@@ -191,8 +189,7 @@ FIRST = {
     "tracer/suspicions.py": ["command"],
     "converters": ["mitsuba"],
     "tracer": [
-        *(f"accuracy/test_{name}.py" for name in ("camera_conventions", "closed_forms")),
-        *(f"accuracy/test_{name}.py" for name in ("library", "shadow", "culling")),
+        *(f"accuracy/test_{m}.py" for m in ("camera_conventions", "closed_forms", "culling")),
         "accuracy",
     ],
 }
@@ -201,10 +198,7 @@ FIRST = {
 
 def copied(folder: Path) -> None:
     """Copy this checkout, as git knows it."""
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout
-    for name in listed.splitlines():
+    for name in subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines():
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, folder / name)
@@ -212,13 +206,11 @@ def copied(folder: Path) -> None:
 
 def mutated(mutation: Mutation) -> str:
     """The text of a mutation's module, with the mutation."""
-    text = (ROOT / mutation.module).read_text(encoding="utf-8")
-    count = text.count(mutation.old)
-    if count != 1:
-        raise ValueError(
-            f"{mutation.module}: {mutation.old!r} stands there {count} times, not once"
-        )
-    return text.replace(mutation.old, mutation.new)
+    module, old, new = mutation
+    text = (ROOT / module).read_text(encoding="utf-8")
+    if text.count(old) != 1:
+        raise ValueError(f"{module}: {old!r} stands there {text.count(old)} times, not once")
+    return text.replace(old, new)
 
 
 def failing(folder: Path, *arguments: str) -> str | None:
@@ -233,10 +225,9 @@ def failing(folder: Path, *arguments: str) -> str | None:
     )
     if done.returncode < 0:
         raise RuntimeError(f"pytest was ended by signal {-done.returncode}; run it again")
-    if done.returncode == 0:
-        return None
     lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0].partition(" - ")[0] if lines else f"exit status {done.returncode}"
+    failed = lines[0].partition(" - ")[0] if lines else f"exit status {done.returncode}"
+    return failed if done.returncode else None
 
 
 def killed(mutation: Mutation, slow: bool) -> str | None:

@@ -1,12 +1,10 @@
 """Scenes made of a few objects, moved and scaled; renders of one ray; vectors for both."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
-from tracer import Box, Camera, PointLight, Scene, Sphere, Surfaces, render
+from tracer import Box, Camera, PointLight, Scene, Sphere, render
 from tracer.arrays import Floats
 
 Vector = tuple[float, float, float]
@@ -22,13 +20,10 @@ def scene_of(
     *surfaces: Surface, camera: Camera | None = None, size: tuple[int, int], lights: Lights
 ) -> Scene:
     """Surfaces before a camera, in a picture of so many columns and rows."""
+    some = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
     return Scene(
-        camera=camera or Camera(),
-        width=width,
-        height=height,
-        lights=lights if isinstance(lights, list) else [PointLight(position=lights)],
-        surfaces=surfaces,
+        camera=camera or Camera(), width=width, height=height, lights=some, surfaces=surfaces
     )
 
 
@@ -47,8 +42,7 @@ def one_ray(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) 
 
 def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:
     """Radiance (3,) along one ray."""
-    pixel: Floats = render(one_ray(eye, direction, lights, *surfaces))[0, 0]
-    return pixel
+    return render(one_ray(eye, direction, lights, *surfaces))[0, 0]
 
 
 def a_direction(rng: np.random.Generator) -> Floats:
@@ -65,10 +59,9 @@ def vector(v: Floats) -> Vector:
 
 def colored(*positions: Vector) -> list[PointLight]:
     """A red, a green and a blue light: each shows in its own channel."""
-    colors = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     return [
-        PointLight(position=position, intensity=color)
-        for position, color in zip(positions, colors, strict=False)
+        PointLight(position=position, intensity=vector(color))
+        for position, color in zip(positions, np.eye(3)[: len(positions)], strict=True)
     ]
 
 
@@ -79,20 +72,16 @@ def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
         return v[0] * scale + shift[0], v[1] * scale + shift[1], v[2] * scale + shift[2]
 
     camera = scene.camera
+    names = "proj_distance", "view_width", "view_height"
+    lengths = {name: getattr(camera, name) * scale for name in names}
     return replace(
         scene,
-        camera=replace(
-            camera,
-            view_point=point(camera.view_point),
-            proj_distance=camera.proj_distance * scale,
-            view_width=camera.view_width * scale,
-            view_height=camera.view_height * scale,
-        ),
-        lights=tuple(replace(light, position=point(light.position)) for light in scene.lights),
-        surfaces=Surfaces.of(
+        camera=replace(camera, view_point=point(camera.view_point), **lengths),
+        lights=[replace(light, position=point(light.position)) for light in scene.lights],
+        surfaces=[
             replace(surface, center=point(surface.center), radius=surface.radius * scale)
             if isinstance(surface, Sphere)
             else replace(surface, min_pt=point(surface.min_pt), max_pt=point(surface.max_pt))
-            for surface in scene.surfaces[:]
-        ),
+            for surface in scene.surfaces
+        ],
     )

@@ -4,15 +4,15 @@ Coordinates are small dyadic numbers wherever objects are meant to touch, so
 that they do touch exactly; the rest is drawn without such care.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from probe import Surface, Vector, a_direction, vector
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, Surfaces
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
+from tracer.arrays import Floats
 
 
 class Setting(NamedTuple):
@@ -32,15 +32,11 @@ def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scen
     camera = _camera(rng, setting)
     lights = [_light(rng, camera, setting) for _ in range(rng.integers(1, 4))]
     return Scene(
-        camera=camera,
-        width=width,
-        height=height,
-        lights=tuple(lights),
-        surfaces=Surfaces.of(setting.surfaces),
+        camera=camera, width=width, height=height, lights=lights, surfaces=setting.surfaces
     )
 
 
-def _camera(rng: np.random.Generator, setting: Setting) -> Camera:
+def _camera(rng: Generator, setting: Setting) -> Camera:
     """Looks at the target, often through a window that is oblique or not square."""
     direction = a_direction(rng)
     axis_aligned = rng.random() < 0.25
@@ -62,7 +58,7 @@ def _camera(rng: np.random.Generator, setting: Setting) -> Camera:
     )
 
 
-def _light(rng: np.random.Generator, camera: Camera, setting: Setting) -> PointLight:
+def _light(rng: Generator, camera: Camera, setting: Setting) -> PointLight:
     """Anywhere around; sometimes at the eye, in a sphere's centre or on a box's face."""
     position = rng.normal(size=3) * setting.reach * (1, setting.flat, 1)
     surface = setting.surfaces[rng.integers(len(setting.surfaces))]
@@ -77,19 +73,27 @@ def _light(rng: np.random.Generator, camera: Camera, setting: Setting) -> PointL
     return PointLight(position=vector(position), intensity=vector(rng.uniform(0.2, 1, 3)))
 
 
-def _shader(rng: np.random.Generator) -> Shader:
+def _shader(rng: Generator) -> Shader:
     diffuse = vector(rng.uniform(0.1, 1, 3))
     if rng.random() < 0.5:
         return Lambertian(diffuse=diffuse)
     return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=float(rng.integers(0, 60)))
 
 
-def _dyadic(rng: np.random.Generator, low: float, high: float, size: int = 3) -> np.ndarray:
+def _dyadic(rng: Generator, low: float, high: float, size: int) -> Floats:
     """Multiples of 1/8."""
-    return np.asarray(rng.integers(int(low * 8), int(high * 8) + 1, size) / 8)
+    return rng.integers(int(low * 8), int(high * 8) + 1, size) / 8
 
 
-def _some(rng: np.random.Generator, count: int, spread: float) -> list[Surface]:
+def _ball(rng: Generator, x: float, y: float, z: float, radius: float) -> Sphere:
+    return Sphere(center=(x, y, z), radius=radius, shader=_shader(rng))
+
+
+def _box(rng: Generator, low: Vector, high: Vector) -> Box:
+    return Box(min_pt=low, max_pt=high, shader=_shader(rng))
+
+
+def _some(rng: Generator, count: int, spread: float) -> list[Surface]:
     surfaces: list[Surface] = []
     for _ in range(count):
         center, shader = rng.uniform(-spread, spread, 3), _shader(rng)
@@ -102,47 +106,37 @@ def _some(rng: np.random.Generator, count: int, spread: float) -> list[Surface]:
     return surfaces
 
 
-def _scattered(rng: np.random.Generator) -> Setting:
+def _scattered(rng: Generator) -> Setting:
     return Setting(_some(rng, int(rng.integers(1, 9)), 2), (0, 0, 0), rng.uniform(1, 6))
 
 
-def _touching(rng: np.random.Generator) -> Setting:
+def _touching(rng: Generator) -> Setting:
     """Boxes and balls standing on each other and on a floor at y = 0."""
-    surfaces: list[Surface] = [
-        Box(min_pt=(-8, -1, -8), max_pt=(8, 0, 8), shader=_shader(rng)),
-        Box(min_pt=(-8, 0, -8), max_pt=(8, 0, 8), shader=_shader(rng)),
-    ]
+    surfaces: list[Surface] = [_box(rng, (-8, low, -8), (8, 0, 8)) for low in (-1, 0)]
     for _ in range(4):
         x, z = _dyadic(rng, -2, 2, 2).tolist()
         a, h, r = _dyadic(rng, 0.25, 1, 3).tolist()
         surfaces += [
-            Box(min_pt=(x - a, 0, z - a), max_pt=(x + a, h, z + a), shader=_shader(rng)),
-            Sphere(center=(x, h + r, z), radius=r, shader=_shader(rng)),
-            Sphere(center=(x + a + r, r, z), radius=r, shader=_shader(rng)),
-            Sphere(center=(x, h + 2 * r + h, z), radius=h, shader=_shader(rng)),
+            _box(rng, (x - a, 0, z - a), (x + a, h, z + a)),
+            _ball(rng, x, h + r, z, r),
+            _ball(rng, x + a + r, r, z, r),
+            _ball(rng, x, h + 2 * r + h, z, h),
         ]
     return Setting(surfaces, (0, 0.5, 0), rng.uniform(2, 6))
 
 
-def _nested(rng: np.random.Generator) -> Setting:
+def _nested(rng: Generator) -> Setting:
     """Each in the next, some touching it from inside; the eye between them."""
     surfaces: list[Surface] = []
-    radius = 0.25
+    r = 0.25
     for _ in range(5):
-        radius *= float(rng.choice([1.5, 2, 4]))
-        away = float(rng.choice([0, 0.25])) * radius
-        surfaces += [
-            Sphere(center=(away, 0, 0), radius=radius, shader=_shader(rng)),
-            Box(
-                min_pt=(-radius, -radius, -radius),
-                max_pt=(radius, radius, radius + away),
-                shader=_shader(rng),
-            ),
-        ]
-    return Setting(surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * radius)
+        r *= float(rng.choice([1.5, 2, 4]))
+        away = float(rng.choice([0, 0.25])) * r
+        surfaces += [_ball(rng, away, 0, 0, r), _box(rng, (-r, -r, -r), (r, r, r + away))]
+    return Setting(surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * r)
 
 
-def _duplicated(rng: np.random.Generator) -> Setting:
+def _duplicated(rng: Generator) -> Setting:
     """All of another kind, listed twice: the copies shine like the originals."""
     kind = [_scattered, _touching, _nested, _rooms][rng.integers(4)]
     once = kind(rng)
@@ -150,54 +144,51 @@ def _duplicated(rng: np.random.Generator) -> Setting:
     return once._replace(surfaces=once.surfaces + again)
 
 
-def _enormous(rng: np.random.Generator) -> Setting:
+def _enormous(rng: Generator) -> Setting:
     """Small things on the flank of a huge ball, beside a huge box."""
     radius = float(2 ** rng.integers(10, 24))
-    surfaces = [
-        Sphere(center=(0, -radius, 0), radius=radius, shader=_shader(rng)),
-        Box(min_pt=(-radius, -3, -radius), max_pt=(radius, -2, 0), shader=_shader(rng)),
-        *_some(rng, 4, 2),
-    ]
-    return Setting(surfaces, (0, 1, 0), rng.uniform(1, 6))
+    ground = _ball(rng, 0, -radius, 0, radius)
+    slab = _box(rng, (-radius, -3, -radius), (radius, -2, 0))
+    return Setting([ground, slab, *_some(rng, 4, 2)], (0, 1, 0), rng.uniform(1, 6))
 
 
-def _rooms(rng: np.random.Generator) -> Setting:
+def _rooms(rng: Generator) -> Setting:
     """The eye inside a box or a ball, with things in it, some through its walls."""
     size = float(_dyadic(rng, 2, 4, 1)[0])
-    room: Surface = Sphere(radius=2 * size, shader=_shader(rng))
+    room: Surface = _ball(rng, 0, 0, 0, 2 * size)
     if rng.random() < 0.5:
-        room = Box(min_pt=(-size,) * 3, max_pt=(size,) * 3, shader=_shader(rng))
+        room = _box(rng, (-size,) * 3, (size,) * 3)
     return Setting([room, *_some(rng, 5, size)], (0, 0, 0), size * rng.uniform(0.1, 0.9))
 
 
-def _far(rng: np.random.Generator) -> Setting:
+def _far(rng: Generator) -> Setting:
     """Seen from up to 10^4 times their size."""
     return Setting(_some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4))
 
 
-def _grazing(rng: np.random.Generator) -> Setting:
+def _grazing(rng: Generator) -> Setting:
     """A floor and a wall, with eye and lights as near to the floor as 10^-9."""
     surfaces: list[Surface] = [
-        Box(min_pt=(-64, -1, -64), max_pt=(64, 0, 64), shader=_shader(rng)),
-        Box(min_pt=(-64, 0, -9), max_pt=(64, 8, -8), shader=_shader(rng)),
-        Sphere(center=(0, -(2.0**16), 0), radius=2.0**16, shader=_shader(rng)),
+        _box(rng, (-64, -1, -64), (64, 0, 64)),
+        _box(rng, (-64, 0, -9), (64, 8, -8)),
+        _ball(rng, 0, -(2.0**16), 0, 2.0**16),
         *_some(rng, 5, 2),
     ]
     return Setting(surfaces, (0, 0, 0), rng.uniform(2, 8), 10 ** rng.uniform(-9, -1))
 
 
-def _walled(rng: np.random.Generator) -> Setting:
+def _walled(rng: Generator) -> Setting:
     """Six slabs around the eye, most lights, and some objects: they cover the whole sky."""
     surfaces = _some(rng, 4, 1)
     for axis in range(3):
         for sign in (-1, 1):
             low, high = np.full(3, -2.5), np.full(3, 2.5)
             low[axis], high[axis] = sorted((2 * sign, 2.5 * sign))
-            surfaces.append(Box(min_pt=vector(low), max_pt=vector(high), shader=_shader(rng)))
+            surfaces.append(_box(rng, vector(low), vector(high)))
     return Setting(surfaces, (0, 0, 0), rng.uniform(0.5, 1.9))
 
 
-def _crowd(rng: np.random.Generator) -> Setting:
+def _crowd(rng: Generator) -> Setting:
     """A thousand small objects, with the eye and the lights amid them."""
     surfaces: list[Surface] = []
     for center in rng.uniform(-2, 2, (1000, 3)):
@@ -210,16 +201,16 @@ def _crowd(rng: np.random.Generator) -> Setting:
     return Setting(surfaces, (0, 0, 0), rng.uniform(0, 4))
 
 
-Kind = Callable[[np.random.Generator], Setting]
-KINDS: dict[str, Kind] = {
-    "scattered": _scattered,
-    "touching": _touching,
-    "nested": _nested,
-    "duplicated": _duplicated,
-    "enormous": _enormous,
-    "rooms": _rooms,
-    "far": _far,
-    "grazing": _grazing,
-    "walled": _walled,
-    "crowd": _crowd,
-}
+_ALL = (
+    _scattered,
+    _touching,
+    _nested,
+    _duplicated,
+    _enormous,
+    _rooms,
+    _far,
+    _grazing,
+    _walled,
+    _crowd,
+)
+KINDS: dict[str, Callable[[Generator], Setting]] = {kind.__name__[1:]: kind for kind in _ALL}

@@ -125,34 +125,6 @@ def test_straight_edges_are_exact():
     assert image[:, 36] == pytest.approx(0.8 * image[:, 35], abs=0.01)
 
 
-@pytest.mark.usefixtures("pixels_are_split")
-@pytest.mark.parametrize(
-    ("scene", "samples", "errs"),
-    [
-        # The corner of a wall: both edges divide the pixel that holds it, however few the samples.
-        *((view(wall(0.3, 0.17), view_up=(0.3, 1, 0)), samples, 1e-3) for samples in (4, 16)),
-        # A wall that leans out of another: no edge of either, but a straight line between them.
-        (
-            scene_of(
-                wall(0.3, 9), wall(9, 9, -1, shader=RED), size=(9, 9), lights=(40, 0, 30),
-                camera=Camera(view_point=(6, 0, 8), view_dir=(-6, 0, -8), view_up=(0.3, 1, 0),
-                              view_width=0.2, view_height=0.2),
-            ), 16, 5e-4,
-        ),
-        # A spot of some 0.03 around (0.15, 0.1), in pixels of 1/4.
-        (
-            view(
-                Sphere(shader=Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=2000)),
-                light=(0.3, 0.2, 100),
-            ), 64, 1e-3,
-        ),
-    ],
-    ids=["corner, 4", "corner, 16", "two boxes", "highlight"],
-)  # fmt: skip
-def test_as_exact_as_many_samples(scene, samples, errs):
-    np.testing.assert_allclose(render(scene, samples), uniform(scene, 151), rtol=0, atol=errs)
-
-
 @pytest.mark.parametrize("height", [0.37, 0.8125])
 def test_a_level_horizon_is_exact(height):
     # The edge of a floor that begins behind the eye, level to the last bit: the light is so

@@ -20,7 +20,7 @@ from scene_files import small
 from reference import plain
 from reference.command import SCENES, own_scenes
 from reference.workloads import resized
-from tracer import Box, Camera, Scene, Sphere, load_scene, render, write_png
+from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render, write_png
 
 # The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the
 # ground sees points rounded by 2^24 EPS; an eye at 10^-9 over a floor has its points further along.
@@ -38,25 +38,6 @@ def hold(scenes: Iterable[Scene], tolerance: float, sure: float = 0.95) -> None:
     assert np.mean(shares) >= sure
 
 
-def test_a_pixel_is_sure_unless_an_edge_is_a_hair_away_or_surfaces_nearly_coincide():
-    # The cube's edge, at x = 1, is that part of a pixel right of the middle of the picture.
-    cube, floor = (
-        Box(min_pt=(-1,) * 3, max_pt=(1,) * 3),
-        Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9)),
-    )
-    for off in (0.01, 0.0001):
-        camera = Camera(view_point=(1 - off, 0, 5), proj_distance=4)
-        scene = scene_of(cube, camera=camera, size=(1, 1), lights=(0, 0, 9))
-        assert judge(scene).sure.tolist() == [off > 0.001]
-    # A ground that touches the plane of the floor at x = 0, and is 8e-6 below it at x = 1.
-    ground = Sphere(center=(0, -1 - 2.0**16, 0), radius=2.0**16)
-    for x in (0.0, 1.0):
-        camera = Camera(view_point=(x + 1e-3, 1, 0), view_dir=(0, -1, 0), view_up=(1, 0, 0),
-                        view_width=1e-4)  # fmt: skip
-        scene = scene_of(floor, ground, camera=camera, size=(1, 1), lights=(0, 5, 0))
-        assert judge(scene).sure.tolist() == [x > 0]
-
-
 def test_an_error_is_found():
     scene = small("four-spheres", 8, 6)
     image = render(scene)
@@ -65,13 +46,33 @@ def test_an_error_is_found():
     assert judge(scene, image).wrong(1e-8).startswith("pixel 19:")
 
 
+def test_a_pixel_is_sure_unless_an_edge_is_a_hair_away_or_surfaces_nearly_coincide():
+    # The cube's edge, at x = 1, is that part of a pixel right of the middle of the picture.
+    cube = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
+    for off in (0.01, 0.0001):
+        camera = Camera(view_point=(1 - off, 0.5, 5), proj_distance=5)
+        scene = scene_of(cube, camera=camera, size=(1, 1), lights=(0, 0, 9))
+        assert judge(scene).sure.tolist() == [off > 0.001]
+    # A ground that touches the plane of the floor at x = 0, and is 8e-6 below it at x = 1.
+    floor = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
+    ground = Sphere(center=(0, -1 - 2.0**16, 0), radius=2.0**16)
+    down = {"view_dir": (0, -1, 0), "view_up": (1, 0, 0), "view_width": 1e-4}
+    for x in (0.0, 1.0):
+        camera = Camera(view_point=(x + 1e-3, 1, 0), **down)
+        scene = scene_of(floor, ground, camera=camera, size=(1, 1), lights=(0, 5, 0))
+        assert judge(scene).sure.tolist() == [x > 0]
+
+
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "crowd")) for kind in KINDS]
 )
 def test_random_scenes(kind):
-    # Of a thousand objects, few pixels.
+    # Of a thousand objects, few pixels; and one scene more by a light at the eye, which shows all
+    # that is seen.
     size, count = ((3, 2), 2) if kind == "crowd" else ((13, 9), 3)
-    hold((random_scene(kind, seed, *size) for seed in range(count)), RADIANCE[kind])
+    scenes = [random_scene(kind, seed, *size) for seed in range(count)]
+    at_eye = [PointLight(position=scenes[0].camera.view_point)]
+    hold([*scenes, replace(scenes[0], lights=at_eye)], RADIANCE[kind])
 
 
 @given(

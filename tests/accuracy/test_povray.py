@@ -12,6 +12,7 @@ from reference.command import own_scenes
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 
+QUICK = {"highlights", "room", "sticks-shifted", "touching"}
 # Half a step of its 16 bits, which end at a radiance of 4, and its own rounding.
 HALF_A_STEP = 1.01 * povray.WHITE / 65535 / 2
 
@@ -29,7 +30,13 @@ def draw(tmp_path):
 
 
 @pytest.mark.povray
-@pytest.mark.parametrize("path", own_scenes(), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem not in QUICK))
+        for path in own_scenes()
+    ],
+)
 def test_draws_the_same_picture(path, draw):
     scene = load_scene(path)
     ours = render(scene)

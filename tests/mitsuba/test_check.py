@@ -34,6 +34,7 @@ ODD = {
     "brighter": replace(
         close_up(BALL), lights=(PointLight(position=(3, 4, 5), intensity=(300,) * 3),)
     ),
+    "sun": close_up(BALL, light=(3e20, 5e20, 4e20)),
     # What is written is ten units large, even where float32 could not hold the scene.
     "tiny": moved(close_up(DOT), 1e-45),
     "enormous": moved(close_up(DOT), 1e45),

@@ -13,18 +13,7 @@ from random_scenes import random_scene
 
 from converters.rendering import Rendering, render_mitsuba
 from converters.variant import SCALAR, use
-from reference.check import (
-    EDGE_CHANGE,
-    EDGE_SHIFT,
-    MAX_MASKED,
-    CheckResult,
-    check_diffuse,
-    check_scene,
-    compare,
-    edge_mask,
-    faults,
-    resemblance,
-)
+from reference import check
 from reference.command import HERE, SCENES, own_scenes
 from reference.compare import figures, write_comparison
 from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
@@ -40,12 +29,12 @@ TIES = {"touching": 0.03}
 
 
 @cache
-def live(name: str) -> CheckResult:
+def live(name: str) -> check.CheckResult:
     """The tracer against Mitsuba, both rendering now."""
-    return check_scene(load_small(SCENES / f"{name}.xml"), name)
+    return check.check_scene(load_small(SCENES / f"{name}.xml"), name)
 
 
-def hold(result: CheckResult, overruled: float = 0) -> None:
+def hold(result: check.CheckResult, overruled: float = 0) -> None:
     """Fail where a comparison is out of tolerance, leaving its picture behind.
 
     `overruled`: of which share of the pixels exact arithmetic may say that Mitsuba errs.
@@ -59,25 +48,20 @@ def hold(result: CheckResult, overruled: float = 0) -> None:
 
 
 def test_the_mask_is_no_excuse():
-    assert (EDGE_SHIFT, EDGE_CHANGE, MAX_MASKED) <= (0.03, 1e-2, 0.015)
+    assert (check.EDGE_SHIFT, check.EDGE_CHANGE, check.MAX_MASKED) <= (0.03, 1e-2, 0.015)
 
 
 @pytest.mark.slow
 def test_mitsuba_agrees_with_itself_in_another_variant():
     scene, now = load_small(SCENES / "four-spheres.xml"), live("four-spheres")
-    edges, scalar = edge_mask(scene, now.tracer), render_mitsuba(scene, variant=SCALAR)
+    edges, scalar = check.edge_mask(scene, now.tracer), render_mitsuba(scene, variant=SCALAR)
     use()
-    assert faults(figures(scalar, now.mitsuba, edges), edges) == ()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_tracer_agrees_with_live_mitsuba(name):
-    hold(live(name), TIES.get(name, 0))
+    assert check.faults(figures(scalar, now.mitsuba, edges), edges) == ()
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_diffuse_light_agrees_with_that_by_stock_plugins_alone(name):
-    result = check_diffuse(load_small(SCENES / f"{name}.xml"), name)
+    result = check.check_diffuse(load_small(SCENES / f"{name}.xml"), name)
     # The stock camera is float32, and shadow rays start above the surface: 1 % for those far away.
     hold(result, TIES.get(name, 0.01))
     assert result.mask.mean() <= 0.001
@@ -85,23 +69,22 @@ def test_diffuse_light_agrees_with_that_by_stock_plugins_alone(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_live_tracer_and_mitsuba_agree_with_the_stored_picture(name):
+def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     scene, now = load_small(SCENES / f"{name}.xml"), live(name)
-    then = compare(scene, name, Rendering(stored(name), "stored", 0.0))
+    then = check.compare(scene, name, Rendering(stored(name), "stored", 0.0))
+    hold(now, TIES.get(name, 0))
     hold(then, TIES.get(name, 0))
-    edges = edge_mask(scene, now.tracer)
-    assert faults(figures(now.reference, then.reference, edges), edges) == ()
-    told = manifest()
-    assert told["scenes"][name]["sha256"] == scene_hash(SCENES / f"{name}.xml"), (
-        "the scene has changed; python -m reference.regenerate renders it again"
-    )
+    edges = check.edge_mask(scene, now.tracer)
+    assert check.faults(figures(now.reference, then.reference, edges), edges) == ()
+
+
+def test_what_is_stored_is_of_these_scenes():
+    assert sorted(path.stem for path in FOLDER.glob("*.exr")) == NAMES
+    told, now = manifest(), {name: scene_hash(SCENES / f"{name}.xml") for name in NAMES}
+    then = {name: scene["sha256"] for name, scene in told["scenes"].items()}
+    assert then == now, "scenes have changed; python -m reference.regenerate renders them again"
     assert (told["width"], told["samples"]) == (WIDTH, 1)
     assert {"mitsuba", "drjit", "variant", "command"} <= told.keys()
-
-
-def test_what_is_stored_has_a_scene():
-    assert sorted(path.stem for path in FOLDER.glob("*.exr")) == NAMES
-    assert sorted(manifest()["scenes"]) == NAMES
     with pytest.raises(FileNotFoundError, match=r"no-such-scene\.exr is missing; python -m"):
         stored("no-such-scene")
 
@@ -123,7 +106,7 @@ def test_regenerate_makes_what_is_stored(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["four-spheres", "sticks-axonometric", "touching"])
 def test_scenes_agree_at_their_own_size(name):
-    result = check_scene(load_scene(SCENES / f"{name}.xml"), name)
+    result = check.check_scene(load_scene(SCENES / f"{name}.xml"), name)
     hold(result, TIES.get(name, 0))
     assert result.mask.mean() <= 0.003
 
@@ -134,18 +117,18 @@ def test_scenes_agree_at_their_own_size(name):
 def test_random_scenes_agree(kind, seed):
     scene = random_scene(kind, seed, 64, 48)
     # In rooms, faces of boxes may touch.
-    hold(check_scene(scene, f"{kind}-{seed}"), 0.2 if kind == "rooms" else 0)
+    hold(check.check_scene(scene, f"{kind}-{seed}"), 0.2 if kind == "rooms" else 0)
 
 
-@cache
-def table() -> dict[str, list[float]]:
+def table() -> dict[str, tuple[str, str]]:
     """SSIM of the flavours `stock` and `stock-lights` of each scene, as a page shows it."""
-    paths = (*HERE.glob("*.md"), HERE.parent / "README.md")
-    pages = [path.read_text(encoding="utf-8") for path in paths]
-    (text,) = (page for page in pages if "| scene | stock | stock-lights |" in page)
+    text = (HERE / "mitsuba.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([-\w]+) \| ([\d.]+) \| ([\d.]+) \|$", text, re.M)
-    assert [name for name, *_ in rows] == NAMES
-    return {name: [*map(float, ssim)] for name, *ssim in rows}
+    return {name: ssim for name, *ssim in rows}
+
+
+def test_the_table_has_all_scenes():
+    assert list(table()) == NAMES
 
 
 @pytest.mark.slow
@@ -153,8 +136,8 @@ def table() -> dict[str, list[float]]:
 @pytest.mark.parametrize("flavour", ["stock", "stock-lights"])
 def test_stock_flavours_are_as_similar_as_the_table_says(name, flavour):
     scene = load_small(SCENES / f"{name}.xml")
-    found = resemblance(scene, name, None, flavour).figures.ssim
-    shown = table()[name][flavour == "stock-lights"]
+    found = check.resemblance(scene, name, None, flavour).figures.ssim
+    shown = float(table()[name][flavour == "stock-lights"])
     assert found == pytest.approx(shown, abs=0.005), "python -m reference.check prints the table"
     # What the project asks of lights that do not fall off; their highlights are only similar.
     assert flavour == "stock" or found >= (0.95 if name == "highlights" else 0.98)

@@ -11,16 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mistakes import no_highlights, no_shadows, radiance, visible
+from mistakes import no_highlights, no_shadows, radiance
 
 import tracer.view.camera
-from reference.check import (
-    MAX_DIFFERENCE,
-    check_diffuse,
-    check_scene,
-    edge_mask,
-    faults,
-)
+from reference.check import MAX_DIFFERENCE, check_diffuse, check_scene, edge_mask, faults
 from reference.command import SCENES
 from reference.compare import figures
 from reference.regenerate import load_small, stored
@@ -81,18 +75,6 @@ def test_a_wrong_camera_is_caught(monkeypatch, compared, camera, name):
     assert result.agreed < result.asked
 
 
-def falling_off(scene: Scene) -> Floats:
-    """Lights as strong as they should be at the middle distance, but falling off."""
-    points, _ = visible(scene)
-    image = np.zeros((scene.height, scene.width, 3))
-    for light in scene.lights:
-        distance2 = ((points - light.position) ** 2).sum(axis=2)
-        falloff = np.nanmedian(distance2) / distance2
-        alone = render(replace(scene, lights=(light,)))
-        image += np.where(np.isnan(falloff), 0, falloff)[:, :, None] * alone
-    return image
-
-
 def boxes_out(scene: Scene) -> Floats:
     """Boxes, and there is nothing else, one unit beside where they should be."""
     aside = np.array([1, 0, 0])
@@ -111,11 +93,10 @@ USUAL_SSIM = 0.98
         (lambda scene: np.clip(render(scene), 0, 1) ** (2.2 / 1.8), "non-square-pixels", True),
         (lambda scene: render(scene) * 1.02, "non-square-pixels", True),
         (no_highlights, "non-square-pixels", True),
-        (falling_off, "non-square-pixels", True),
         (no_shadows, "non-square-pixels", False),
         (boxes_out, "two-boxes", False),
     ],
-    ids=["gamma", "brighter", "no highlights", "falling off", "no shadows", "boxes out"],
+    ids=["gamma", "brighter", "no highlights", "no shadows", "boxes out"],
 )
 def test_a_wrong_picture_is_caught(monkeypatch, mutation, name, ssim_misses):
     scene = load_small(SCENES / f"{name}.xml")

@@ -172,6 +172,15 @@ def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, 
     assert f"{path}{repr(os.fsdecode(name))[1:-5]}." in done.stdout
 
 
+# As drjit ends where a library of the system is missing.
+BROKEN = """
+try:
+    raise ImportError('libatomic.so.1: cannot open shared object file')
+except ImportError:
+    extension
+"""
+
+
 @pytest.mark.parametrize(
     ("option", "module", "stub", "message"),
     [
@@ -179,14 +188,7 @@ def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, 
         ("--check", "numpy", "", "Mitsuba cannot run: No module named numpy; install it with"),
         ("--render", "mitsuba", "", "Mitsuba cannot run: No module named mitsuba; install it with"),
         ("--check", "skimage", "", "Mitsuba cannot run: No module named skimage; install it with"),
-        # As drjit ends where a library of the system is missing.
-        (
-            "--check",
-            "mitsuba",
-            "try:\n    raise ImportError('libatomic.so.1: cannot open shared object file')\n"
-            "except ImportError:\n    extension",
-            "Mitsuba cannot run: libatomic.so.1: cannot open shared object file",
-        ),
+        ("--check", "mitsuba", BROKEN, "Mitsuba cannot run: libatomic.so.1: cannot open shared"),
     ],
 )
 def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
@@ -228,8 +230,13 @@ def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
     ("flavour", "line"),
     [
         ("exact", ": agrees"),
-        pytest.param("stock", ", diffuse light by stock plugins: agrees", marks=pytest.mark.slow),
-        ("stock-lights", ", stock-lights flavour: is similar\n  SSIM 0.99"),
+        *(
+            pytest.param(flavour, line, marks=pytest.mark.slow)
+            for flavour, line in (
+                ("stock", ", diffuse light by stock plugins: agrees"),
+                ("stock-lights", ", stock-lights flavour: is similar\n  SSIM 0.99"),
+            )
+        ),
     ],
 )
 def test_check_reports_and_writes_the_comparison(small, flavour, line):
@@ -291,11 +298,8 @@ def test_variants_without_rgb_are_refused(small, capsys, what, variant):
     assert "spectral" not in error.removeprefix(wrong)
 
 
-NUMBERS = (
-    r"\w+ would be (inf|[\d.]+e\+\d+), and Mitsuba's numbers end at 3\.4e\+38;"
-    r" keep the numbers of the scene closer to 1"
-)
-ROWS = r"Mitsuba's pixels are square, and .* too many; make viewWidth larger or viewHeight smaller"
+NUMBERS = r"numbers end at 3\.4e\+38; keep the numbers of the scene closer to 1"
+ROWS = r"pixels are square, and .* too many; make viewWidth larger or viewHeight smaller"
 
 
 @pytest.mark.parametrize(
@@ -320,5 +324,6 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavour, old, new, w
     assert old in text
     small.write_text(text.replace(old, new), encoding="utf-8")
     assert main(["--flavour", flavour, str(small)]) == 1
-    assert re.fullmatch(f"{small}: cannot be converted: {wrong}\n", capsys.readouterr().err)
-    assert list(small.parent.iterdir()) == [small]
+    error = capsys.readouterr().err
+    assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
+    assert names(small.parent) == {"small.xml"}
