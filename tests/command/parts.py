@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from functools import partial
 from mmap import mmap
 from pathlib import Path
 
 import numpy as np
 
-from tracer.picture.parallel import Job, Work
+from tracer.picture.parallel import Work
 
 PARTS = 1000
 """The most parts that a job here has."""
@@ -21,11 +20,10 @@ SIZE = 8 * PARTS
 
 def signing(memory: mmap) -> Work:
     """Take a while for each part, and write down which process does it."""
-    signed = np.frombuffer(memory, np.int64, PARTS)
 
     def work(number: int) -> None:
         time.sleep(0.004 + 0.002 * (number % 3))  # workers get out of step
-        signed[number] = os.getpid()
+        np.frombuffer(memory, np.int64, PARTS)[number] = os.getpid()
 
     return work
 
@@ -57,8 +55,3 @@ def dying(first: int, path: Path, memory: mmap) -> Work:
         sign(number)
 
     return work
-
-
-def dying_once(first: int, path: Path) -> Job:
-    """A job of which a process dies, see `dying`."""
-    return partial(dying, first, path)

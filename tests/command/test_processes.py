@@ -10,7 +10,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -19,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parts import PARTS, SIZE, dying_once, failing, refusing, signing
+from parts import PARTS, SIZE, dying, failing, refusing, signing
 from running import run
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
@@ -100,13 +101,10 @@ def test_nobody_waits_for_a_worker_to_start_but_it_may_join() -> None:
 def test_no_forks_beside_another_thread() -> None:
     """It may hold a lock, which nobody would release in a copy."""
     ends = threading.Event()
-    thread = threading.Thread(target=ends.wait)
-    thread.start()
-    try:
-        assert set(signed(forked)) == {ME}
-    finally:
-        ends.set()
-        thread.join()
+    (thread := threading.Thread(target=ends.wait)).start()
+    assert set(signed(forked)) == {ME}
+    ends.set()
+    thread.join()
 
 
 def test_one_job_at_a_time_has_workers() -> None:
@@ -137,7 +135,7 @@ def test_what_a_killed_worker_had_taken_is_done_here(
     start: Start, others: int, first: int, tmp_path: Path
 ) -> None:
     before = signed_by_all(others) if start is staying else {ME}
-    assert ME in signed(start, others, job=dying_once(first, tmp_path / "died"))
+    assert ME in signed(start, others, job=partial(dying, first, tmp_path / "died"))
     assert (tmp_path / "died").exists()
     if start is staying:  # another takes its place
         assert len(signed_by_all(others) & before) == others
@@ -154,25 +152,21 @@ def test_the_number_of_a_dead_worker_may_be_given_to_another_process() -> None:
     (worker,) = signed_by_all() - {ME}
     os.kill(worker, signal.SIGKILL)
     os.waitpid(worker, 0)
-    # The system gives out numbers in turn: the next is this one.
-    last = Path("/proc/sys/kernel/ns_last_pid")
-    try:
-        for _ in range(100):
-            last.write_text(str(worker - 1))
-            other = subprocess.Popen(["sleep", "60"])
+    for _ in range(100):
+        try:  # the system gives out numbers in turn: the next is this one
+            Path("/proc/sys/kernel/ns_last_pid").write_text(str(worker - 1))
+        except OSError:
+            pytest.skip("only root may choose the number of a process")
+        with subprocess.Popen(["sleep", "60"]) as other:
             if other.pid == worker:
-                break
+                parallel._helpers.stop()
+                time.sleep(0.05)
+            lives = other.poll() is None
             other.kill()
-            other.wait()
-        else:
-            pytest.skip("the number was always taken")
-    except OSError:
-        pytest.skip("only root may choose the number of a process")
-    parallel._helpers.stop()
-    time.sleep(0.05)
-    assert other.poll() is None
-    other.kill()
-    other.wait()
+        if other.pid == worker:
+            assert lives
+            return
+    pytest.skip("the number was always taken")
 
 
 @both
@@ -205,26 +199,19 @@ def test_nothing_to_share_or_no_more_processes(
     def none(*_: object) -> int:
         raise OSError("no more of these")
 
+    assert {memory for _, memory in start(8, 1, 1 << 60, signing, lambda _: None)} == {None}
     monkeypatch.setattr(os, lacking, none)
     assert set(signed(start)) == {ME}
-
-
-@both
-def test_too_much_memory_to_share(start: Start) -> None:
-    assert {memory for _, memory in start(8, 1, 1 << 60, signing, lambda _: None)} == {None}
 
 
 def test_a_program_with_many_open_files() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
-    try:
-        assert len(signed_by_all()) == 2
-        assert len(set(signed(forked))) == 2
-    finally:
-        for file in files:
-            os.close(file)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    with ExitStack() as files:
+        for _ in range(1024):
+            files.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        assert len(signed_by_all()) == len(set(signed(forked))) == 2
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.parametrize("name", ["python3", "a-program-of-its-own"])
@@ -323,19 +310,10 @@ def test_memory_of_a_large_picture_is_given_back(monkeypatch: pytest.MonkeyPatch
 def test_pictures_in_threads() -> None:
     scenes = [picture(200 + k, 100) for k in range(4)]
     alone = [render(scene, processes=1) for scene in scenes]
-    wrong: list[int] = []
-
-    def draw(k: int) -> None:
-        pictures = [render(scenes[k], processes=2) for _ in range(10)]
-        wrong.extend(k for image in pictures if not np.array_equal(image, alone[k]))
-
     signed_by_all()
-    threads = [threading.Thread(target=draw, args=(k,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong
+    with ThreadPoolExecutor(4) as pool:
+        images = list(pool.map(partial(render, processes=2), scenes * 10))
+    assert all(map(np.array_equal, images, alone * 10))
 
 
 @pytest.mark.parametrize(("processes", "others"), [(1, 0), (2, 1), (3, 2), (6, 2)])
@@ -384,13 +362,9 @@ def test_a_scene_of_which_a_worker_does_not_know_all(
 
 
 def test_no_worker_where_there_is_one_processor() -> None:
-    code = """if True:
-        import os, tracer
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-        tracer.render(tracer.Scene(camera=tracer.Camera(), width=4000, height=2500), processes=2)
-        try:
-            os.waitpid(-1, os.WNOHANG)
-        except ChildProcessError:
-            print("none")
-    """
-    assert run(python=("-W", "ignore", "-c", code)) == (0, "none\n", "")
+    usable = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(usable)})
+    assert parallel.processors() == 1
+    render(picture(200, 300), processes=2)
+    assert not children()
+    os.sched_setaffinity(0, usable)

@@ -39,8 +39,8 @@ _QUIET = np.errstate(all="ignore")
 # Samples in a tile, and the least that pays; both times `_SPLIT` where pixels are split.
 _TILE_SAMPLES, _LEAST_SAMPLES, _SPLIT = 3 << 15, 1 << 15, 4
 
-# Tiles of fewer pixels than this would make a large file.
-_LEAST_PIXELS = 1 << 10
+# Tiles of fewer pixels than this would make a large file; so many for each process are enough.
+_LEAST_PIXELS, _TILES = 1 << 10, 4
 
 # A picture's load, in units of some 10 ns, grows with its samples, its lights and its objects up to
 # `_FEW_OBJECTS`; where pixels are split they count `_SPLIT_LOAD` times.  From the last of these on
@@ -218,12 +218,9 @@ class _Picture:
         self.processes = min(_integer(asked, "processes"), processors())
         # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
         times = (_SPLIT if split else 1) / self._lattice.size
-        self._at_once = max(1, int(_TILE_SAMPLES * times))
-        size = max(self._at_once, _LEAST_PIXELS)
-        if self.processes > 1:
-            # Enough tiles that all processes end at about the same time, unless they get too small.
-            many = min(4 * self.processes, int(pixels / (_LEAST_SAMPLES * times)))
-            size = min(size, -(-pixels // max(self.processes, many)))
+        self._at_once, least = (max(1, int(n * times)) for n in (_TILE_SAMPLES, _LEAST_SAMPLES))
+        size = max(least, pixels // (_TILES * self.processes))
+        size = max(_LEAST_PIXELS, min(size, self._at_once, -(-pixels // self.processes)))
         self._rows = _pieces(slice(0, height), max(1, size // width))
         self._columns = _pieces(slice(0, width), size)
         self.tiles = len(self._rows) * len(self._columns)
