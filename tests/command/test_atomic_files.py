@@ -38,9 +38,8 @@ def contents(folder: Path) -> list[bytes]:
 
 
 def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path: Path) -> None:
-    path = tmp_path / "picture.png"
-    write_png(path, np.zeros((1, 1, 3)))
-    before = path.read_bytes()
+    write_png(path := tmp_path / "picture.png", np.zeros((1, 1, 3)))
+    (before,) = contents(tmp_path)
     with pytest.raises(ValueError, match="NaN"):
         write_png(path, np.full((1, 1, 3), np.nan))
     assert contents(tmp_path) == [before]
@@ -49,7 +48,7 @@ def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path: Path) -> None:
     assert path.read_bytes() != before
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError, ValueError])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
 def test_a_failure_halfway(there: Path, error: type[BaseException]) -> None:
     with pytest.raises(error), atomic_file(there, BEGINS) as file:  # noqa: PT012
         file.write(BEGINS)
@@ -74,15 +73,14 @@ def test_a_full_disk(there: Path) -> None:
     assert contents(there.parent) == [PRECIOUS]
 
 
-@pytest.mark.parametrize("why", [errno.EACCES, errno.EROFS])
-def test_it_may_not_be_written(there: Path, monkeypatch: pytest.MonkeyPatch, why: int) -> None:
-    """As by a user without privileges, for root may write everything, or on a fixed disk."""
+def test_it_may_not_be_written(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a user without privileges, for root may write everything."""
 
     def refuses(path: str, _mode: str) -> None:
-        raise OSError(why, os.strerror(why), path)
+        raise PermissionError(errno.EACCES, "Permission denied", path)
 
     monkeypatch.setattr("tracer.commands.open", refuses, raising=False)
-    with pytest.raises(OSError, match=os.strerror(why)):
+    with pytest.raises(PermissionError):
         write(there)
     assert contents(there.parent) == [PRECIOUS]
 
@@ -98,22 +96,17 @@ def test_a_file_of_another_kind_stays(there: Path, text: bytes) -> None:
     assert contents(there.parent) == [BEGINS]
 
 
-def test_permissions_are_kept(there: Path) -> None:
+def test_permissions_are_kept_and_a_link_stays_one(there: Path) -> None:
     there.chmod(0o640)
-    write(there)
-    assert stat.S_IMODE(there.stat().st_mode) == 0o640
-    new = there.with_name("new")
-    write(new)
-    there.with_name("other").touch()
-    assert new.stat().st_mode == there.with_name("other").stat().st_mode
-
-
-def test_a_link_stays_a_link(there: Path) -> None:
-    link = there.with_name("link")
+    link, new, other = (there.with_name(name) for name in ("link", "new", "other"))
     link.symlink_to(there.name)
     write(link)
     assert link.is_symlink()
     assert there.read_bytes() == BEGINS
+    assert stat.S_IMODE(there.stat().st_mode) == 0o640
+    write(new)
+    other.touch()
+    assert new.stat().st_mode == other.stat().st_mode
 
 
 @pytest.mark.parametrize(
@@ -165,10 +158,9 @@ def test_what_a_killed_writer_leaves_is_removed_by_the_next(there: Path) -> None
         for path in (there, other):
             with writer(path) as process:
                 process.kill()
-        assert len(contents(there.parent)) == 4
         write(there)
         # What is left: of another file, and of a process that lives.
-        assert sorted(contents(there.parent)) == sorted([BEGINS, b"half", b"half"])
+        assert sorted(contents(there.parent)) == [BEGINS, b"half", b"half"]
         lives.kill()
     write(there)
     write(other)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,8 +62,8 @@ def test_an_explanation_names_what_keeps_a_light_out(path: Path) -> None:
     assert (right.line, right.n_dot_l < 0) == (4, True)
     assert [str(ref) for ref in right.kept_out_by] == ["Sphere 0 (line 5)"]
     # From a little to the right the second light is in front, behind the box.
-    scene = replace(tracer.load_scene(path), camera=Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4)))  # fmt: skip  # noqa: E501
-    (_, right) = tracer.explain(scene, 4, 4).lights
+    camera = Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4))
+    (_, right) = tracer.explain(replace(tracer.load_scene(path), camera=camera), 4, 4).lights
     assert right.n_dot_l > 0
     assert [str(ref) for ref in right.kept_out_by] == ["Box 1 (line 6)"]
 
@@ -73,21 +74,18 @@ def test_nothing_is_explained_where_the_ray_meets_nothing(path: Path) -> None:
     assert "none: the ray meets nothing" in str(pixel)
 
 
-@pytest.mark.parametrize(("x", "y"), [(-1, 0), (0, 9), (9, 0)])
-def test_a_pixel_outside_the_picture(path: Path, x: int, y: int) -> None:
-    with pytest.raises(ValueError, match=f"pixel {x},{y} is outside the picture of 9 x 9 pixels"):
-        tracer.explain(tracer.load_scene(path), x, y)
-
-
 def test_the_command_explains_and_writes_no_picture(path: Path) -> None:
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
     assert "surface   Sphere 0 (line 5)" in out
     assert "light 1 (line 4): n.l = -" in out
     assert list(path.parent.iterdir()) == [path]
-    status, _, err = run(path, "--pixel", "4,9")
-    assert status == 1
-    assert err.startswith(f"{path}: pixel 4,9 is outside the picture")
+    for pixel in ("4,9", "9,0"):
+        status, _, err = run(path, "--pixel", pixel)
+        assert status == 1
+        assert err.startswith(f"{path}: pixel {pixel} is outside the picture of 9 x 9 pixels")
+    with pytest.raises(ValueError, match="pixel -1,0 is outside"):
+        tracer.explain(tracer.load_scene(path), -1, 0)
 
 
 BALL = Scene(
@@ -99,26 +97,25 @@ BALL = Scene(
 )
 
 
+NOTHING, DARK = "no object is in view", "no light reaches anything in view"
+COLOR = "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, write 0.784"
+INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
+
+
 @pytest.mark.parametrize(
-    ("scene", "warning"),
+    ("change", "warning"),
     [
-        (replace(BALL, camera=Camera(view_point=(0, 0, -4))), "no object is in view"),
-        (replace(BALL, surfaces=()), "no object is in view"),
-        (replace(BALL, lights=()), "no light reaches anything in view"),
-        (replace(BALL, lights=[PointLight(position=(0, 0, 0))]), "no light reaches anything"),
-        (
-            replace(BALL, surfaces=[Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]),
-            "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, write 0.784",
-        ),
-        (
-            replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]),
-            "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1",
-        ),
+        ({"camera": Camera(view_point=(0, 0, -4))}, NOTHING),
+        ({"surfaces": ()}, NOTHING),
+        ({"lights": ()}, DARK),
+        ({"lights": [PointLight(position=(0, 0, 0))]}, DARK),
+        ({"surfaces": [Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]}, COLOR),
+        ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
-)  # fmt: skip
-def test_a_scene_hardly_as_meant_warns(scene: Scene, warning: str) -> None:
+)
+def test_a_scene_hardly_as_meant_warns(change: dict[str, Any], warning: str) -> None:
     with pytest.warns(SceneWarning, match=warning) as caught:
-        render(scene, processes=1)
+        render(replace(BALL, **change), processes=1)
     assert len(caught) == 1
     assert caught[0].filename == __file__
 
