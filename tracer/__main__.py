@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.watch:
             _watch(jobs, arguments)
         # All of them, whatever becomes of the first.
-        return FAILED if [job for job in jobs if not _done(*job, arguments)] else 0
+        return FAILED if [job for job in jobs if not _rendered(*job, arguments)] else 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
@@ -169,20 +169,12 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoRetu
             last[scene] = now
             if settled and rendered.get(scene, ()) != now:
                 rendered[scene] = now
-                _done(scene, output, arguments)
+                _rendered(scene, output, arguments)
         sleep(_PAUSE)
 
 
-def _done(scene: str, output: str, arguments: argparse.Namespace) -> bool:
-    """Render a scene; print what goes wrong, if anything does."""
-    fault = _render(scene, output, arguments)
-    if fault is not None:
-        print_line(sys.stderr, fault)
-    return fault is None
-
-
-def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None:
-    """Render one scene; return what went wrong, if anything did."""
+def _rendered(path: str, output: str, arguments: argparse.Namespace) -> bool:
+    """Render a scene, or explain its pixel; print what goes wrong, if anything does."""
     from tracer.picture.bands import render_compressed
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
@@ -190,14 +182,16 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
 
     allow_interrupts()
     start, shown, quiet = perf_counter(), printable(output), arguments.quiet
-    remedy = "split the scene"
-    size = "to read it"
+    size, remedy = "to read it", "split the scene"
     try:
         scene = load_scene(sys.stdin.buffer if path == "-" else path)
         if arguments.size is not None:
             scene = _resized(scene, path, arguments)
         if arguments.pixel is not None:
-            return _explain(scene, path, arguments.pixel)
+            from tracer.explanation import explain
+
+            print_line(sys.stdout, str(explain(scene, *arguments.pixel)))
+            return True
         size, remedy = f"for {scene.width} x {scene.height} pixels", "make the image smaller"
         if arguments.samples > 1:
             size += f" of {arguments.samples} samples"
@@ -206,23 +200,30 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> str | None
         if not quiet and sys.stderr is not None and sys.stderr.isatty():
             tiles = _with_progress(tiles, scene, os.path.basename(shown))
         black = _write(output, scene, tiles, folder=arguments.output)
-    except SceneFileError as error:
-        return str(error)
-    except SceneError as error:
-        return f"--size: {error}"
-    except MemoryError:
-        return f"{printable(path)}: not enough memory {size}; {remedy}"
-    except OSError as error:
-        return f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
-    except ValueError as error:
-        remedy = "keep the numbers of the scene further from 1e308"
-        return f"{shown}: cannot be written: {error}; {remedy}"
-    if not quiet:
-        for suspicion in suspicions(scene, black=black):
+        for suspicion in () if quiet else suspicions(scene, black=black):
             print_line(sys.stderr, printable(f"{path}: warning: {suspicion}"))
-        done = f"{shown}: {scene.width} x {scene.height} pixels in {perf_counter() - start:.3f} s"
-        print_line(sys.stderr if output == "-" else sys.stdout, done)
-    return None
+    except SceneFileError as error:
+        fault = str(error)
+    except SceneError as error:
+        fault = f"--size: {error}"
+    except MemoryError:
+        fault = f"{printable(path)}: not enough memory {size}; {remedy}"
+    except OSError as error:
+        fault = f"{shown}: cannot be written: {error.strerror or error}; choose another with -o"
+    except ValueError as error:
+        if arguments.pixel is not None:
+            fault = f"{printable(path)}: {error}; columns and rows count from 0"
+        else:
+            remedy = "keep the numbers of the scene further from 1e308"
+            fault = f"{shown}: cannot be written: {error}; {remedy}"
+    else:
+        if not quiet:
+            size = f"{scene.width} x {scene.height} pixels"
+            done = f"{shown}: {size} in {perf_counter() - start:.3f} s"
+            print_line(sys.stderr if output == "-" else sys.stdout, done)
+        return True
+    print_line(sys.stderr, fault)
+    return False
 
 
 def _write(output: str, scene: Scene, tiles: Iterator[Compressed], folder: str | None) -> bool:
@@ -233,17 +234,6 @@ def _write(output: str, scene: Scene, tiles: Iterator[Compressed], folder: str |
         os.makedirs(folder, exist_ok=True)
     with open(1, "wb", closefd=False) if output == "-" else atomic_file(output, PNG) as file:
         return write_tiles(file, scene.width, scene.height, tiles)
-
-
-def _explain(scene: Scene, path: str, pixel: tuple[int, int]) -> str | None:
-    """Print what goes into a pixel; return what is wrong with it."""
-    from tracer.explanation import explain
-
-    try:
-        print_line(sys.stdout, str(explain(scene, *pixel)))
-    except ValueError as error:
-        return f"{printable(path)}: {error}; columns and rows count from 0"
-    return None
 
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:

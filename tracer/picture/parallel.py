@@ -1,7 +1,4 @@
-"""Work shared among processes.
-
-NumPy in threads gains little: between two array operations a thread waits for the interpreter's
-lock.  Another process has its own.
+"""Work shared among processes: NumPy's threads wait too much for the interpreter's lock.
 
 The parts of a job are numbered.  All processes share an open file, whose memory holds the results
 and whose offset is the number of the next part: whichever process is idle takes that.  A worker
@@ -50,11 +47,9 @@ _CALL = Struct("=3q")
 # Shared memory beyond this many bytes is given back after each job.
 _KEPT = 1 << 27
 
-# The folder that holds the package.
-_FOLDER = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-
 # A helper imports this very package, even if the path has changed, or has '' in it and the working
 # folder has changed; all other modules it finds by this process's path.
+_FOLDER = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 _CODE = (
     "import sys; sys.path[:] = {path!r}; from tracer.picture.parallel import run_helper;"
     " del sys.path[0]; run_helper{files!r}"
@@ -96,10 +91,7 @@ class _Team:
         self.memory = mmap(self.file, size)
 
     def add(self, start: Callable[[int, int, ExitStack], int]) -> None:
-        """Add a worker, whose number `start` returns.
-
-        That is given pipes for calls and reports, and what closes the other ends of these.
-        """
+        """Add a worker: `start`, given its pipes and our ends of them, returns its number."""
         with ExitStack() as ours, ExitStack() as theirs:
             calls, call = _pipe(theirs, ours)
             report, reports = _pipe(ours, theirs)

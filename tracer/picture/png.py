@@ -32,21 +32,19 @@ _ADLER = 65521
 
 
 def write_png(file: str | os.PathLike[str] | IO[bytes], image: ArrayLike) -> None:
-    """Write a picture as an 8-bit RGB PNG file.
+    """Write a picture as an 8-bit RGB PNG file; its codes are those of `to_codes`.
 
     Parameters
     ----------
     file : str, path-like or binary file
         A PNG file of this name is replaced, once the new one is whole.
     image : (height, width, 3) array_like
-        Linear RGB, as `render` returns it; see `to_codes`.
+        Linear RGB, as `render` returns it.
 
     Raises
     ------
-    TypeError
-        For an image of type uint8, which holds codes, not radiance.
-    ValueError
-        For another shape, a picture of no pixels, or a NaN.
+    TypeError, ValueError
+        See `to_codes`; also for a picture of no pixels.
     OSError
         If the file cannot be written, or a file that is there is not a PNG.
     """
