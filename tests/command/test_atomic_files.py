@@ -37,7 +37,7 @@ def contents(folder: Path) -> list[bytes]:
     return [path.read_bytes() for path in folder.iterdir()]
 
 
-def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path: Path) -> None:
+def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path):
     write_png(path := tmp_path / "picture.png", np.zeros((1, 1, 3)))
     (before,) = contents(tmp_path)
     with pytest.raises(ValueError, match="NaN"):
@@ -49,7 +49,7 @@ def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
-def test_a_failure_halfway(there: Path, error: type[BaseException]) -> None:
+def test_a_failure_halfway(there, error):
     with pytest.raises(error), atomic_file(there, BEGINS) as file:  # noqa: PT012
         file.write(BEGINS)
         assert len(contents(there.parent)) == 2  # the new one, beside it
@@ -57,7 +57,7 @@ def test_a_failure_halfway(there: Path, error: type[BaseException]) -> None:
     assert contents(there.parent) == [PRECIOUS]
 
 
-def test_a_full_disk(there: Path) -> None:
+def test_a_full_disk(there):
     """The system refuses to let a file grow beyond the limit of a process."""
     import resource
 
@@ -73,7 +73,7 @@ def test_a_full_disk(there: Path) -> None:
     assert contents(there.parent) == [PRECIOUS]
 
 
-def test_it_may_not_be_written(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_may_not_be_written(there, monkeypatch):
     """As by a user without privileges, for root may write everything."""
 
     def refuses(path: str, _mode: str) -> None:
@@ -86,7 +86,7 @@ def test_it_may_not_be_written(there: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("text", [b"<scene>", BEGINS[:-1], b"\n"])
-def test_a_file_of_another_kind_stays(there: Path, text: bytes) -> None:
+def test_a_file_of_another_kind_stays(there, text):
     there.write_bytes(text)
     with pytest.raises(FileExistsError, match="a file of another kind is there"):
         write(there)
@@ -96,7 +96,7 @@ def test_a_file_of_another_kind_stays(there: Path, text: bytes) -> None:
     assert contents(there.parent) == [BEGINS]
 
 
-def test_permissions_are_kept_and_a_link_stays_one(there: Path) -> None:
+def test_permissions_are_kept_and_a_link_stays_one(there):
     there.chmod(0o640)
     link, new, other = (there.with_name(name) for name in ("link", "new", "other"))
     link.symlink_to(there.name)
@@ -119,7 +119,7 @@ def test_permissions_are_kept_and_a_link_stays_one(there: Path) -> None:
         ("turn", "Too many levels of symbolic links"),
     ],
 )
-def test_what_cannot_be_written(tmp_path: Path, target: str, reason: str) -> None:
+def test_what_cannot_be_written(tmp_path, target, reason):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     for link, to in (("loop", "loop"), ("turn", "back"), ("back", "turn")):
@@ -152,7 +152,7 @@ def writer(path: Path) -> subprocess.Popen[bytes]:
     return process
 
 
-def test_what_a_killed_writer_leaves_is_removed_by_the_next(there: Path) -> None:
+def test_what_a_killed_writer_leaves_is_removed_by_the_next(there):
     other = there.with_name("other")
     with writer(there) as lives:
         for path in (there, other):
@@ -167,16 +167,14 @@ def test_what_a_killed_writer_leaves_is_removed_by_the_next(there: Path) -> None
     assert contents(there.parent) == [BEGINS, BEGINS]
 
 
-def test_two_writers_at_once_leave_one_whole_file(there: Path) -> None:
+def test_two_writers_at_once_leave_one_whole_file(there):
     with atomic_file(there, BEGINS) as first, atomic_file(there, BEGINS) as second:
         first.write(BEGINS + b"1")
         second.write(BEGINS + b"2")
     assert contents(there.parent) == [BEGINS + b"1"]
 
 
-def test_a_part_that_is_removed_before_it_is_locked(
-    there: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_that_is_removed_before_it_is_locked(there, monkeypatch):
     """By another process, which takes it for what a killed one has left."""
     locked, removed = tracer.commands._locked, []
 
@@ -192,7 +190,7 @@ def test_a_part_that_is_removed_before_it_is_locked(
     assert contents(there.parent) == [BEGINS]
 
 
-def test_where_files_cannot_be_locked(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_files_cannot_be_locked(there, monkeypatch):
     monkeypatch.setitem(sys.modules, "fcntl", None)
     write(there)
     assert contents(there.parent) == [BEGINS]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_an_explanation_says_the_same_as_the_picture(kind: str, seed: int) -> None:
+def test_an_explanation_says_the_same_as_the_picture(kind, seed):
     scene = random_scene(kind, seed)
     image, codes = render(scene), tracer.to_codes(render(scene))
     for y in range(scene.height):
@@ -51,7 +50,7 @@ def test_an_explanation_says_the_same_as_the_picture(kind: str, seed: int) -> No
             assert (pixel.surface is None) == np.isinf(pixel.distance)
 
 
-def test_an_explanation_names_what_keeps_a_light_out(path: Path) -> None:
+def test_an_explanation_names_what_keeps_a_light_out(path):
     pixel = tracer.explain(tracer.load_scene(path), 4, 4)
     assert str(pixel.surface) == "Sphere 0 (line 5)"
     assert pixel.distance == pytest.approx(4)
@@ -68,13 +67,13 @@ def test_an_explanation_names_what_keeps_a_light_out(path: Path) -> None:
     assert [str(ref) for ref in right.kept_out_by] == ["Box 1 (line 6)"]
 
 
-def test_nothing_is_explained_where_the_ray_meets_nothing(path: Path) -> None:
+def test_nothing_is_explained_where_the_ray_meets_nothing(path):
     pixel = tracer.explain(tracer.load_scene(path), 0, 0)
     assert (pixel.surface, pixel.lights, pixel.radiance) == (None, (), (0, 0, 0))
     assert "none: the ray meets nothing" in str(pixel)
 
 
-def test_the_command_explains_and_writes_no_picture(path: Path) -> None:
+def test_the_command_explains_and_writes_no_picture(path):
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
     assert "surface   Sphere 0 (line 5)" in out
@@ -113,7 +112,7 @@ INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, w
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
 )
-def test_a_scene_hardly_as_meant_warns(change: dict[str, Any], warning: str) -> None:
+def test_a_scene_hardly_as_meant_warns(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
         render(replace(BALL, **change), processes=1)
     assert len(caught) == 1
@@ -132,11 +131,11 @@ def test_a_scene_hardly_as_meant_warns(change: dict[str, Any], warning: str) -> 
         small("room"),
     ],
 )  # fmt: skip
-def test_other_scenes_do_not_warn(scene: Scene) -> None:
+def test_other_scenes_do_not_warn(scene):
     assert render(scene, processes=1).shape == (scene.height, scene.width, 3)
 
 
-def test_the_command_warns_in_a_line_of_its_own(path: Path) -> None:
+def test_the_command_warns_in_a_line_of_its_own(path):
     path.write_text(FILE.replace("<viewPoint>", "<viewDir>0 0 1</viewDir><viewPoint>"))
     status, _, err = run(path)
     assert status == 0
@@ -145,5 +144,5 @@ def test_the_command_warns_in_a_line_of_its_own(path: Path) -> None:
     assert run(path, "--quiet") == (0, "", "")
 
 
-def test_a_notebook_shows_a_scene_as_its_picture() -> None:
+def test_a_notebook_shows_a_scene_as_its_picture():
     assert BALL._repr_png_().startswith(b"\x89PNG\r\n")

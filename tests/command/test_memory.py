@@ -13,7 +13,7 @@ from tracer import Box, Camera, Phong, Sphere, render
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_second_picture_needs_no_fresh_pages(samples: int) -> None:
+def test_a_second_picture_needs_no_fresh_pages(samples):
     # Smooth and bright all over, and as large as a few bands of split pixels.
     ball = Sphere(center=(0, -6, -2), radius=6.5, shader=Phong(specular=(0.5, 0.5, 0.5)))
     floor = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
