@@ -13,8 +13,8 @@ __all__ = ["keep_heap"]
 # In glibc's malloc.h: parameters of mallopt(3).
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
-# Blocks of up to this many bytes come from the heap, for glibc allows no more.  So much of that lies
-# in large pages, and twice as much is kept: arrays take some 30 MB, or 130 where pixels are split.
+# Blocks of up to this many bytes come from the heap; glibc allows no more.  So much of that lies in
+# large pages, and twice as much is kept: arrays take some 30 MB, or 130 where pixels are split.
 _BLOCK, _LARGE_PAGES = 1 << 25, 1 << 27
 
 
