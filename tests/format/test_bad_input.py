@@ -6,13 +6,12 @@ import io
 import os
 import re
 import socket
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -111,45 +110,8 @@ OTHERS = [
             ("1\u00a02 3", r"'1\\xa02' is no decimal number"),
         )
     ),
-    # Pictures and cameras.
-    *(
-        (f"<scene><camera/>\n<image>{text}</image></scene>", 2, f"image: {fault}")
-        for text, fault in (
-            ("4", "needs two whole numbers, width and height, as in 640 480; has '4'"),
-            ("", "needs two whole numbers.*; has ''"),
-            ("4.0 3", "needs two whole numbers.*; has '4.0 3'"),
-            ("1e2 3", "needs two whole numbers.*; has '1e2 3'"),
-            ("4 3 2", "needs two whole numbers.*; has '4 3 2'"),
-            ("0 3", "width: must be a whole number from 1 to 268435456, is 0"),
-            ("4 -3", "height: must be a whole number from 1 to 268435456, is -3"),
-            ("16384 16385", "width, height: 16384 x 16385 pixels .* would take 6 GiB of memory"),
-            ("1000000 1000000", "width, height: .* 2.24e[+]04 GiB.*; at most 268435456 pixels"),
-            (f"1{'0' * 5000} 1", "needs two whole numbers"),
-        )
-    ),
-    *(
-        (f"<scene><image>4 3</image>\n<camera>{content}</camera></scene>", 2, fault)
-        for content, fault in (
-            ("<viewDir>0 0 0</viewDir>", "viewDir: must not be the zero vector"),
-            ("<viewUp>0 -0 0</viewUp>", "viewUp: must not be the zero vector"),
-            ("<projNormal>0 0 0</projNormal>", "projNormal: must not be the zero vector"),
-            ("<viewPoint>0 0 1e999</viewPoint>", "viewPoint: must be finite"),
-            ("<viewPoint>1e+80 0 0</viewPoint>", "viewPoint: 1e[+]80 is too large; lengths"),
-            ("<viewWidth>1e-80</viewWidth>", "viewWidth: 1e-80 is too small; lengths"),
-            ("<projDistance>0</projDistance>", "projDistance: must be positive, is 0"),
-            ("<viewWidth>-1</viewWidth>", "viewWidth: must be positive, is -1"),
-            ("<viewHeight>0</viewHeight>", "viewHeight: must be positive, is 0"),
-            ("<viewUp>0 0 3</viewUp>", "viewUp: .* parallel to viewDir; choose another viewUp"),
-            ("<viewUp>0 1e-15 1</viewUp>", "viewUp: must not be parallel to viewDir"),
-            # The default viewUp is not in the file: the camera is to blame.
-            ("<viewDir>0 -2 0</viewDir>", "viewUp: must not be parallel to viewDir"),
-            (
-                "<viewUp>1 0 1</viewUp><projNormal>-2 0 -2</projNormal>",
-                "viewUp: must not be parallel to projNormal",
-            ),
-            ("<projNormal>1 0 0</projNormal>", "projNormal: must not be perpendicular to viewDir"),
-        )
-    ),
+    # More digits than int() reads.
+    (f"<scene><image>1{'0' * 5000} 1</image></scene>", 1, "image: needs two whole numbers"),
 ]
 
 
@@ -168,32 +130,6 @@ def test_a_long_stray_text_is_one_fault(faults):
     ]
 
 
-@pytest.mark.parametrize(
-    "texts",
-    [
-        ("1 2", "3 4 5 6"),
-        ("1 2 3 4", "5 6"),
-        ("1 2 3 4 5 6", ""),
-        ("1 2 3", "4 5 6 7"),
-        ("1 2 3 ; 4 5 6", ""),
-        ("", "1 2 3 ; 4 5 6"),
-        ("1 2 3 ;", "4 5 6"),
-        ("1 2 ; 3", "4 5 6"),
-    ],
-)
-def test_no_surface_takes_numbers_of_the_next(faults, texts):
-    """The numbers of many surfaces are read at once, from texts with a ; in between."""
-    content = "".join(SPHERE.format(f"<center>{text}</center>") + "\n" for text in texts)
-    expected = []
-    for line, words in enumerate(map(str.split, texts), 1):
-        expected += [
-            f"{line}: center: ';' is no decimal number; write it as 2, -.5 or 1e-3"
-        ] * words.count(";")
-        if len(words) != 3 and ";" not in words:
-            expected.append(f"{line}: center: needs 3 numbers, has {len(words)}")
-    assert faults(f"<scene>{content}{EMPTY}</scene>") == expected
-
-
 # Limits
 
 
@@ -203,66 +139,45 @@ def test_the_number_of_faults_told_is_bounded(faults):
     assert told[-1] == f"1: {1000} faults so far; mend these first"
 
 
-@pytest.mark.parametrize(
-    ("content", "fault"),
-    [
-        ("<scene>" + "<a>" * 100_000, "a: more than 64 elements in another"),
-        ("<scene><camera>" + "<a/>" * 100_000, "camera: more than 64 elements in another"),
-        (
-            "<scene><image>" + "1 " * 1_000_000,
-            "image: more than 1048576 characters; make it shorter",
-        ),
-        (
-            f"<scene>{EMPTY}<!--" + "x" * 2_000_000,
-            "a tag or comment of more than 1048576 bytes; make it shorter",
-        ),
-        (
-            f"<scene>{EMPTY}<!--{'x' * 2_000_000}--></scene>",
-            "a tag or comment of more than 1048576 bytes; make it shorter",
-        ),
-        (
-            f'<scene>{EMPTY}<shader name="' + "x" * 2_000_000,
-            "a tag or comment of more than 1048576 bytes; make it shorter",
-        ),
-    ],
-    ids=["nesting", "children", "text", "comment", "whole comment", "attribute"],
+NESTED, TOO_LONG = (
+    "more than 64 elements in another",
+    "more than 1048576 characters; make it shorter",
 )
-def test_what_would_eat_memory_or_time(faults, content, fault):
-    assert faults(content) == [f"1: {fault}"]
+TOKEN = "a tag or comment of more than 1048576 bytes; make it shorter"
+DECLARED = "DOCTYPE: declarations are not allowed; write out what entities stand for"
 
-
-@pytest.mark.parametrize(
-    ("content", "fault"),
-    [
-        ("<a>" * 63 + "</a>" * 63, "a: unknown in scene; known:"),
-        ("<a>" * 64 + "</a>" * 64, "a: more than 64 elements in another"),
-        (SPHERE.format("<b/>" * 64), "b: unknown in Sphere; known:"),
-        (SPHERE.format("<b/>" * 65), "surface: more than 64 elements in another"),
-    ],
-    ids=["deepest", "too deep", "most", "too many"],
-)
-def test_deepest_nesting_and_most_children(faults, content, fault):
-    assert faults(f"<scene>{EMPTY}{content}</scene>")[-1].startswith(f"1: {fault}")
-
-
-BOMBS = {
-    "entities of entities": '<!ENTITY a "ha">'
-    + "".join(
-        f'<!ENTITY {outer} "{f"&{inner};" * 10}">'
-        for inner, outer in zip("abcdefghi", "bcdefghij", strict=True)
-    ),
-    "parameter entities": '<!ENTITY % a "ha"><!ENTITY % b "&#37;a;&#37;a;">%b;',
-    "a large entity": f'<!ENTITY a "{"ha" * 1_000_000}">',
-    "a foreign file": '<!ENTITY a SYSTEM "file:///dev/zero">',
-    "many attributes": "".join(f'<!ATTLIST scene a{i} CDATA "">' for i in range(100_000)),
+LIMITS = {
+    "deepest": (f"{'<a>' * 63}{'</a>' * 63}", "a: unknown in scene; known:"),
+    "too deep": (f"{'<a>' * 64}{'</a>' * 64}", f"a: {NESTED}"),
+    "nesting": ("<a>" * 100_000, f"a: {NESTED}"),
+    "most": (SPHERE.format("<b/>" * 64), "b: unknown in Sphere; known:"),
+    "too many": (SPHERE.format("<b/>" * 65), f"surface: {NESTED}"),
+    "children": ("<camera>" + "<a/>" * 100_000, f"camera: {NESTED}"),
+    "text": ("<image>" + "1 " * 1_000_000, f"image: {TOO_LONG}"),
+    "comment": (f"<!--{'x' * 2_000_000}", TOKEN),
+    "whole comment": (f"<!--{'x' * 2_000_000}-->", TOKEN),
+    "attribute": (f'<shader name="{"x" * 2_000_000}', TOKEN),
 }
 
 
-@pytest.mark.parametrize("declarations", BOMBS.values(), ids=BOMBS)
+@pytest.mark.parametrize(("content", "fault"), LIMITS.values(), ids=LIMITS)
+def test_what_would_eat_memory_or_time(faults, content, fault):
+    assert faults(f"<scene>{EMPTY}{content}</scene>")[-1].startswith(f"1: {fault}")
+
+
+@pytest.mark.parametrize(
+    "declarations",
+    [
+        '<!ENTITY a "ha">'
+        + "".join(f'<!ENTITY {b} "{f"&{a};" * 9}">' for a, b in pairwise("abcdefg")),
+        '<!ENTITY % a "ha"><!ENTITY % b "&#37;a;&#37;a;">%b;',
+        '<!ENTITY a SYSTEM "file:///dev/zero">',
+        "".join(f'<!ATTLIST scene a{i} CDATA "">' for i in range(100_000)),
+    ],
+    ids=["entities", "parameters", "a foreign file", "attributes"],
+)
 def test_bombs(faults, declarations):
-    assert faults(f"<!DOCTYPE scene [{declarations}]>\n<scene>&j;&a;</scene>") == [
-        "1: DOCTYPE: declarations are not allowed; write out what entities stand for"
-    ]
+    assert faults(f"<!DOCTYPE scene [{declarations}]>\n<scene>&g;</scene>") == [f"1: {DECLARED}"]
 
 
 # What is no readable file
@@ -273,61 +188,24 @@ def a_socket(path: Path) -> None:
         made.bind(str(path))
 
 
-@pytest.mark.parametrize(
-    ("make", "fault"),
-    [
-        (
-            lambda path: None,
-            "cannot be read: No such file or directory; check the path and its permissions",
-        ),
-        (Path.touch, "is empty; a scene file holds <scene> ... </scene>"),
-        (Path.mkdir, "is a folder; name a scene file in it"),
-        # Sparse: takes no room.
-        (
-            lambda path: path.touch() or os.truncate(path, 2**28 + 1),
-            "has 268435457 bytes; at most 268435456 are allowed",
-        ),
-        (os.mkfifo, "is not a regular file; save the scene to one"),
-        (a_socket, "is not a regular file; save the scene to one"),
-        (
-            lambda path: path.symlink_to("/dev/zero"),
-            "is not a regular file; save the scene to one",
-        ),
-        (
-            lambda path: path.symlink_to(path),
-            "cannot be read: Too many levels of symbolic links; check the path and its permissions",
-        ),
-    ],
-    ids=["none", "empty", "folder", "too large", "pipe", "socket", "device", "link to itself"],
-)
+UNREADABLE: dict[str, Callable[[Path], object]] = {
+    "cannot be read: No such file or directory; check the path": lambda path: None,
+    "cannot be read: Too many levels of symbolic links": lambda path: path.symlink_to(path),
+    "is empty; a scene file holds <scene>": Path.touch,
+    "is a folder; name a scene file in it": Path.mkdir,
+    # Sparse: takes no room.
+    "has 268435457 bytes; at most 268435456 are": lambda p: p.touch() or os.truncate(p, 2**28 + 1),
+    "is not a regular file; save the scene to one": os.mkfifo,
+    "is not a regular file": a_socket,
+    "is not a regular": lambda path: path.symlink_to("/dev/zero"),
+}
+
+
+@pytest.mark.parametrize(("fault", "make"), UNREADABLE.items())
 def test_no_readable_file(tmp_path, make, fault):
     make(tmp_path / "a.xml")
-    assert faults_of(tmp_path / "a.xml") == [fault]
-
-
-def test_unreadable(tmp_path):
-    """As a user without privileges: root may read everything."""
-    path = tmp_path / "secret.xml"
-    path.write_text(f"<scene>{EMPTY}</scene>")
-    path.chmod(0)
-    script = f"""
-import os
-from tracer import SceneFileError, load_scene
-os.chdir({str(tmp_path)!r})
-if os.geteuid() == 0:
-    os.setuid(65534)
-try:
-    load_scene({path.name!r})
-except SceneFileError as error:
-    print(error)
-"""
-    # The folders above the file may be closed to others: start inside, with modules loaded.
-    tmp_path.chmod(0o755)
-    process = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    fault = "secret.xml: cannot be read: Permission denied; check the path and its permissions\n"
-    assert process.stdout == fault
+    (told,) = faults_of(tmp_path / "a.xml")
+    assert told.startswith(fault)
 
 
 @pytest.mark.parametrize(
@@ -397,17 +275,6 @@ def test_a_stream_has_a_name_and_a_limit(tmp_path, monkeypatch):
     monkeypatch.setattr("tracer.scene.elements.MAX_BYTES", 100)
     with pytest.raises(SceneFileError, match=r"^<stream>: has more than 100 bytes"):
         load_scene(io.BytesIO(b"<scene>" + b" " * 100))
-
-
-def test_too_little_memory_is_an_error_of_its_own(monkeypatch):
-    def no_memory(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("tracer.scene.reader._numbers", no_memory)
-    with pytest.raises(MemoryError):
-        load_scene(
-            io.BytesIO(f"<scene>{EMPTY}{SPHERE.format('<radius>1</radius>')}</scene>".encode())
-        )
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,6 @@ from reference.command import SCENES, own_scenes
 from reference.generate import many_objects, write
 
 PATHS = own_scenes()
-
-
-def test_there_are_a_dozen() -> None:
-    assert len(PATHS) >= 12
 
 
 def test_what_is_converted_beside_them_is_none(
@@ -32,7 +29,11 @@ def test_says_what_it_shows_and_shows_something(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert text.startswith("<!-- ")
     assert text.index("-->") > 40
-    image = tracer.render(tracer.load_scene(path))
+    scene = tracer.load_scene(path)
+    tracer.save_scene(scene, file := io.BytesIO())
+    file.seek(0)
+    assert tracer.load_scene(file) == scene
+    image = tracer.render(scene)
     seen = image.any(axis=2)
     # Neither an empty picture nor one that is burnt out.
     assert seen.mean() > 0.1
@@ -40,6 +41,7 @@ def test_says_what_it_shows_and_shows_something(path: Path) -> None:
 
 
 def test_is_what_is_generated(tmp_path: Path) -> None:
+    assert len(PATHS) >= 12
     for path in write(tmp_path):
         assert path.read_bytes() == (SCENES / path.name).read_bytes()
 
