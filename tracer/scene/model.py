@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Fault, Floats, of
+from tracer.scene.schema import Floats, SceneError, of
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
@@ -78,17 +78,14 @@ class Camera:
         schema.raise_any(self.misfits())
 
     @np.errstate(under="ignore")
-    def misfits(self) -> list[Fault]:
+    def misfits(self) -> Iterator[str]:
         """Find vectors that are right, but do not go together."""
-        normal, faults = unit(self.normal), []
+        normal = unit(self.normal)
         if np.linalg.norm(np.cross(unit(self.view_up), normal)) < _DEGENERATE:
             other = "view_dir" if self.proj_normal is None else "proj_normal"
-            wrong = f"must not be parallel to {other}; choose another view_up"
-            faults.append(Fault("view_up", wrong))
+            yield f"view_up: must not be parallel to {other}; choose another view_up"
         if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-            wrong = "must not be perpendicular to view_dir: no ray would meet it"
-            faults.append(Fault("proj_normal", wrong))
-        return faults
+            yield "proj_normal: must not be perpendicular to view_dir: no ray would meet it"
 
     @property
     def normal(self) -> VectorLike:
@@ -209,9 +206,8 @@ class Box(_Checked):
     def __post_init__(self) -> None:
         schema.check(self)
         corners = np.array([self.min_pt, self.max_pt])
-        schema.raise_any(
-            Fault("min_pt", wrong) for _, wrong in schema.order_faults(corners[:1], corners[1:])
-        )
+        misfits = schema.order_faults(corners[:1], corners[1:])
+        schema.raise_any(f"min_pt: {wrong}" for _, wrong in misfits)
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -264,10 +260,11 @@ class Surfaces(Sequence[Sphere | Box]):
         lines = schema.integers(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
         schema.raise_any(self._misfits())
-        schema.raise_any(sorted(self._faults(), key=lambda fault: fault.surface or 0))
+        faults = sorted(self._faults(), key=lambda fault: fault[0])
+        schema.raise_any(f"surface {index}: {wrong}" for index, wrong in faults)
         self.__setstate__(vars(self))
 
-    def _misfits(self) -> Iterator[Fault]:
+    def _misfits(self) -> Iterator[str]:
         """Find arrays that do not fit together, and so cannot be checked further."""
         every = "one a surface"
         for name, needed, why in (
@@ -276,16 +273,16 @@ class Surfaces(Sequence[Sphere | Box]):
             *((name, len(self), every) for name in ("shader_index", "file_index", "line")),
         ):
             if (count := len(getattr(self, name))) != needed:
-                yield Fault(name, f"needs {needed}, {why}; has {count}")
+                yield f"{name}: needs {needed}, {why}; has {count}"
         index, count = self.shader_index, len(self.shaders)
         for place in index[(index < 0) | (index >= count)].tolist()[:1]:
-            yield Fault("shader_index", f"must be places among {count} shaders, has {place}")
+            yield f"shader_index: must be places among {count} shaders, has {place}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
-            yield Fault("file_index", f"must be a permutation of 0 ... {count - 1}")
+            yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
-    def _faults(self) -> Iterator[Fault]:
-        """Find numbers that no sphere or box may have."""
+    def _faults(self) -> Iterator[tuple[int, str]]:
+        """Find numbers that no sphere or box may have; tell its place in the file."""
         spheres, boxes = np.split(self.file_index, [self.sphere_count])
         for name, index, faults in (
             ("radius", spheres, schema.LENGTH.faults(self.radius[:, None])),
@@ -294,7 +291,7 @@ class Surfaces(Sequence[Sphere | Box]):
             ("max_pt", boxes, schema.POINT.faults(self.max_pt)),
             ("min_pt", boxes, schema.order_faults(self.min_pt, self.max_pt)),
         ):
-            yield from (Fault(name, message, index.item(i)) for i, message in faults)
+            yield from ((index.item(i), f"{name}: {message}") for i, message in faults)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
@@ -412,10 +409,10 @@ class Scene:
         if self.width * self.height > schema.MAX_PIXELS:
             gib = self.width * self.height * 24 / 2**30
             wrong = (
-                f"{self.width} x {self.height} pixels are too many: the picture would take"
-                f" {gib:.3g} GiB of memory; at most {schema.MAX_PIXELS} pixels are allowed"
+                f"width, height: {self.width} x {self.height} pixels are too many: the picture"
+                f" would take {gib:.3g} GiB of memory; at most {schema.MAX_PIXELS} are allowed"
             )
-            raise schema.SceneError([Fault("width, height", wrong)])
+            raise SceneError([wrong])
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""

@@ -35,22 +35,12 @@ MAX_FAULTS = 1_000
 _BATCH = 1024
 
 
-class SceneFileError(ValueError):
+class SceneFileError(SceneError):
     """A scene file with faults; the message is a line for each, in file order.
 
-    Attributes
-    ----------
-    lines : tuple of str
-        ``FILE:LINE: element: what is wrong; what would be right``, or
-        ``FILE: ...`` where there is no line.
+    Its `lines` are ``FILE:LINE: element: what is wrong; what would be right``, or ``FILE: ...``
+    where there is no line.
     """
-
-    def __init__(self, lines: Iterable[str]) -> None:
-        self.lines = tuple(lines)
-        super().__init__(self.lines)
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines)
 
 
 def load_scene(
@@ -243,8 +233,8 @@ class _Reader:
         try:
             self.empty = Scene(width=int(found[1]), height=int(found[2]))
         except SceneError as error:
-            for fault in error.faults:
-                self.fault(element, str(fault))
+            for line in error.lines:
+                self.fault(element, line)
 
     def surface(self, element: Element) -> None:
         table = self.surfaces.get(element.attrib.get("type", ""))
@@ -359,7 +349,7 @@ class _Reader:
                 self.fault(cast(Element, table.unread["min_pt"][i]), _in_tags(message))
         elif table.made is model.Camera and table.lines and len(self.faults) == faults:
             for fault in next(table.objects()).misfits():
-                self.fault(self.seen["camera"], _in_tags(str(fault)))
+                self.fault(self.seen["camera"], _in_tags(fault))
         for unread in table.unread.values():
             unread.clear()
 

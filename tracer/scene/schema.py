@@ -10,7 +10,7 @@ import operator
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,40 +30,27 @@ def number(value: float) -> str:
     return f"{value}".removesuffix(".0")
 
 
-class Fault(NamedTuple):
-    """One fault: the parameter, and what is wrong with it, and what would be right."""
-
-    field: str
-    message: str
-    surface: int | None = None
-    """Index, in file order, of the surface at fault, if the fault lies in one of many."""
-
-    def __str__(self) -> str:
-        where = "" if self.surface is None else f"surface {self.surface}: "
-        return f"{where}{self.field}: {self.message}"
-
-
 class SceneError(ValueError):
-    """An impossible scene.
+    """An impossible scene; the message is a line for each fault.
 
     Attributes
     ----------
-    faults : tuple of Fault
-        Everything that is wrong, in the order it was found.
+    lines : tuple of str
+        Everything that is wrong: ``parameter: what is wrong; what would be right``.
     """
 
-    def __init__(self, faults: Iterable[Fault]) -> None:
-        self.faults = tuple(faults)
-        super().__init__(self.faults)
+    def __init__(self, lines: Iterable[str]) -> None:
+        self.lines = tuple(lines)
+        super().__init__(self.lines)
 
     def __str__(self) -> str:
-        return "\n".join(map(str, self.faults))
+        return "\n".join(self.lines)
 
 
-def raise_any(faults: Iterable[Fault]) -> None:
+def raise_any(faults: Iterable[str]) -> None:
     """Raise `SceneError` if there are faults."""
-    if faults := tuple(faults):
-        raise SceneError(faults)
+    if lines := tuple(faults):
+        raise SceneError(lines)
 
 
 _Kind: TypeAlias = Callable[[Any, str], Any]
@@ -79,7 +66,7 @@ def check(made: Any, **values: object) -> None:
 
     `SceneError` is raised for all that is wrong with them.
     """
-    faults: list[Fault] = []
+    faults: list[str] = []
     for field in fields(made):
         kind = field.metadata.get("kind")
         value = values[field.name] if values else getattr(made, field.name)
@@ -87,7 +74,7 @@ def check(made: Any, **values: object) -> None:
             try:
                 object.__setattr__(made, field.name, kind(value, field.name))
             except SceneError as error:
-                faults += error.faults
+                faults += error.lines
     raise_any(faults)
 
 
@@ -126,9 +113,9 @@ class Numbers:
         array = _floats(value, name)
         if array.size != self.count or array.ndim > 1:
             has = f"shape {array.shape}" if array.ndim > 1 else array.size
-            raise SceneError([Fault(name, f"{self.needed}, has {has}")])
+            raise SceneError([f"{name}: {self.needed}, has {has}"])
         row = array.reshape(1, self.count)
-        raise_any(Fault(name, message) for _, message in self.faults(row))
+        raise_any(f"{name}: {message}" for _, message in self.faults(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     @property
@@ -140,7 +127,7 @@ class Numbers:
         """Return a copy (n, count), or (n,) of single numbers, which may break the rules."""
         array = _floats(value, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
-            raise SceneError([Fault(name, f"{self.needed} in each row, has shape {array.shape}")])
+            raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
@@ -177,7 +164,7 @@ def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
     with np.errstate(invalid="ignore"):
         array = given.astype(np.intp)
     if not np.array_equal(array, given):
-        raise SceneError([Fault(name, "must be whole numbers")])
+        raise SceneError([f"{name}: must be whole numbers"])
     return array
 
 
@@ -186,11 +173,11 @@ def size(value: int, name: str) -> int:
     try:
         count = int(operator.index(value))
     except TypeError:
-        raise SceneError([Fault(name, f"must be an int, is {value!r}")]) from None
+        raise SceneError([f"{name}: must be an int, is {value!r}"]) from None
     if not 1 <= count <= MAX_PIXELS:
         # float() and str() refuse numbers of many digits.
         has = f", is {count}" if abs(count) < 1e18 else ""
-        raise SceneError([Fault(name, f"must be a whole number from 1 to {MAX_PIXELS}{has}")])
+        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{has}"])
     return count
 
 
@@ -202,10 +189,10 @@ def list_of(*types: type) -> _Kind:
         try:
             parts = tuple(values)
         except TypeError:
-            wrong = f"must be a list, is of type {type(values).__name__}"
-            raise SceneError([Fault(name, wrong)]) from None
+            wrong = f"{name}: must be a list, is of type {type(values).__name__}"
+            raise SceneError([wrong]) from None
         others = dict.fromkeys(type(part).__name__ for part in parts if not isinstance(part, types))
-        raise_any(Fault(name, f"must be of type {right}, is of type {other}") for other in others)
+        raise_any(f"{name}: must be of type {right}, is of type {other}" for other in others)
         return parts
 
     return kind
@@ -229,4 +216,4 @@ def _floats(value: ArrayLike, name: str) -> Floats:
         wrong = "must be finite"
     except (TypeError, ValueError):
         wrong = f"must be given in numbers, is {reprlib.repr(value)}"
-    raise SceneError([Fault(name, wrong)])
+    raise SceneError([f"{name}: {wrong}"])
