@@ -125,8 +125,7 @@ def parse(
                     raise MemoryError from None
                 at = max(0, parser.ErrorByteIndex - given + len(latest))
                 after = (latest + file.read(_CHUNK))[at : at + 256]
-                tags = [(element.tag, element.line) for element in opened]
-                right = malformed(message, error.lineno, latest[:at], after, tags)
+                right = malformed(message, error.lineno, latest[:at], after, opened)
                 wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
                 raise GiveUp(error.lineno, wrong) from None
             except (LookupError, ValueError, Warning):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from itertools import islice
+from typing import Any
 from xml.parsers.expat import errors
 
 from tracer.messages import quoted, short
@@ -19,6 +20,8 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 # The first that fits tells the remedy.
 _TEXTS = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
+    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE),  # it may be a picture
+    ("", rb"", rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])", "save the file as UTF-8"),
     (_UNCLOSED, rb"", rb"<!--", "end it with -->"),
     (_UNCLOSED, rb"", rb"<\?", "end it with ?>"),
     (_UNCLOSED, rb"", rb"<", "end it with >"),
@@ -50,30 +53,21 @@ _ERRORS = {
 }
 
 
-def malformed(
-    message: str, line: int, before: bytes, after: bytes, opened: Sequence[tuple[str, int]]
-) -> str:
+def malformed(message: str, line: int, before: bytes, after: bytes, opened: Sequence[Any]) -> str:
     """Say what would make a file XML.
 
-    Given are the parser's message and line, the text right before that place and after it, and tags
-    and lines of the elements that have not ended there, from the root on.
+    Given are the parser's message and line, the text right before that place and after it, and the
+    elements that have not ended there, from the root on.
     """
-    # Outside all elements and tags there is no text; such a file may be a picture.
-    outside = not opened and before.rfind(b"<") <= before.rfind(b">")
-    if outside and message == _INVALID and b"\0" not in after and not after.startswith(b"<"):
-        return SCENE
-    odd = after.decode(errors="replace")[:1] or " "
-    if odd == "\ufffd":
-        return "save the file as UTF-8"
-    last = f"<{short(opened[-1][0])}> of line {opened[-1][1]}" if opened else None
+    last = f"<{short(opened[-1].tag)}> of line {opened[-1].line}" if opened else None
     for error, ends, begins, remedy in _TEXTS:
         text = re.search(rb"(?s:%b)\Z" % ends, before) if error in ("", message) else None
         if text and re.match(begins, after):
-            begun = line - text[0].count(b"\n")
+            begun, odd = line - text[0].count(b"\n"), after.decode(errors="replace")[:1] or " "
             return remedy.format(line=begun, odd=odd, number=ord(odd))
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-        if all(name != tag for tag, _ in opened):
+        if all(name != element.tag for element in opened):
             return f"only {last} can be closed here: no <{short(name)}> is open"
     return _ERRORS.get(message) or (f"close {last}" if last else SCENE)
 
