@@ -5,13 +5,13 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.antialias.lattice import CENTRES
-from tracer.arrays import Floats
-from tracer.arrays import Triple as Vectors
+from tracer.arrays import Ints, Vector, columns
 from tracer.light.lighting import Lighting, incoming_at, lighting_of, radiance_at
 from tracer.picture.png import to_codes
 from tracer.scene.model import Scene, unit
@@ -21,8 +21,6 @@ from tracer.view.view import Visible, view_of
 from tracer.view.visibility import visible
 
 __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
-
-Triple: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -44,9 +42,8 @@ class SurfaceRef:
     line: int | None
 
     @classmethod
-    def of(cls, scene: Scene, owner: int) -> SurfaceRef:
-        """A surface by its number among all, spheres first."""
-        index = scene.surfaces.file_index[owner].item()
+    def of(cls, scene: Scene, index: int) -> SurfaceRef:
+        """A surface by its index."""
         surface = scene.surfaces[index]
         return cls(index, type(surface).__name__, surface.line)
 
@@ -74,8 +71,8 @@ class LightPart:
     line: int | None
     n_dot_l: float
     kept_out_by: tuple[SurfaceRef, ...]
-    diffuse: Triple
-    specular: Triple
+    diffuse: Vector
+    specular: Vector
 
 
 @dataclass(frozen=True)
@@ -104,14 +101,14 @@ class Explanation:
 
     x: int
     y: int
-    eye: Triple
-    direction: Triple
+    eye: Vector
+    direction: Vector
     surface: SurfaceRef | None
     distance: float
-    point: Triple
-    normal: Triple
+    point: Vector
+    normal: Vector
     lights: tuple[LightPart, ...]
-    radiance: Triple
+    radiance: Vector
     codes: tuple[int, int, int]
 
     def __str__(self) -> str:
@@ -121,19 +118,16 @@ class Explanation:
         yield f"pixel     {self.x},{self.y}"
         yield f"ray       from {_text(self.eye)} towards {_text(self.direction)}"
         yield f"surface   {self.surface or 'none: the ray meets nothing'}"
-        if self.surface is not None:
+        if self.surface:
             yield f"distance  {self.distance:.9g}"
             yield f"point     {_text(self.point)}"
             yield f"normal    {_text(self.normal)}"
         for number, light in enumerate(self.lights):
-            others = [ref for ref in light.kept_out_by if ref != self.surface]
-            how = "reaches the point"
-            if others:
-                how = f"kept out by {', '.join(map(str, others))}"
-            elif light.kept_out_by:
-                how = "kept out by the surface itself"
+            names = [str(ref) for ref in light.kept_out_by if ref != self.surface]
+            names = names or ["the surface itself"] * len(light.kept_out_by)
+            how = f"kept out by {', '.join(names)}" if names else "reaches the point"
             yield f"light {number}{_line(light.line)}: n.l = {light.n_dot_l:.9g}, {how}"
-            if not light.kept_out_by:
+            if not names:
                 yield f"  diffuse   {_text(light.diffuse)}"
                 yield f"  specular  {_text(light.specular)}"
         yield f"radiance  {_text(self.radiance)}"
@@ -144,13 +138,8 @@ def _line(line: int | None) -> str:
     return "" if line is None else f" (line {line})"
 
 
-def _text(vector: Triple) -> str:
+def _text(vector: Vector) -> str:
     return " ".join(f"{value + 0.0:.9g}" for value in vector)
-
-
-def _triple(values: Floats) -> Triple:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 @np.errstate(all="ignore")
@@ -177,60 +166,60 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     raster = raster_of(scene.camera, width, height)
     lighting = lighting_of(scene, view_of(raster, scene.surfaces))
     samples = CENTRES.samples(slice(y, y + 1), slice(x, x + 1))
-    radiance = radiance_at(lighting, samples)
-    hit, hits = first_hits(scene, [x + 0.5], [y + 0.5]), visible(lighting.view, samples)
-    across, down = np.array(x + 0.5), np.array(y + 0.5)
-    ray = raster.across(across), raster.down(down), np.array(raster.depth)
-    red, green, blue = to_codes(radiance.T[None])[0, 0].tolist()
+    radiance, hit = radiance_at(lighting, samples)[:, 0], first_hits(scene, [x + 0.5], [y + 0.5])
+    across, down = raster.across(np.array(x + 0.5)), raster.down(np.array(y + 0.5))
+    direction = np.array(raster.vector_to_scene((across, down, np.array(raster.depth))))
+    index = hit.surface.item()
     return Explanation(
         x=x,
         y=y,
-        eye=_triple(raster.eye),
-        direction=_triple(unit(np.array(raster.vector_to_scene(ray)))),
-        surface=SurfaceRef.of(scene, int(hits.own[0])) if hits.groups else None,
+        eye=_vector(raster.eye),
+        direction=_vector(unit(direction)),
+        surface=SurfaceRef.of(scene, index) if index >= 0 else None,
         distance=hit.distance.item(),
-        point=_triple(hit.point[0]),
-        normal=_triple(hit.normal[0]),
-        lights=tuple(_parts(scene, lighting, hits, hit)) if hits.groups else (),
-        radiance=_triple(radiance[:, 0]),
-        codes=(red, green, blue),
+        point=_vector(hit.point[0]),
+        normal=_vector(hit.normal[0]),
+        lights=tuple(_parts(scene, lighting, visible(lighting.view, samples), hit)),
+        radiance=_vector(radiance),
+        codes=_vector(to_codes(radiance[None, None])[0, 0]),
     )
 
 
+def _vector(values: NDArray[Any]) -> tuple[Any, ...]:
+    return tuple(values.tolist())
+
+
 def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterator[LightPart]:
-    """Each light's part at the one point that is hit."""
-    owner, materials = int(hits.own[0]), lighting.materials
-    shader = lighting.shader[owner]
-    incoming = incoming_at(lighting, hits)
-    for number, light in enumerate(scene.lights):
+    """Each light's part at the one point that is hit, if any is."""
+    incoming, materials = incoming_at(lighting, hits), lighting.materials
+    for number, light in enumerate(scene.lights if hits.groups else ()):
+        shader, cosine = lighting.shader[hits.own], incoming.n_dot_l[number]
+        occluders = _occluders(lighting, hits, number) if cosine > 0 else hits.own
+        diffuse, specular = np.zeros((2, 3, 1))
+        if not occluders.size:
+            cosine = cosine / np.sqrt(incoming.length2[number])
+            strength = lighting.intensities[number][:, None]
+            diffuse = strength * materials.diffuse[:, shader] * cosine
+            power = incoming.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
+            specular = strength * materials.specular[:, shader] * power
         towards = unit(np.subtract(light.position, hit.point[0]))
-        occluders = [owner]
-        if incoming.n_dot_l[number, 0] > 0:
-            occluders = [*_occluders(lighting, owner, hits.points(slice(None)), number)]
-        diffuse, specular = np.zeros((2, 3))
-        if not occluders:
-            cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
-            diffuse = lighting.intensities[number] * materials.diffuse[:, shader] * cosine
-            if materials.glossy[shader]:
-                power = incoming.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
-                specular = lighting.intensities[number] * materials.specular[:, shader] * power
+        refs = scene.surfaces.file_index[occluders].tolist()
         yield LightPart(
             line=light.line,
             n_dot_l=float(hit.normal[0] @ towards),
-            kept_out_by=tuple(SurfaceRef.of(scene, each) for each in occluders),
-            diffuse=_triple(diffuse),
-            specular=_triple(specular),
+            kept_out_by=tuple(SurfaceRef.of(scene, index) for index in refs),
+            diffuse=_vector(diffuse[:, 0]),
+            specular=_vector(specular[:, 0]),
         )
 
 
-def _occluders(lighting: Lighting, owner: int, p: Vectors, light: int) -> Iterator[int]:
-    """All objects, spheres first, that keep a light from a point `p` of an object."""
-    view, position = lighting.view, lighting.positions[light]
+def _occluders(lighting: Lighting, hits: Visible, light: int) -> Ints:
+    """All objects, spheres first, that keep a light from the one point that is hit."""
+    view, found = lighting.view, []
     for shape in view.shapes:
-        others = np.arange(shape.first, shape.first + shape.count)
-        others = others[others != owner]
-        n = others.size
-        start = np.repeat(p[0], n), np.repeat(p[1], n), np.repeat(p[2], n)
-        end = np.full(n, position[0]), np.full(n, position[1]), np.full(n, position[2])
-        closely = np.ones(n, dtype=np.bool_)
-        yield from others[shape.occludes(view.raster.eye, others, start, end, closely)].tolist()
+        others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.own)
+        point = hits.points(np.zeros_like(others))
+        end = columns(lighting.positions, np.full_like(others, light))
+        blocks = shape.occludes(view.raster.eye, others, point, end, np.ones_like(others) > 0)
+        found.append(others[blocks])
+    return np.concatenate(found)
