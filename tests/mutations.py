@@ -80,12 +80,12 @@ CHANGES = {
         "(occluders.side[number] != INSIDE)": "(occluders.side[number] == INSIDE)",
         "channel += strength * cosine": "channel += cosine",
         "channel[at] += strength * power": "channel[at] += power",
-        "shader=surfaces.shader_index": "shader=surfaces.shader_index[::-1]",
+        ".T.take(view.surfaces.shader_index": ".T.take(view.surfaces.shader_index[::-1]",
     },
     "tracer/light/shading.py": {
         "np.exp(0.5 * exponent": "np.exp(exponent",
         "half2 = 1 + l_dot_v": "half2 = 1 - l_dot_v",
-        "loss = -0.5 * dot(e, e)": "loss = -dot(e, e)",
+        "np.log1p(-0.5 * dot(e, e))": "np.log1p(-dot(e, e))",
     },
     # Antialiasing: lattice, regions, feet of margins, curvature, outlines
     "tracer/antialias/lattice.py": {

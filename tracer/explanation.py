@@ -191,17 +191,16 @@ def _vector(values: NDArray[Any]) -> tuple[Any, ...]:
 
 def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterator[LightPart]:
     """Each light's part at the one point that is hit, if any is."""
-    incoming, materials = incoming_at(lighting, hits), lighting.materials
+    incoming, own = incoming_at(lighting, hits), hits.own
     for number, light in enumerate(scene.lights if hits.groups else ()):
-        shader, cosine = lighting.shader[hits.own], incoming.n_dot_l[number]
-        occluders = _occluders(lighting, hits, number) if cosine > 0 else hits.own
+        cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
+        occluders = _occluders(lighting, hits, number) if cosine > 0 else own
         diffuse, specular = np.zeros((2, 3, 1))
         if not occluders.size:
-            cosine = cosine / np.sqrt(incoming.length2[number])
             strength = lighting.intensities[number][:, None]
-            diffuse = strength * materials.diffuse[:, shader] * cosine
+            diffuse = strength * lighting.diffuse[:, own] * cosine
             power = incoming.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
-            specular = strength * materials.specular[:, shader] * power
+            specular = strength * lighting.specular[:, own] * power
         towards = unit(np.subtract(light.position, hit.point[0]))
         refs = scene.surfaces.file_index[occluders].tolist()
         yield LightPart(

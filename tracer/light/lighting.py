@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    Triple,
-    dot,
-    indices,
-    pick,
-    scaled,
-    select,
-)
-from tracer.light.shading import Materials, highlight
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, pick, scaled, select
+from tracer.light.shading import highlight
 from tracer.scene.model import Scene
+from tracer.scene.objects import Phong
 from tracer.shadow.occluders import Occluders, occluders_of
 from tracer.shadow.occlusion import occlusion
 from tracer.shapes.rounding import INSIDE
@@ -30,6 +21,9 @@ from tracer.view.visibility import visible
 # On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
 # the bell is as good as zero, and the x where it underflows.
 _SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
+
+# Has what a Lambertian shader lacks.
+_DULL = Phong()
 
 
 class Lighting(NamedTuple):
@@ -42,17 +36,21 @@ class Lighting(NamedTuple):
     local : (lights, 3)
         The positions in the camera's axes, seen from the eye.
     occluders : Occluders
-    shader : (n,)
-        Each object's index into `materials`.
-    materials : Materials
+    diffuse, specular : (3, n)
+        The colours of each object, spheres first.
+    exponent : (n,)
+    glossy : (n,)
+        Whether it has highlights at all.
     """
 
     view: View
     intensities: Floats
     local: Floats
     occluders: Occluders
-    shader: Ints
-    materials: Materials
+    diffuse: Floats
+    specular: Floats
+    exponent: Floats
+    glossy: Bools
 
     @property
     def positions(self) -> Floats:
@@ -79,14 +77,6 @@ class Incoming(NamedTuple):
     n_dot_l: Floats
     length2: Floats
 
-    def glossy(self, group: Group) -> Any:
-        """Whether there is a highlight at all on the points of a group: (n,), or one for all."""
-        return group.of(self.lighting.materials.glossy[self.lighting.shader])
-
-    def exponent(self, group: Group) -> Any:
-        """Exponents of highlights on a group: (n,), or one for all."""
-        return group.of(self.lighting.materials.exponent[self.lighting.shader])
-
     def highlight(self, number: int, group: Group, at: Ints) -> Floats:
         """(n.h)^exponent of a light at some points of a group."""
         p, light = pick(self.hits.p[:, group.part], at), self.lighting.local[number].tolist()
@@ -103,22 +93,31 @@ class Incoming(NamedTuple):
             self.n_dot_l[number, group.part][at] / length,
             select(group.height, at) / distance,
             dot(to_light, p) / (-distance * length),
-            select(self.exponent(group), at),
+            select(group.of(self.lighting.exponent), at),
             vectors,
         )
 
 
 def lighting_of(scene: Scene, view: View) -> Lighting:
     """Prepare a scene's lights."""
-    surfaces, lights = view.surfaces, scene.lights
+    lights, shaders = scene.lights, view.surfaces.shaders
     positions = np.array([light.position for light in lights]).reshape(-1, 3)
+    # There may be as many shaders as objects: to make each a Phong would take longer than the
+    # picture.
+    phong = [shader if isinstance(shader, Phong) else _DULL for shader in shaders]
+    diffuse, specular = (
+        np.array(colors).reshape(-1, 3).T.take(view.surfaces.shader_index, axis=1)
+        for colors in ([s.diffuse for s in shaders], [s.specular for s in phong])
+    )
     return Lighting(
         view=view,
         intensities=np.array([light.intensity for light in lights]).reshape(-1, 3),
         local=np.column_stack(view.raster.to_camera(positions)),
         occluders=occluders_of(view, positions),
-        shader=surfaces.shader_index,
-        materials=Materials.of(surfaces.shaders),
+        diffuse=diffuse,
+        specular=specular,
+        exponent=np.array([s.exponent for s in phong])[view.surfaces.shader_index],
+        glossy=np.any(specular > 0, axis=0),
     )
 
 
@@ -177,10 +176,10 @@ def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
 
 def shade(incoming: Incoming, lit: Bools) -> Floats:
     """Radiance (3, n) of hits towards the eye; `lit` (lights, n): whether lights reach them."""
-    lighting, materials = incoming.lighting, incoming.lighting.materials
+    lighting = incoming.lighting
     radiance, specular = np.zeros((2, 3, lit.shape[1]))
     for group in incoming.hits.groups:
-        glossy, shader = incoming.glossy(group), lighting.shader[group.owner]
+        glossy = group.of(lighting.glossy)
         diffuse, shine = radiance[:, group.part], specular[:, group.part]
         for number, reached in enumerate(lit[:, group.part]):
             if not reached.any():
@@ -196,29 +195,27 @@ def shade(incoming: Incoming, lit: Bools) -> Floats:
                     channel[at] += strength * power
         # Without the shaders' colours so far.
         for k in range(3):
-            diffuse[k] *= group.spread(materials.diffuse[k, shader])
+            diffuse[k] *= group.of(lighting.diffuse[k])
             if np.any(glossy):
-                diffuse[k] += shine[k] * group.spread(materials.specular[k, shader])
+                diffuse[k] += shine[k] * group.of(lighting.specular[k])
     return radiance
 
 
 def narrow_highlights(incoming: Incoming, facing: Bools, footprint: Floats) -> Iterator[Ints]:
     """Hits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
-    All lights that they face count: one that does not reach a point may reach
-    other parts of its footprint.
-
-    Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of
-    the angle a between normal and half vector.  That changes as the surface
-    curves, and as the directions to light and eye turn.
+    All lights that they face count: one that does not reach a point may reach other parts of its
+    footprint.  Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of the
+    angle a between normal and half vector.  That changes as the surface curves, and as the
+    directions to light and eye turn.
     """
-    distance = incoming.hits.distance
+    lighting, distance = incoming.lighting, incoming.hits.distance
     for group in incoming.hits.groups:
-        glossy, part = incoming.glossy(group), group.part
+        glossy, part = group.of(lighting.glossy), group.part
         if not np.any(glossy):
             continue
-        bending = 1 / distance[part] + group.of(incoming.lighting.view.curvature)
-        scale = np.where(glossy, np.sqrt(incoming.exponent(group) / 2), 0)
+        bending = 1 / distance[part] + group.of(lighting.view.curvature)
+        scale = np.where(glossy, np.sqrt(group.of(lighting.exponent) / 2), 0)
         for number, faces in enumerate(facing[:, part]):
             turn = bending + 1 / np.sqrt(incoming.length2[number, part])
             change = footprint[part] * turn * scale
