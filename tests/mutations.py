@@ -80,7 +80,7 @@ CHANGES = {
         "(occluders.side[number] != INSIDE)": "(occluders.side[number] == INSIDE)",
         "channel += strength * cosine": "channel += cosine",
         "channel[at] += strength * power": "channel[at] += power",
-        ".T.take(view.surfaces.shader_index": ".T.take(view.surfaces.shader_index[::-1]",
+        "take(view.surfaces.shader_index": "take(view.surfaces.shader_index[::-1]",
     },
     "tracer/light/shading.py": {
         "np.exp(0.5 * exponent": "np.exp(exponent",

@@ -22,9 +22,6 @@ from tracer.view.visibility import visible
 # the bell is as good as zero, and the x where it underflows.
 _SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
 
-# Has what a Lambertian shader lacks.
-_DULL = Phong()
-
 
 class Lighting(NamedTuple):
     """A scene's lights, and what they fall on.
@@ -100,24 +97,21 @@ class Incoming(NamedTuple):
 
 def lighting_of(scene: Scene, view: View) -> Lighting:
     """Prepare a scene's lights."""
-    lights, shaders = scene.lights, view.surfaces.shaders
-    positions = np.array([light.position for light in lights]).reshape(-1, 3)
-    # There may be as many shaders as objects: to make each a Phong would take longer than the
-    # picture.
-    phong = [shader if isinstance(shader, Phong) else _DULL for shader in shaders]
-    diffuse, specular = (
-        np.array(colors).reshape(-1, 3).T.take(view.surfaces.shader_index, axis=1)
-        for colors in ([s.diffuse for s in shaders], [s.specular for s in phong])
-    )
+    positions = np.array([light.position for light in scene.lights]).reshape(-1, 3)
+    colors = [
+        (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
+        for s in view.surfaces.shaders
+    ]
+    table = np.array(colors).reshape(-1, 7).T.take(view.surfaces.shader_index, axis=1)
     return Lighting(
         view=view,
-        intensities=np.array([light.intensity for light in lights]).reshape(-1, 3),
+        intensities=np.array([light.intensity for light in scene.lights]).reshape(-1, 3),
         local=np.column_stack(view.raster.to_camera(positions)),
         occluders=occluders_of(view, positions),
-        diffuse=diffuse,
-        specular=specular,
-        exponent=np.array([s.exponent for s in phong])[view.surfaces.shader_index],
-        glossy=np.any(specular > 0, axis=0),
+        diffuse=table[:3],
+        specular=table[3:6],
+        exponent=table[6],
+        glossy=np.any(table[3:6] > 0, axis=0),
     )
 
 
