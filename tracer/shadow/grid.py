@@ -77,8 +77,8 @@ class LightGrid(NamedTuple):
         The field in octant o of light l, at o * lights + l; -1 where nothing is to be lit.
     side : int
         Cells along each side of a field.
-    origin, scale : (2, fields)
-        Octahedral coordinates of each field's corner, and cells to their unit.
+    origin, size : (2, fields)
+        Octahedral coordinates of each field's corner, and its extent.
     first : (4 * fields * side**2 + 1,)
         Where the four lists of each cell begin in `listed`: see `_LISTS`.
     listed : (m,)
@@ -93,7 +93,7 @@ class LightGrid(NamedTuple):
     field: Ints
     side: int
     origin: Floats
-    scale: Floats
+    size: Floats
     first: Ints
     listed: Ints
     owner: Ints
@@ -111,7 +111,8 @@ class LightGrid(NamedTuple):
         wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
         wedge = wedge.astype(self.wedge.dtype)
         field = self.field[octant * lights + way // count]
-        ball, cell, corner = _cells(self._in_cells(rect, field), field, self.side)
+        rect = _in_fields(rect, self.origin[:, field], self.size[:, field])
+        ball, cell, corner = _cells(rect, field, self.side)
         # A pair is found in the first of the cells that it shares.
         start, stop = (self.first.take(4 * cell + m.take(corner)) for m in _SHARED)
         some = indices(stop > start)
@@ -126,12 +127,6 @@ class LightGrid(NamedTuple):
             light, which = np.divmod(way.take(which.take(at)), count)
             kept = indices(occluder != owner.take(which))
             yield np.array([light.take(kept), which.take(kept), occluder.take(kept)])
-
-    def _in_cells(self, rect: Floats, field: Ints) -> Floats:
-        """Rectangles (4, n) in cells of fields (n,), from octahedral coordinates."""
-        both = np.array([0, 0, 1, 1])[:, None]
-        result: Floats = (rect - self.origin[both, field]) * self.scale[both, field]
-        return result
 
 
 def light_grid(
@@ -158,44 +153,42 @@ def light_grid(
     begin, _ = equal_runs(octant[some])
     field[:] = -1
     field[octant[some[begin]]] = np.arange(begin.size)
-    extents = np.array([_middle_part(rect[:, part]) for part in np.split(some, begin[1:])])
-    some = indices((field[octant] >= 0) & shades[owner])
-    bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
-    grid = LightGrid(
-        light=light,
-        field=field,
-        side=1,
-        origin=extents[:, :2].T,
-        scale=1 / extents[:, 2:].T,
-        first=np.zeros(1, dtype=np.intp),
-        listed=some[:0],
-        owner=owner[some],
-        # Rounding keeps the order, so that no bound fails.
-        wedge=bounds.astype(np.float32 if extents[:, 2:].min() > _NARROW else np.float64),
-    )
+    parts = [_middle_part(rect[:, part]) for part in np.split(some, begin[1:])]
+    origin, size = np.array(parts).transpose(1, 2, 0)
+    some = indices(field[octant] >= 0)
     number, rect = field[octant[some]], rect[:, some]
-    u0, u1, v0, v1 = np.clip(grid._in_cells(rect, number), 0, 1)
+    rect = _in_fields(rect, origin[:, number], size[:, number])
+    u0, u1, v0, v1 = rect.clip(0, 1)
     covered = float(((u1 - u0) * (v1 - v0)).sum()) / len(lights)
     side = max(1, int(min(sqrt(slack.size), _SIDE_MOST, sqrt(_PAIRS / covered))))
-    grid = grid._replace(side=side, scale=side * grid.scale)
-    place, cell, corner = _cells(grid._in_cells(rect, number), number, side)
+    place, cell, corner = _cells(rect, number, side)
     cell = 4 * cell + _LIST.take(corner)
+    # NumPy sorts numbers of 16 bits by their digits, several times as fast as longer ones.
+    order = np.lexsort((cell.astype(np.uint16), (cell >> 16).astype(np.uint16)))
     counts = np.bincount(cell, minlength=4 * begin.size * side**2)
-    # By the low 16 bits, then by the high ones: NumPy's radix sort takes no more.
-    order = (cell & 0xFFFF).astype(np.uint16).argsort(kind="stable")
-    order = order.take((cell.take(order) >> 16).astype(np.uint16).argsort(kind="stable"))
-    return grid._replace(first=np.append(0, counts.cumsum()), listed=place.take(order))
+    bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
+    return LightGrid(
+        light=light,
+        field=field,
+        side=side,
+        origin=origin,
+        size=size,
+        first=np.append(0, counts.cumsum()),
+        listed=place.take(order),
+        owner=owner[some],
+        # Rounding keeps the order, so that no bound fails.
+        wedge=bounds.astype(np.float32 if size.min() > _NARROW else np.float64),
+    )
 
 
-def _middle_part(rect: Floats) -> list[float]:
+def _middle_part(rect: Floats) -> tuple[Floats, Floats]:
     """The part of a field in which nearly all of the rectangles (4, n) lie: its corner and size.
 
     Beside a planet all else would lie in one cell.  What is beyond is listed at the rim.
     """
     beyond = rect.shape[1] // _BEYOND
-    u0, v0 = (np.partition(m, beyond)[beyond] for m in rect[::2])
-    u1, v1 = (np.partition(m, -1 - beyond)[-1 - beyond] for m in rect[1::2])
-    return [u0, v0, u1 - u0, v1 - v0]
+    low = np.partition(rect[::2], beyond)[:, beyond]
+    return low, np.partition(rect[1::2], -1 - beyond)[:, -1 - beyond] - low
 
 
 def _taken_nearer(lights: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
@@ -215,9 +208,7 @@ def _taken_nearer(lights: Floats, low: Floats, high: Floats) -> tuple[Floats, Fl
 def _octants(
     low: Floats, high: Floats, field: Ints, asked: Bools
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Cut boxes of ways to lights by octants.
-
-    Bit k of an octant's number is set where ways to the light are negative along axis k.
+    """Cut boxes of ways to lights by octants: bit k is set where ways are negative along axis k.
 
     Parameters
     ----------
@@ -246,20 +237,15 @@ def _octants(
     ends = []
     for k in range(3):
         negative = (octant >> k & 1).astype(np.bool_)
-        least, most = low[k].take(way), high[k].take(way)
-        ends.append(
-            (np.maximum(np.where(negative, -most, least), 0), np.where(negative, -least, most))
-        )
+        a, b = low[k].take(way), high[k].take(way)
+        ends.append((np.maximum(np.where(negative, -b, a), 0), np.where(negative, -a, b)))
     (a0, a1), (b0, b1), (c0, c1) = ends
     rect = np.array(
         [a0 / (a0 + (b1 + c1)), a1 / (a1 + (b0 + c0)), b0 / (b0 + (a1 + c1)), b1 / (b1 + (a0 + c0))]
     )
     # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
     whole = np.array([[0.0], [1.0], [0.0], [1.0]])
-    around = np.isnan(rect)
-    if around.any():
-        rect = np.where(around, whole, rect)
-    rect += _FROM_LIGHT * (2 * whole - 1)
+    rect = np.where(np.isnan(rect), whole, rect) + _FROM_LIGHT * (2 * whole - 1)
     wedge = np.empty((way.size, 8))
     for k, (p0, p1, q0, q1) in enumerate(((a0, a1, b0, b1), (b0, b1, c0, c1), (c0, c1, a0, a1))):
         wedge[:, 2 * k] = p0 / (p0 + q1) - _FROM_LIGHT
@@ -270,13 +256,18 @@ def _octants(
     return octant, way, rect, wedge
 
 
-def _cells(bounds: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[np.uint8]]:
-    """Cells that rectangles (4, n) in their fields (n,) reach.
+def _in_fields(rect: Floats, origin: Floats, size: Floats) -> Floats:
+    """Rectangles (4, n) in units of fields, whose corners and extents are given (2, n)."""
+    return ((rect.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
+
+
+def _cells(rect: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[np.uint8]]:
+    """Cells that rectangles (4, n) reach in their fields (n,).
 
     Returns rectangles, cells, and where these are in them: bit 0 is set in its first column, bit 1
     in its first row.
     """
-    left, right, top, bottom = bounds.clip(0, side - 1).astype(np.intp)
+    left, right, top, bottom = (side * rect).clip(0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.
     strip, column = expand(wide, left)
