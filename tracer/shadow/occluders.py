@@ -48,24 +48,22 @@ class Occluders(NamedTuple):
 
 def occluders_of(view: View, lights: Floats) -> Occluders:
     """Gather spheres and boxes, and lights (n, 3)."""
-    both, surfaces, raster = (view.spheres, view.boxes), view.surfaces, view.raster
-    slack = SLACK * (np.concatenate([shape.size for shape in both]) + np.abs(raster.eye).sum())
+    shapes, raster = (view.spheres, view.boxes), view.raster
+    slack = SLACK * (np.concatenate([shape.size for shape in shapes]) + np.abs(raster.eye).sum())
     # A row for each light, a column for each object.
     point = each(lambda m: m[:, None], columns(lights, slice(None)))
-    around = SLACK * np.abs(lights).sum(axis=1)[:, None]
-    side, near = [], []
-    for shape in both:
-        every = shape.first + np.arange(shape.count)
-        side.append(shape.side(every, point))
-        near.append(shape.touches(every, point, slack[every] + around))
+    around = slack + SLACK * np.abs(lights).sum(axis=1)[:, None]
+    both = [(shape, shape.first + np.arange(shape.count)) for shape in shapes]
     # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
     pixels = raster.width * raster.height * sqrt(raster.step_v / raster.step_u)
     return Occluders(
         view=view,
         lights=lights,
-        side=np.concatenate(side, axis=1),
-        near_light=np.concatenate(near, axis=1),
+        side=np.concatenate([shape.side(own, point) for shape, own in both], axis=1),
+        near_light=np.concatenate(
+            [shape.touches(own, point, around[:, own]) for shape, own in both], axis=1
+        ),
         slack=slack,
-        grid=light_grid(lights, surfaces, slack, view.frames.in_picture(raster), ~view.repeated),
+        grid=light_grid(lights, view.surfaces, slack, view.frames.in_picture(raster)),
         across=_PART * sqrt(pixels / max(slack.size, 1)),
     )

@@ -53,15 +53,8 @@ def packets_of(
 ) -> list[Packets]:
     """Levels of packets: squares of rows, if objects are as large as these; then rows of points.
 
-    Parameters
-    ----------
-    hits : Visible
-    slack, across
-        As in `Occluders`.
-    frontlit : (lights, n)
-        Whether points face lights.
-    footprint : (n,), optional
-        The distance from each point within which anything shaded is to be found.
+    `slack`, `across`: as in `Occluders`; `frontlit` (lights, n): whether points face lights;
+    `footprint` (n,): the distance from each point within which anything shaded is to be found.
     """
     longest, count = int(min(max(across, 1), _LONGEST)), np.diff(hits.first)
     run, place = expand(-(-count // longest))
