@@ -141,7 +141,7 @@ CHANGES = {
     },
     "tracer/suspicions.py": {
         "_LEAST_CODE = 10": "_LEAST_CODE = 1000",
-        "if not (seen >= 0).any()": "if (seen >= 0).any()",
+        "if not seen.size": "if seen.size",
     },
     # Converter: window, handedness, field of view, lights, highlights, flavours
     "converters/camera.py": {

@@ -8,8 +8,7 @@ from itertools import islice
 import numpy as np
 
 from tracer.arrays import Ints
-from tracer.scene.model import Scene
-from tracer.scene.objects import Phong, Shader, VectorLike
+from tracer.scene.model import Phong, Scene, Shader, VectorLike
 from tracer.scene.schema import number
 from tracer.view.first_hits import first_hits
 

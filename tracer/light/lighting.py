@@ -9,8 +9,7 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, pick, scaled, select
 from tracer.light.shading import highlight
-from tracer.scene.model import Scene
-from tracer.scene.objects import Phong
+from tracer.scene.model import Phong, Scene
 from tracer.shadow.occluders import Occluders, occluders_of
 from tracer.shadow.occlusion import occlusion
 from tracer.shapes.rounding import INSIDE

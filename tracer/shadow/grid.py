@@ -155,7 +155,7 @@ def light_grid(
     field[octant[some[begin]]] = np.arange(begin.size)
     parts = [_middle_part(rect[:, part]) for part in np.split(some, begin[1:])]
     origin, size = np.array(parts).transpose(1, 2, 0)
-    some = indices(field[octant] >= 0)
+    some = indices((field[octant] >= 0) & shades[owner])
     number, rect = field[octant[some]], rect[:, some]
     rect = _in_fields(rect, origin[:, number], size[:, number])
     u0, u1, v0, v1 = rect.clip(0, 1)

@@ -64,6 +64,8 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
             [shape.touches(own, point, around[:, own]) for shape, own in both], axis=1
         ),
         slack=slack,
-        grid=light_grid(lights, view.surfaces, slack, view.frames.in_picture(raster)),
+        grid=light_grid(
+            lights, view.surfaces, slack, view.frames.in_picture(raster), ~view.repeated
+        ),
         across=_PART * sqrt(pixels / max(slack.size, 1)),
     )
