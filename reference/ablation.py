@@ -51,9 +51,9 @@ def _certain_of_nothing(capsules: Any, *arguments: Any) -> Any:
     return meets, np.zeros_like(cuts)
 
 
-def _equal_weights(stratified: Any, lines: Any, count: int, x: Any, y: Any) -> Any:
-    points, n = stratified(lines, count, x, y), count * x.size
-    return type(points)(*(m[:n] for m in points))._replace(weight=np.full(n, 1 / x.size))
+def _equal_weights(stratified: Any, lines: Any, count: int, lattice: Any) -> Any:
+    points, n = stratified(lines, count, lattice), count * lattice.size
+    return type(points)(*(m[:n] for m in points))._replace(weight=np.full(n, 1 / lattice.size))
 
 
 def _upright(turned: Any, per_side: int) -> Any:
@@ -95,7 +95,7 @@ ANTIALIASING = [
     Part("no narrow highlights", {"antialias.classify.narrow_highlights": _nothing}),
     Part(
         "no curvature",
-        {"antialias.refine.curvature": lambda _, light, ids, *__: (0 * light, np.zeros(ids.size))},
+        {"antialias.refine.curvature": lambda _, light, ids, *__: (light, np.zeros(ids.size))},
     ),
     Part("upright lattices", {"antialias.lattice.Lattice.of": _upright}),
 ]

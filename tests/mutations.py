@@ -93,16 +93,16 @@ CHANGES = {
     },
     "tracer/antialias/regions.py": {
         "t_y[region] * y": "t_x[region] * y",
-        "(z < 0) << number": "(z > 0) << number",
+        "|= (z > 0) << bit": "|= (z < 0) << bit",
     },
     "tracer/antialias/margins.py": {
         "step = -2 * middle": "step = 2 * middle",
     },
-    "tracer/antialias/curvature.py": {
-        "total *= 1 / 24": "total *= 1 / 6",
+    "tracer/antialias/classify.py": {
+        "[:, :-stride]) / 24": "[:, :-stride]) / 6",
         "radiance) / 3, 0)": "radiance) / 1, 0)",
     },
-    "tracer/antialias/crossings.py": {
+    "tracer/antialias/edges.py": {
         ", (row, owner, full_end, stop)": "",
     },
     # Codes, files, tiles

@@ -17,7 +17,7 @@ from uniform_grid import no_worse_than_the_uniform_grid, uniform
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, render
 from tracer.antialias import refine as antialias
-from tracer.antialias.curvature import curvature
+from tracer.antialias.classify import curvature
 
 RED = Lambertian(diffuse=(1, 0, 0))
 ROOM = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))

@@ -13,19 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.edges import Seen, footprints_of, silhouettes
-from tracer.antialias.lines import Lines
-from tracer.antialias.margins import Sheets, fitted
+from tracer.antialias.lattice import Lattice, Places
+from tracer.antialias.margins import Lines, Sheets, fitted, rays
 from tracer.arrays import Bools, Floats, Ints, indices
-from tracer.light.lighting import (
-    Lighting,
-    ids_of,
-    incoming_at,
-    narrow_highlights,
-    radiance_at,
-    shade,
-)
+from tracer.light.lighting import Lighting, ids_of, incoming_at, narrow_highlights, shade
 from tracer.shadow.occlusion import shadow_edges
-from tracer.view.samples import Samples, Scattered
+from tracer.view.samples import Samples
 from tracer.view.visibility import visible_and_hidden
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
@@ -54,15 +47,14 @@ class Cells(NamedTuple):
     cell: Ints
     owner: Ints
 
-    def at(self, cell: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """One point, x and y from -1/2 to 1/2, in each of some cells."""
-        return self.x[cell] + self.size * x, self.y[cell] + self.size * y
+    def at(self, cell: Ints, place: Places) -> tuple[Floats, Floats]:
+        """One point, x + iy from -1/2 to 1/2, in each of some cells."""
+        return self.x[cell] + self.size * place.real, self.y[cell] + self.size * place.imag
 
     def quarters(self, index: Ints) -> Cells:
         """Quarters of some cells, four after four."""
-        count, quarter = index.size, np.array([-0.25, 0.25])
-        x, y = np.tile(quarter, 2 * count), np.tile(quarter.repeat(2), count)
-        x, y = self.at(index.repeat(4), x, y)
+        count = index.size
+        x, y = self.at(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
         place = np.full(self.x.size, -1)
         place[index] = np.arange(count)
         cell = place[self.cell]
@@ -92,22 +84,7 @@ class Classification(NamedTuple):
     unresolved: Bools
 
 
-def radiance_in(lighting: Lighting, x: Floats, y: Floats) -> tuple[Floats, Ints]:
-    """Radiance (3, n) and ids (n,), as in `Classification`, at positions in any order."""
-    radiance, ids, found = np.empty((3, x.size)), *np.full((2, x.size), -1)
-    if x.size:
-        samples, order = Scattered.of(x, y)
-        radiance[:, order] = radiance_at(lighting, samples, ids=found)
-        ids[order] = found
-    return radiance, ids
-
-
-def classify(
-    lighting: Lighting,
-    cells: Cells,
-    samples: Samples,
-    cell: Ints,
-) -> Classification:
+def classify(lighting: Lighting, cells: Cells, samples: Samples, cell: Ints) -> Classification:
     """Classify cells by the samples in their middles.
 
     `cell` (n,): the cell of each sample.
@@ -128,11 +105,13 @@ def classify(
     ids[place] = ids_of(hits, lit)
     for narrow in narrow_highlights(incoming, facing, footprint):
         unresolved[place[narrow]] = True
-    lights, sheets = (lighting.positions, lighting.local), Sheets.of(hits)
-    seen = Seen(hits, *lights, sheets, place, footprint, cells.size)
-    x, y = cells.x[cells.cell], cells.y[cells.cell]
+    raster, (cell, owner) = lighting.view.raster, (cells.cell, cells.owner)
+    apexes = np.vstack([lighting.positions, raster.eye]), np.vstack([lighting.local, np.zeros(3)])
+    d = rays(raster, raster.across(cells.x[cell]), raster.down(cells.y[cell]), cells.size)
+    from_eye = np.full(cell.size, len(lighting.local))
+    seen = Seen(hits, apexes, Sheets.of(hits), place, footprint, cells.size)
     margins = chain(
-        silhouettes(lighting.view, cells.cell, cells.owner, x, y, cells.size),
+        silhouettes(lighting.view, apexes, from_eye, cell, owner, d),
         seen.intersections(hidden),
         seen.shadows(*found),
         seen.terminators(incoming.n_dot_l, incoming.length2),
@@ -141,3 +120,42 @@ def classify(
     lines, curved = fitted(margins, cells.tolerance)
     unresolved[curved] = True
     return Classification(radiance, ids, lines, unresolved)
+
+
+def curvature(radiance: Floats, ids: Ints, width: int) -> tuple[Floats, Floats]:
+    """Pixels' means (3, n) from the samples at their centres, where smooth, and their error (n,).
+
+    `radiance` (3, n) and `ids` (n,) as in `Classification`, with n = height * width.
+
+    The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
+    are differences between a pixel and its neighbours, where both of these see the same as it
+    does; where only one does, the difference counts as error; where neither does, that is NaN.
+    Results for pixels on the rim are meaningless.
+    """
+    total, error = np.zeros(radiance.shape), np.zeros(ids.size)
+    for stride in (1, width):
+        middle = slice(stride, -stride)
+        same = ids[stride:] == ids[:-stride]
+        step = (radiance[:, stride:] - radiance[:, :-stride]) * same
+        bend = (step[:, stride:] - step[:, :-stride]) / 24
+        before, after = same[:-stride], same[stride:]
+        change = np.where(before | after, np.abs(bend).max(axis=0), np.nan)
+        error[middle] = np.maximum(error[middle], change)
+        total[:, middle] += bend * (before & after)
+    return radiance + total, error
+
+
+def extrapolated(radiance: Floats, ids: Ints, quarters: Classification) -> tuple[Floats, Floats]:
+    """`curvature` of quarters of cells, from what the cells' centres and their own see.
+
+    `radiance` (3, n), `ids` (n,): of the cells.
+
+    Where all see the same, the cell's mean is that of its quarters' centres, plus a third of its
+    difference from the cell's centre (Richardson's extrapolation).  Elsewhere the error is NaN.
+    """
+    fine = quarters.radiance.reshape(3, -1, 4)
+    alike = (quarters.id.reshape(-1, 4) == ids[:, None]).all(axis=1)
+    bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
+    # What this leaves out is of higher order in the cells' size; half of the correction covers it.
+    error = np.where(alike, np.abs(bend).max(axis=0) / 2, np.nan)
+    return quarters.radiance + bend.repeat(4, axis=1), error.repeat(4)

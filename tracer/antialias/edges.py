@@ -1,22 +1,32 @@
 """Edges that may cross cells, as margins: silhouettes, shadows, creases, terminators.
 
+Silhouettes are sought along all of the objects' outlines across the picture, so that objects are
+found as well that the samples in the middles of pixels miss; the others around these samples.
 The *footprint* of a cell is the radius of what it sees of a surface.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from tracer.antialias.margins import Margins, Sheets, rays, span
-from tracer.arrays import Floats, Ints, Triple, columns, dot, each, indices, pick, select
+from tracer.arrays import Floats, Ints, Triple, columns, dot, each, expand, indices, pick, select
 from tracer.shapes.silhouette import box_margins, silhouette_planes, sphere_margins
+from tracer.view.samples import Spans
 from tracer.view.view import View, Visible
+
+Apexes: TypeAlias = tuple[Floats, Floats]
+"""Where lights are, and last the eye (m, 3): in the scene's axes, and in the camera's."""
 
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
+
+# A line so near to the top or bottom of an object, in pixels, may touch it and no more.
+_TOUCHING = 1e-6
 
 
 def footprints_of(hits: Visible, size: float) -> Floats:
@@ -27,55 +37,71 @@ def footprints_of(hits: Visible, size: float) -> Floats:
     halves, distance = hits.p[2] * angle, hits.distance
     footprints = np.empty(halves.size)
     for group in hits.groups:
-        half, footprint = halves[group.part], footprints[group.part]
-        n_dot_v = group.height / distance[group.part]
-        np.divide(half, n_dot_v, out=footprint)
+        half, n_dot_v = halves[group.part], group.height / distance[group.part]
         if group.flat:
             # The far end of the cell sees the face at a smaller cosine: by up to the angle.
-            footprint /= np.maximum(1 - angle / n_dot_v, _NEARLY)
-            continue
-        # However small the cosine, from the silhouette a width of `half` covers no more of the
-        # sphere than sqrt(2 half radius): a bound that only the few points next to it need.
-        curvature = group.of(hits.view.curvature)
-        at = indices(n_dot_v <= np.sqrt(half.max() * np.max(curvature) / 2))
-        footprint[at] = np.fmin(footprint[at], np.sqrt(2 * half[at] / select(curvature, at)))
+            n_dot_v *= np.maximum(1 - angle / n_dot_v, _NEARLY)
+        # However small the cosine, from the silhouette a width of `half` covers no more of a
+        # sphere than sqrt(2 half radius).
+        most = np.sqrt(2 * half / group.of(hits.view.curvature))
+        footprints[group.part] = np.fmin(half / n_dot_v, most)
     return footprints
 
 
+def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
+    """Row, column and object: the pixels of a rectangle that an outline may cross.
+
+    Being convex, an object fills the pixels of a row whose upper and lower sides it covers.  Its
+    outline may cross the others in which it is seen.
+    """
+    lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
+    top, bottom = view.frames.top, view.frames.bottom
+    found: list[tuple[Ints, Ints, Floats, Floats]] = []
+    for shape in view.shapes:
+        between = columns.start, columns.stop
+        owner, row, left, right = Spans.of(shape, view, lines[:-1], between, height=1.0)
+        full, full_end = left, right
+        for line in (row, row + 1):
+            begin, end = shape.ends(view.raster, owner, lines[line], 0.0)
+            full, full_end = np.maximum(full, begin), np.minimum(full_end, end)
+        # Where a line just touches an object, rounding decides what that covers of it.
+        fills = (top[owner] < lines[row] - _TOUCHING) & (full < full_end)
+        fills &= bottom[owner] > lines[row + 1] + _TOUCHING
+        left, stop = np.floor(left), np.floor(right) + 1
+        full, full_end = (np.where(fills, m, stop) for m in (np.ceil(full), np.floor(full_end)))
+        full = np.clip(full, left, stop)
+        full_end = np.clip(full_end, full, stop)
+        found += [(row, owner, left, full), (row, owner, full_end, stop)]
+    row, owner, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
+    start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))
+    span, column = expand(stop - start, start)
+    return row[span] + rows.start, column, owner[span]
+
+
 def silhouettes(
-    view: View, cell: Ints, owner: Ints, x: Floats, y: Floats, size: float
+    view: View, apexes: Apexes, number: Ints, cell: Ints, owner: Ints, q: Triple
 ) -> Iterator[Margins]:
-    """Silhouettes of objects seen from the eye, in pairs of a cell and its object.
+    """Silhouettes of objects, given pairs (n,) of a cell and an object.
 
-    `x`, `y` (n,): the cells' middles in the picture, in pixels; `size`: their width.
+    `number` (n,): of the apex they are seen from; `q`: rays from there through the cells, three
+    (6, n).
     """
-    d = rays(view.raster, view.raster.across(x), view.raster.down(y), size)
-    zero = np.zeros(cell.size)
-    a, b, c = view.boxes.planes
-
-    def planes(at: Ints) -> Triple:
-        box = owner[at] - view.boxes.first
-        return a[:, box], b[:, box], c[:, box] / view.raster.depth
-
-    yield from _silhouettes(view, cell, owner, d, (zero, zero, zero), planes)
-
-
-def _silhouettes(
-    view: View, cell: Ints, owner: Ints, q: Triple, apex: Triple, planes: Callable[[Ints], Triple]
-) -> Iterator[Margins]:
-    """Silhouettes that objects show to rays `q` from an apex.
-
-    `planes`: the silhouettes' planes, three (6, m), of some of the pairs that are of boxes.
-    """
-    at = indices(owner < view.boxes.first)
+    spheres, boxes, (positions, local) = view.spheres, view.boxes, apexes
+    at = indices(owner < boxes.first)
     if at.size:
-        center = each(np.subtract, pick(view.spheres.local, owner[at]), pick(apex, at))
-        some, radius = each(lambda m: m[:, at], q), view.spheres.radius[owner[at]]
+        center = each(np.subtract, pick(spheres.local, owner[at]), columns(local, number[at]))
+        some, radius = each(lambda m: m[:, at], q), spheres.radius[owner[at]]
         yield cell[at], sphere_margins(some, center, radius)
-    at = indices(owner >= view.boxes.first)
+    at = indices(owner >= boxes.first)
     if at.size:
-        some = planes(at)
-        value = box_margins(some, each(lambda m: m[:, at], q))
+        # Planes are found once for each pair of an apex and a box.
+        pair = number[at] * boxes.count + owner[at] - boxes.first
+        pair, place = np.unique(pair, return_inverse=True)
+        which, box = np.divmod(pair, boxes.count)
+        low, high = (m[:, box] - positions.T[:, which] for m in (boxes.min_pt, boxes.max_pt))
+        planes = view.raster.vector_to_camera(silhouette_planes(low, high))
+        some = each(lambda m: m[:, at], q)
+        value = box_margins(each(lambda m: m[:, place], planes), some)
         most, middle = span(value), value[0]
         # An edge ends where the planes beside it begin.
         near = (np.abs(middle) <= most) & (middle >= -most).all(axis=0)
@@ -90,8 +116,7 @@ class Seen(NamedTuple):
     Attributes
     ----------
     hits : Visible
-    lights, local : (lights, 3)
-        Where the lights are: in the scene's axes, and in the camera's, seen from the eye.
+    apexes : Apexes
     sheets : Sheets
         The surfaces that are seen.
     cell : (n,)
@@ -103,8 +128,7 @@ class Seen(NamedTuple):
     """
 
     hits: Visible
-    lights: Floats
-    local: Floats
+    apexes: Apexes
     sheets: Sheets
     cell: Ints
     footprint: Floats
@@ -131,54 +155,38 @@ class Seen(NamedTuple):
 
     def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[Margins]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""
-        view, surfaces = self.hits.view, self.hits.view.surfaces
         d, inverse = self.rays(point)
-        apex = columns(self.local, light)
-        q = each(lambda d, place: d - place * inverse, d, apex)
-
-        def planes(at: Ints) -> Triple:
-            # Found once for each pair of a light and a box.
-            pair, place = np.unique(light[at] * len(surfaces) + occluder[at], return_inverse=True)
-            number, box = np.divmod(pair, len(surfaces))
-            box, position = box - surfaces.sphere_count, self.lights.T[:, number]
-            low, high = (m[:, box] - position for m in (view.boxes.min_pt, view.boxes.max_pt))
-            u, v, w = view.raster.vector_to_camera(silhouette_planes(low, high))
-            return u[:, place], v[:, place], w[:, place]
-
-        yield from _silhouettes(view, self.cell[point], occluder, q, apex, planes)
+        q = each(lambda d, place: d - place * inverse, d, columns(self.apexes[1], light))
+        cell = self.cell[point]
+        yield from silhouettes(self.hits.view, self.apexes, light, cell, occluder, q)
 
     def terminators(self, n_dot_l: Floats, length2: Floats) -> Iterator[Margins]:
         """Lines at which lights, and their highlights, begin on spheres: see `Incoming`."""
         view, own = self.hits.view, self.hits.own
         turn = self.footprint * view.curvature[own]
-        number, at = np.nonzero(n_dot_l**2 < turn * turn * length2)
+        light, at = np.nonzero(n_dot_l**2 < turn * turn * length2)
         d, inverse = self.rays(at)
-        center, light = pick(view.spheres.local, own[at]), columns(self.local, number)
+        center, apex = pick(view.spheres.local, own[at]), columns(self.apexes[1], light)
         # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
         n = each(lambda d, c: d - c * inverse, d, center)
-        to_light = each(lambda d, c: c * inverse - d, d, light)
+        to_light = each(lambda d, c: c * inverse - d, d, apex)
         yield self.cell[at], dot(n, to_light) / np.sqrt(dot(n, n) * dot(to_light, to_light))
 
     def creases(self) -> Iterator[Margins]:
         """Edges between faces of boxes that are both seen."""
         view, eye = self.hits.view, self.hits.view.raster.eye
-        for group in self.hits.groups:
-            if not group.flat:
+        ends = (view.boxes.min_pt, -1), (view.boxes.max_pt, 1)
+        for group, k, (corner, sign) in product(self.hits.groups, range(3), ends):
+            across_face = group.face != k
+            if not group.flat or not np.any(across_face):
                 continue
-            x, y, z = self.hits.p[:, group.part]
-            for k, axis in enumerate(view.raster.axes.T):
-                across_face = group.face != k
-                if not np.any(across_face):
-                    continue
-                height = view.raster.scene_component((x, y, z), k)
-                for corner, sign in ((view.boxes.min_pt, -1), (view.boxes.max_pt, 1)):
-                    level = corner[k, group.owner - view.boxes.first] - eye[k]
-                    shown = view.eye_inside[group.owner] | (sign * level < 0)
-                    level = group.spread(level)
-                    near = np.abs(height - level) < self.footprint[group.part]
-                    at = indices(near & across_face & group.spread(shown))
-                    if at.size:
-                        d, inverse = self.rays(group.part.start + at)
-                        u, v, w = axis
-                        value = inverse - dot((u, v, w), d) / select(level, at)
-                        yield self.cell[group.part][at], value
+            height = view.raster.scene_component(pick(self.hits.p, group.part), k)
+            level = corner[k, group.owner - view.boxes.first] - eye[k]
+            shown = view.eye_inside[group.owner] | (sign * level < 0)
+            level = group.spread(level)
+            near = np.abs(height - level) < self.footprint[group.part]
+            at = indices(near & across_face & group.spread(shown))
+            if at.size:
+                d, inverse = self.rays(group.part.start + at)
+                value = inverse - view.raster.scene_component(d, k) / select(level, at)
+                yield self.cell[group.part][at], value

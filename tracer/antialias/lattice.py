@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints
 from tracer.view.samples import Rows
+
+Places: TypeAlias = NDArray[np.complex128]
+"""Positions x + iy in cells."""
 
 # Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
 _GENERATORS = {5: 2, 13: 5, 25: 7}
@@ -17,23 +21,22 @@ _MORE = 2.5
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: its centre, or a square grid rotated by atan(1 / 2), say.
+    """Points of a pixel: a square grid, upright or rotated by atan(1 / 2), say.
 
-    Where edges follow the rows or columns of an upright grid, as those of boxes often do, they pass
-    a whole row of points at once; in most other directions all square grids do equally well.  In
-    this one few points of a pixel share a row or a column, and yet it repeats from pixel to
-    pixel: it is a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of
-    13 or 25 points, or one of five that is repeated `columns` times across the pixel and down.  A
-    quarter turn maps it onto itself, so what is smooth is averaged as well as by an upright grid.
-    Where all pixels have it (`samples`), every other row of them has its mirror image: an edge
-    along one of its own directions meets those in only half of the pixels.
+    Edges of boxes often follow the rows or columns of an upright grid, and pass a whole row of its
+    points at once.  Here few points share a row or a column, and yet all pixels can have the same:
+    a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of 13 or 25
+    points, or one of five that is repeated `columns` times across the pixel and down.  A quarter
+    turn maps it onto itself, so what is smooth is averaged as well as by an upright grid.  Where
+    all pixels have it (`samples`), every other row of them has its mirror image: an edge along one
+    of its own directions meets those in only half of the pixels.
 
     Attributes
     ----------
     columns : int
         Points in each row.
     rows : int
-        1 for the centre alone, else 13, 25 or 5 * `columns`.
+        13, 25 or 5 * `columns`; or, of an upright grid, as many as the columns.
     """
 
     columns: int
@@ -43,8 +46,8 @@ class Lattice(NamedTuple):
     def of(cls, per_side: int) -> Lattice:
         """A lattice that mostly errs less than an upright grid of per_side x per_side points.
 
-        As many points as the grid's are enough for the mean error of most pictures; more are for
-        the largest error, and for edges along the lattice's own directions.
+        For the mean error of most pictures it need not have more points: these are for the largest
+        error, and for edges along its own directions.
         """
         repeated = (cls(columns, 5 * columns) for columns in range(2, per_side + 1))
         lattices = (m for m in (cls(1, 13), cls(1, 25), *repeated) if m.size >= _MORE * per_side**2)
@@ -62,11 +65,13 @@ class Lattice(NamedTuple):
         y, x = (each.astype(np.float64) + 0.5 for each in (row, column))
         return Rows(y, x, self._shift(row))
 
-    def points(self) -> tuple[Floats, Floats]:
-        """x and y of the points, row by row, from -1/2 to 1/2 across the pixel."""
+    def points(self) -> Places:
+        """The points x + iy, row by row, from -1/2 to 1/2 across the pixel."""
         row, column = np.arange(self.rows), np.arange(self.columns)
         x = np.add.outer(self._shift(row), column + 0.5) / self.columns - 0.5
-        return x.ravel(), np.repeat((row + 0.5) / self.rows - 0.5, self.columns)
+        y = (row + 0.5) / self.rows - 0.5
+        points: Places = (x + 1j * y[:, None]).ravel()
+        return points
 
     def mean(self, radiance: Floats, width: int) -> Floats:
         """Mean (height, width, 3) over pixels of radiance (3, n) at all their `samples`."""

@@ -22,8 +22,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.lines import Lines
-from tracer.arrays import Floats, Ints, Triple, dot, each, indices, pick
+from tracer.arrays import Floats, Ints, Triple, dot, each, indices, pick, scaled
 from tracer.view.camera import Raster
 from tracer.view.view import Visible
 
@@ -36,7 +35,44 @@ _Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
 # A line that turns by less (in radians) across a cell can stand for what bends there.  It passes
 # for straight if it turns by less than `_TURN` times the tolerance.  Found by trial.
-_MOST_TURN, _TURN = 0.5, 400.0
+_MOST_TURN, _TURN = 0.5, 500.0
+
+
+class Lines(NamedTuple):
+    """Lines c + a x + b y = 0 across cells.
+
+    Attributes
+    ----------
+    cell : (n,)
+        The cell that each lies in.
+    a, b, c : (n,)
+        So scaled that |a x + b y| is at most 1 in the cell, with a >= 0, or b > 0 if a is 0.
+    """
+
+    cell: Ints
+    a: Floats
+    b: Floats
+    c: Floats
+
+    def take(self, index: Ints | slice) -> Lines:
+        """Some of them."""
+        return Lines._make(m[index] for m in self)
+
+    def distinct(self, same: float) -> Lines:
+        """Sort them by cell; of lines that are the same keep only the first, by a, b and c.
+
+        So the order in which they were found changes nothing.  Lines whose a, b and c differ by no
+        more than `same` in sum count as one: a light near the eye throws shadows right behind
+        silhouettes.
+        """
+        lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
+        one, other = (lines.take(part) for part in (slice(1, None), slice(-1)))
+        # A line and its negative are the same.
+        sign = np.where(one.a * other.a + one.b * other.b < 0, -1.0, 1.0)
+        off = sum(np.abs(sign * m - n) for m, n in zip(one[1:], other[1:], strict=True))
+        kept = np.ones(lines.cell.size, dtype=np.bool_)
+        kept[1:] = (one.cell != other.cell) | (off > same)
+        return lines.take(indices(kept))
 
 
 def rays(raster: Raster, s: Floats, g: Floats, size: float) -> Triple:
@@ -90,10 +126,12 @@ def fitted(margins: Iterable[Margins], tolerance: float) -> tuple[Lines, Ints]:
     c -= a * x + b * y
     steep = a * a + b * b
     sag = (b * b * xx - 2 * a * b * xy + a * a * yy) / steep
-    lines = Lines(cell, a, b, c + sag / 24)
+    reach = 0.5 * (np.abs(a) + np.abs(b))
+    sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
+    lines = Lines(cell, *scaled((a, b, c + sag / 24), sign / reach))
     # Where the slope changes as much as that, the far side of what is small may be in the cell too.
     turn = np.maximum(np.abs(sag), np.abs(bend)) / np.sqrt(steep)
-    straight, crosses = turn <= _MOST_TURN, np.abs(lines.c) < lines.reach()
+    straight, crosses = turn <= _MOST_TURN, np.abs(lines.c) < 1
     # Arcs may cross cells that their tangents miss; NaN rules nothing out.
     near = np.where(straight, crosses, ~(np.abs(middle) > 1))
     curved = near & ~(turn <= min(_TURN * tolerance, _MOST_TURN))
@@ -125,16 +163,14 @@ class Sheets(NamedTuple):
         k, w = np.empty(hits.p.shape), np.zeros(hits.p.shape[1])
         for group in hits.groups:
             part = group.part
-            power = None if group.flat else group.of(spheres.power)
-            if power is None or not np.all(power):
-                # Also where the eye is on a sphere: the plane that touches it where it is seen.
-                for out, n in zip(k, group.n, strict=True):
-                    out[part] = n / -group.height
-            if power is not None:
-                curved = power != 0
-                w[part] = np.where(curved, 1 / power, 0)
+            # Also where the eye is on a sphere: the plane that touches it where it is seen.
+            for out, n in zip(k, group.n, strict=True):
+                out[part] = n / -group.height
+            if not group.flat:
+                power = group.of(spheres.power)
+                w[part] = np.where(power != 0, 1 / power, 0)
                 for out, center in zip(k, spheres.local, strict=True):
-                    np.divide(group.of(center), power, out=out[part], where=curved)
+                    np.divide(group.of(center), power, out=out[part], where=power != 0)
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> Sheets:

@@ -16,14 +16,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, Classification, classify, radiance_in
-from tracer.antialias.crossings import crossed
-from tracer.antialias.curvature import curvature, extrapolated
+from tracer.antialias.classify import Cells, Classification, classify, curvature, extrapolated
+from tracer.antialias.edges import crossed
 from tracer.antialias.lattice import CENTRES, Lattice
-from tracer.antialias.lines import Lines
+from tracer.antialias.margins import Lines
 from tracer.antialias.regions import mixed, stratified
 from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
-from tracer.light.lighting import Lighting
+from tracer.light.lighting import Lighting, radiance_at
 from tracer.view.samples import Scattered
 from tracer.view.view import View
 
@@ -32,24 +31,23 @@ _CHUNK = 1 << 16
 
 # A cell is split where its correction for curvature may err by more than this, in radiance, over
 # the power 3/2 of the samples along each side: so fast the error of grids falls.
-_CURVATURE = 1e-2
+_CURVATURE = 8e-3
 
 # Cells in which the grid asked for has no more samples along each side than this are not split any
-# more, but sampled: classification would cost more than the samples it saves.
+# more, but sampled: classification would cost more than the samples it saves.  Where it has no
+# more than twice as many, they are split only if they may hold more than straight lines.
 _LAST = 3
 
-# Lattices for cells with straight lines: in pixels that are not split, in cells that might be split
-# again, and in the last cells, unless the correction for curvature may err by more than `_BENT`
-# times the tolerance there.  The second lattice for the last cells is as good as such a grid.
-_IN_PIXELS, _IN_CELLS, _IN_LAST = Lattice(1, 5), Lattice(1, 25), Lattice(1, 13)
-_BENT, _FINER = 8.0, 4
+# How many points of the first lattice stand for pixels and for parts of them that are not split,
+# and for cells that might be split; and the grid whose lattice is the second for these parts.
+_IN_PIXELS, _IN_PARTS, _IN_CELLS, _FINER = 5, 13, 25, 5
 
 # With more pairs of silhouettes in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than classification.
 _DENSE = 0.006
 
 # Lines in a cell that differ by no more than this, times the tolerance, count as one.
-_SAME = 6.0
+_SAME = 8.0
 
 # Of the lines in a cell, this many divide it into regions; the others are left to its samples.
 _LINES = 4
@@ -61,11 +59,6 @@ def dense(view: View, per_side: int) -> bool:
     Either way they are to be as accurate as per_side x per_side samples in every pixel.
     """
     return view.frames.pairs_in_pixel(view.raster) > _DENSE * per_side**2
-
-
-def splittings(per_side: int) -> int:
-    """How many times over pixels are split into quarters, where they need it."""
-    return 0 if per_side <= _LAST else 1 + splittings((per_side + 1) // 2)
 
 
 def antialiased(
@@ -93,10 +86,10 @@ def antialiased(
     pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.at(every), pixel, owner)
     found = classify(lighting, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
-    smooth += found.radiance
-    inside = np.zeros((height, width), dtype=np.bool_)
-    inside[1:-1, 1:-1] = True
-    mean = _refined(lighting, pixels, found, smooth, error, per_side, inside.ravel())
+    rim = np.pad(np.zeros((height - 2, width - 2), dtype=np.bool_), 1, constant_values=True).ravel()
+    error[rim], found.unresolved[rim] = 0, False
+    found = found._replace(lines=found.lines.take(indices(~rim[found.lines.cell])))
+    mean = _refined(lighting, pixels, found, smooth, error, per_side)
     np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2, out=out)
 
 
@@ -107,7 +100,6 @@ def _refined(
     smooth: Floats,
     error: Floats,
     per_side: int,
-    wanted: Bools,
 ) -> Floats:
     """Mean radiance (3, n) of cells.
 
@@ -120,33 +112,24 @@ def _refined(
         By how much it may be off; NaN if only the cell's parts can tell.
     per_side : int
         Samples along a cell's side in the grid asked for.
-    wanted : (n,)
-        Where means are of interest.
     """
-    lines = found.lines.take(indices(wanted[found.lines.cell])).distinct(_SAME * cells.tolerance)
-    first, count = equal_runs(lines.cell)
-    divided, straight = np.zeros((2, error.size), dtype=np.bool_)
+    lines = found.lines.distinct(_SAME * cells.tolerance)
+    lines = lines.take(indices(ranges(0, equal_runs(lines.cell)[1]) < _LINES))
+    divided = np.zeros(error.size, dtype=np.bool_)
     divided[lines.cell] = True
-    straight[lines.cell[first[count == 1]]] = True
-    straight &= ~(found.unresolved | (error > cells.tolerance))
-    rest = (divided | found.unresolved | ~(error <= cells.tolerance)) & wanted
-    lines = lines.take(indices(ranges(0, count) < _LINES))
-    last, whole = per_side <= _LAST, cells.size == 1
-    mean = smooth
-    if last or (per_side <= 2 * _LAST and not whole):
-        lattice = _IN_PIXELS if whole else _IN_LAST if last else _IN_CELLS
-        gentle = straight if whole or not last else ~(error > _BENT * cells.tolerance)
-        some = indices(rest & gentle)
-        means, coarse, alike = _sampled(lighting, cells, lines, some, lattice, found.id)
-        # A hidden line divides nothing: there the smooth mean is better.
-        alike &= straight[some] & (error[some] <= cells.tolerance)
-        kept = indices(~(coarse | alike))
-        mean[:, some[kept]] = means[:, kept]
-        rest[some[~coarse]] = False
+    last, whole, mean = per_side <= _LAST, cells.size == 1, smooth
+    rest = divided | found.unresolved | ~(error <= cells.tolerance)
+    if per_side <= 2 * _LAST:
+        straight = divided & ~(found.unresolved | (error > cells.tolerance))
+        some = indices(rest if last and not whole else straight)
+        lattice = Lattice(1, _IN_CELLS if not last else _IN_PIXELS if whole else _IN_PARTS)
+        means, coarse = _sampled(lighting, cells, lines, some, lattice)
+        some = some[~coarse]
+        mean[:, some], rest[some] = means[:, ~coarse], False
     some = indices(rest)
     if last:
         lattice = Lattice.of(per_side if whole else _FINER)
-        mean[:, some], *_ = _sampled(lighting, cells, lines, some, lattice, found.id)
+        mean[:, some], _ = _sampled(lighting, cells, lines, some, lattice)
         return mean
     for part in _chunks(lighting, some, 4):
         mean[:, part] = _split(lighting, cells, found, error, per_side, part)
@@ -161,39 +144,26 @@ def _chunks(lighting: Lighting, some: Ints, samples: int) -> Iterator[Ints]:
 
 
 def _sampled(
-    lighting: Lighting,
-    cells: Cells,
-    lines: Lines,
-    some: Ints,
-    lattice: Lattice,
-    middle: Ints,
-) -> tuple[Floats, Bools, Bools]:
-    """Mean radiance (3, n) of some cells by a lattice of samples.
+    lighting: Lighting, cells: Cells, lines: Lines, some: Ints, lattice: Lattice
+) -> tuple[Floats, Bools]:
+    """Mean radiance (3, n) of some cells by a lattice of samples, and where that is too coarse.
 
-    `lines`, `middle`: of all cells, sorted, and the ids that their middles see.  Also returned are
-    the cells for which the lattice is too coarse, and those in which all points see the same as
-    the middle.
+    `lines`: of all cells, sorted.
     """
-    x, y = lattice.points()
-    means = np.empty((3, some.size))
-    coarse, other = np.zeros((2, some.size), dtype=np.bool_)
-    place = np.full(cells.x.size, -1)
-    place[some] = np.arange(some.size)
-    lines = lines.take(indices(place[lines.cell] >= 0))
-    lines = lines._replace(cell=place[lines.cell])
+    means, coarse = np.empty((3, some.size)), np.zeros(some.size, dtype=np.bool_)
     for part in _chunks(lighting, np.arange(some.size), lattice.size):
-        begin, count = part[0], part.size
-        between = slice(*lines.cell.searchsorted([begin, begin + count]))
-        here = lines.take(between)
-        points = stratified(here._replace(cell=here.cell - begin), count, x, y)
-        cell = some[points.cell + begin]
-        radiance, ids = radiance_in(lighting, *cells.at(cell, points.x, points.y))
+        place = np.full(cells.x.size, -1)
+        place[some[part]] = np.arange(part.size)
+        here = lines.take(indices(place[lines.cell] >= 0))
+        points = stratified(here._replace(cell=place[here.cell]), part.size, lattice.points())
+        samples, order = Scattered.of(*cells.at(some[part][points.cell], points.place))
+        cell, region, ids = points.cell[order], points.region[order], np.full(order.size, -1)
+        radiance = radiance_at(lighting, samples, ids=ids)
         for channel, values in zip(means, radiance, strict=True):
-            channel[part] = np.bincount(points.cell, points.weight * values, minlength=count)
+            channel[part] = np.bincount(cell, points.weight[order] * values, part.size)
         # What differs between the same lines shows that an edge has not been found.
-        coarse[points.cell[mixed(points.region, ids)] + begin] = True
-        other[points.cell[ids != middle[cell]] + begin] = True
-    return means, coarse, ~other
+        coarse[part[cell[mixed(region, ids)]]] = True
+    return means, coarse
 
 
 def _split(
@@ -206,20 +176,16 @@ def _split(
 ) -> Floats:
     """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
     quarters, inside = cells.quarters(some), some.repeat(4)
-    samples, order = Scattered.of(quarters.x, quarters.y)
-    closer = classify(lighting, quarters, samples, order)
-    smooth, finer = extrapolated(
-        found.radiance[:, some], found.id[some], closer.radiance, closer.id
-    )
-    smooth += closer.radiance
-    error = error[inside] / 4
+    closer = classify(lighting, quarters, *Scattered.of(quarters.x, quarters.y))
+    smooth, finer = extrapolated(found.radiance[:, some], found.id[some], closer)
+    # The error falls as the square of the size; or next to an edge, towards which light may fall
+    # off as a square root does, more slowly.
+    error = error[inside] / np.where(np.isnan(finer), 2, 4)
     # What the whole says of one surface does not hold for a quarter that sees another one.
     elsewhere = (closer.id != found.id[inside]) & (closer.id >= 0)
     error[elsewhere & (error <= cells.tolerance)] = np.nan
     # What was not known of the whole (NaN), the quarters tell.
     error = np.fmax(error, finer)
-    every = np.ones(inside.size, dtype=np.bool_)
-    per_side = max((per_side + 1) // 2, _LAST)
-    mean = _refined(lighting, quarters, closer, smooth, error, per_side, every)
+    mean = _refined(lighting, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
     quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
     return quartered

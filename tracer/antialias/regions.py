@@ -4,7 +4,7 @@ Points are spread evenly over a cell.  Those in one region together stand for it
 (post-stratification: Cochran, Sampling Techniques, 1977, ch. 5A), with weights that make their
 centroid the region's, so that the mean of what changes linearly across it is exact as well.
 Lines are taken to run right across their cells: where one in truth ends within, two regions are
-told apart that are one, which does no harm.
+told apart that are one, which does no harm.  All positions are complex numbers, x + iy.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.lines import Lines
-from tracer.arrays import Bools, Floats, Ints, equal_runs, indices
+from tracer.antialias.lattice import Places
+from tracer.antialias.margins import Lines
+from tracer.arrays import Bools, Floats, Ints, indices
 
 # Areas no larger than this part of a cell are left out.
 _NOTHING = 1e-9
@@ -30,83 +31,39 @@ class Points(NamedTuple):
     Attributes
     ----------
     cell : (n,)
+    place : (n,)
+        Where they are in their cells, from -1/2 to 1/2.
     weight : (n,)
         The part of the cell's area that each stands for; less than zero for a few.
-    x, y : (n,)
-        Where they are in their cells, from -1/2 to 1/2.
     region : (n,)
         A number for the region that each lies in, of all cells.
     """
 
     cell: Ints
+    place: Places
     weight: Floats
-    x: Floats
-    y: Floats
     region: Ints
 
 
-def stratified(lines: Lines, count: int, x: Floats, y: Floats) -> Points:
+def stratified(lines: Lines, count: int, points: Places) -> Points:
     """The same points in so many cells, cell after cell, given lines sorted by cell.
 
-    A region that holds too few of them has one in its middle instead: these come last.
+    A region that holds too few of them has the centroids of its triangles instead: these come last.
     """
-    first, number_of = equal_runs(lines.cell)
-    bits = int(number_of.max(initial=0))
-    # A region's code has a bit for each line, set on the side where c + a x + b y < 0.
-    code = np.repeat(np.arange(count)[:, None] << bits, x.size, axis=1)
-    crossed = lines.cell[first]
-    polygons = _Polygons.squares(first.size)
-    for number in range(bits):
-        some = indices(number_of > number)
-        line = (first + number)[some, None]
-        z = lines.a[line] * x + lines.b[line] * y + lines.c[line]
-        code[crossed[some]] |= (z < 0) << number
-        polygons = polygons.divided(lines, first + number, number_of > number, number)
-    area, middle_x, middle_y = polygons.centroids()
-    place = crossed[polygons.cell]
-    region = polygons.code + (place << bits)
-    weight, own = np.full((count, x.size), 1 / x.size), code[crossed]
-    wanted = np.zeros((3, count << bits))
-    wanted[:, region] = area, middle_x, middle_y
-    weights, enough = _weights(own.ravel(), wanted, x, y)
-    weight[crossed] = weights.reshape(own.shape)
-    lone = indices(~enough[region] & (area > _NOTHING))
-    return Points(
-        np.append(np.arange(count).repeat(x.size), place[lone]),
-        np.append(weight, area[lone]),
-        np.append(np.tile(x, count), middle_x[lone]),
-        np.append(np.tile(y, count), middle_y[lone]),
-        np.append(code, region[lone]),
-    )
-
-
-def _weights(region: Ints, wanted: Floats, x: Floats, y: Floats) -> tuple[Floats, Bools]:
-    """Weights (n,) of points, cell after cell, and which regions (m,) they are enough for.
-
-    `wanted` (3, m): the area of each region, and its centroid.
-
-    A weight is w (1 + t . (p - q)), with w = area / points, the point p and their mean q.  With
-    their covariance S, the weighted mean is q + S t: t = S^-1 (centroid - q) makes it the centroid.
-    """
-    x, y = (np.tile(m, region.size // m.size) for m in (x, y))
-    area, middle_x, middle_y = wanted
-    points = np.maximum(np.bincount(region, minlength=area.size), 1)
-
-    def mean(values: Floats) -> Floats:
-        means: Floats = np.bincount(region, values, minlength=area.size) / points
-        return means
-
-    q_x, q_y = mean(x), mean(y)
-    x, y = x - q_x[region], y - q_y[region]
-    xx, xy, yy = mean(x * x), mean(x * y), mean(y * y)
-    determinant = xx * yy - xy * xy
-    enough: Bools = determinant > _SPREAD
-    off_x, off_y = middle_x - q_x, middle_y - q_y
-    w = np.where(enough, area / points, 0)
-    scale = w / np.where(enough, determinant, 1)
-    t_x, t_y = scale * (yy * off_x - xy * off_y), scale * (xx * off_y - xy * off_x)
-    weights: Floats = w[region] + t_x[region] * x + t_y[region] * y
-    return weights, enough
+    cell, first = np.arange(count), lines.cell.searchsorted(np.arange(count + 1))
+    bits = int(np.diff(first).max(initial=0))
+    # A region's number has a bit for each line of its cell, set where that is above zero.
+    place: Places = np.repeat(points[:, None], count, axis=1)
+    region = np.repeat(cell[None] << bits, points.size, axis=0)
+    for bit in range(bits):
+        some, z = _values(lines, first, bit, cell, place)
+        region[:, some] |= (z > 0) << bit
+    place, region = place.T.ravel(), region.T.ravel()
+    triangles = _triangles(lines, first, bits)
+    weight, enough = _weights(place, region, triangles, count << bits)
+    lone = indices(~enough[triangles.region] & (triangles.weight > _NOTHING))
+    spread = Points(cell.repeat(points.size), place, weight, region)
+    return Points(*(np.append(m, n[lone]) for m, n in zip(spread, triangles, strict=True)))
 
 
 def mixed(region: Ints, ids: Ints) -> Ints:
@@ -116,82 +73,66 @@ def mixed(region: Ints, ids: Ints) -> Ints:
     return indices(any_id[region] != ids)
 
 
-class _Polygons(NamedTuple):
-    """Convex polygons: regions of cells.
+def _values(lines: Lines, first: Ints, bit: int, cell: Ints, place: Places) -> tuple[Ints, Floats]:
+    """Which of some cells (n,) have a line of that number, and its values at places (m, n) there.
 
-    Attributes
-    ----------
-    cell : (n,)
-        Which of the cells that lines cross, in their order.
-    code : (n,)
-        A bit for each line that divides the cell: set on the side where it is less than zero.
-    x, y : (n, vertices)
-        Vertices in order around each; where there are fewer, the last is repeated.
+    `first` (cells + 1,): where the lines of each cell begin.
+    """
+    line = first[cell] + bit
+    some = indices(line < first[cell + 1])
+    here, at = lines.take(line[some]), place[:, some]
+    return some, here.a * at.real + here.b * at.imag + here.c
+
+
+def _triangles(lines: Lines, first: Ints, bits: int) -> Points:
+    """Triangles that lines cut cells into: their centroids, weighed by their areas."""
+    cell = np.arange(first.size - 1).repeat(2)
+    region = cell << bits
+    square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+    corner: Places = np.tile(square[[[0, 0], [1, 2], [2, 3]]], first.size - 1)
+    for bit in range(bits):
+        some, z = _values(lines, first, bit, cell, corner)
+        above = z > 0
+        count = above.sum(axis=0)
+        region[some[count == 3]] |= 1 << bit
+        cut = indices((count == 1) | (count == 2))
+        # Turned so that the first corner is the one that is alone on its side.
+        alone, some = count[cut] == 1, some[cut]
+        turned = (np.argmax(above[:, cut] == alone, axis=0) + np.arange(3)[:, None]) % 3
+        (a, b, c), (z_a, z_b, z_c) = corner[turned, some], z[turned, cut]
+        p, q = a + z_a / (z_a - z_b) * (b - a), a + z_a / (z_a - z_c) * (c - a)
+        corner[:, some] = a, p, q
+        corner = np.concatenate([corner, (p, b, c), (p, c, q)], axis=1)
+        below = region[some]
+        region[some] = below | alone << bit
+        region = np.concatenate([region, *[below | ~alone << bit] * 2])
+        cell = np.concatenate([cell, cell[some], cell[some]])
+    one, two = corner[1] - corner[0], corner[2] - corner[0]
+    # No product of complex numbers, which NumPy rounds in another way at an array's end.
+    area = np.abs(one.real * two.imag - one.imag * two.real) / 2
+    return Points(cell, corner.sum(axis=0) / 3, area, region)
+
+
+def _weights(place: Places, region: Ints, triangles: Points, count: int) -> tuple[Floats, Bools]:
+    """Weights (n,) of points in regions (n,), and which regions (count,) they are enough for.
+
+    A weight is w (1 + t . (p - q)), with w = area / points, the point p and their mean q.  With
+    their covariance S, the weighted mean is q + S t: t = S^-1 (centroid - q) makes it the centroid.
     """
 
-    cell: Ints
-    code: Ints
-    x: Floats
-    y: Floats
+    def total(regions: Ints, values: Floats) -> Floats:
+        return np.bincount(regions, values, minlength=count).astype(np.float64, copy=False)
 
-    @classmethod
-    def squares(cls, count: int) -> _Polygons:
-        """Whole cells, this many."""
-        square = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5]])
-        x, y = square[:, None].repeat(count, axis=1)
-        return cls(np.arange(count), np.zeros(count, dtype=np.intp), x, y)
-
-    def take(self, index: Ints) -> _Polygons:
-        """Some of them."""
-        return _Polygons._make(m[index] for m in self)
-
-    def divided(self, lines: Lines, line: Ints, crossed: Bools, number: int) -> _Polygons:
-        """The parts on either side of one line in each cell, where `crossed`; the others whole.
-
-        `line`, `crossed` (cells,): which line, and whether there is one; `number`: its bit.
-        """
-        rest = self.take(indices(~crossed[self.cell]))
-        whole = self.take(indices(crossed[self.cell]))
-        a, b, c = (m[line[whole.cell], None] for m in (lines.a, lines.b, lines.c))
-        z = a * whole.x + b * whole.y + c
-        parts = [whole.clipped(z), whole._replace(code=whole.code | 1 << number).clipped(-z)]
-        # Whole polygons get one vertex more, as their clipped fellows have.
-        x, y = (np.append(m, m[:, -1:], axis=1) for m in (rest.x, rest.y))
-        parts.append(rest._replace(x=x, y=y))
-        return _Polygons._make(map(np.concatenate, zip(*parts, strict=True)))
-
-    def clipped(self, z: Floats) -> _Polygons:
-        """What is left where a linear z, given at the vertices (n, vertices), is above zero.
-
-        Sutherland and Hodgman, Reentrant polygon clipping, 1974.  The arrays get one vertex more.
-        """
-        inside, after = z > 0, np.arange(1, z.shape[1] + 1) % z.shape[1]
-        crossing = inside != inside[:, after]
-        part = np.where(crossing, z / (z - z[:, after]), 0)
-        # By turns each vertex, and the crossing on the way to the next, if they are kept.
-        kept = np.stack([inside, crossing], axis=2).reshape(len(z), -1)
-        count = kept.sum(axis=1)
-        some = indices(count)
-        first = (count.cumsum() - count)[some, None]
-        last = np.minimum(np.arange(z.shape[1] + 1), count[some, None] - 1)
-        place = indices(kept)[first + last]
-        corners = []
-        for m in (self.x, self.y):
-            new = m + part * (m[:, after] - m)
-            corners.append(np.stack([m, new], axis=2).ravel()[place])
-        return _Polygons(self.cell[some], self.code[some], corners[0], corners[1])
-
-    def centroids(self) -> tuple[Floats, Floats, Floats]:
-        """Areas (n,), and the centroids' x and y: the shoelace formula, from the first vertex."""
-        # Summed vertex by vertex: a repeated one adds exactly nothing, so no bit of a result
-        # depends on how many vertices other polygons have.
-        x0, y0 = self.x[:, 0], self.y[:, 0]
-        x, y = (self.x - x0[:, None]).T, (self.y - y0[:, None]).T
-        double, moment_x, moment_y = np.zeros((3, x0.size))
-        for k in range(1, len(x) - 1):
-            cross = x[k] * y[k + 1] - x[k + 1] * y[k]
-            double += cross
-            moment_x += (x[k] + x[k + 1]) * cross
-            moment_y += (y[k] + y[k + 1]) * cross
-        triple = 3 * np.maximum(double, _NOTHING**2)
-        return double / 2, x0 + moment_x / triple, y0 + moment_y / triple
+    points = np.maximum(np.bincount(region, minlength=count), 1)
+    area = total(triangles.region, triangles.weight)
+    q_x, q_y = total(region, place.real) / points, total(region, place.imag) / points
+    x, y = place.real - q_x[region], place.imag - q_y[region]
+    xx, xy, yy = (total(region, m) / points for m in (x * x, x * y, y * y))
+    determinant = xx * yy - xy * xy
+    enough: Bools = determinant > _SPREAD
+    off_x = total(triangles.region, triangles.weight * triangles.place.real) - area * q_x
+    off_y = total(triangles.region, triangles.weight * triangles.place.imag) - area * q_y
+    divisor = np.where(enough, points * determinant, np.inf)
+    t_x, t_y = (yy * off_x - xy * off_y) / divisor, (xx * off_y - xy * off_x) / divisor
+    weights = np.where(enough, area / points, 0)[region] + t_x[region] * x + t_y[region] * y
+    return weights, enough
