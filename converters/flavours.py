@@ -108,15 +108,14 @@ def _film(scene: Scene) -> str:
 
 def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[str]:
     """All surfaces in file order; `names` are those of the shaders' BSDFs."""
-    surfaces, refs = scene.surfaces, [element(f'ref id="{name}"') for name in names]
-    low, high = place(surfaces.min_pt), place(surfaces.max_pt)
+    surfaces = scene.surfaces
     half = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
     # A cube of no thickness has no inverse transform.
     half[half == 0] = _THINNEST * np.abs(place(bounds(surfaces))).max()
     balls = place(surfaces.center).tolist(), (surfaces.radius * place.scale).tolist()
     # Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved.
-    cubes = half.tolist(), ((low + high) / 2).tolist()
-    bsdfs = [refs[shader] for shader in surfaces.shader_index.tolist()]
+    cubes = half.tolist(), ((place(surfaces.min_pt) + place(surfaces.max_pt)) / 2).tolist()
+    bsdfs = [element(f'ref id="{names[k]}"') for k in surfaces.shader_index.tolist()]
     shapes = [
         plugin("shape", "sphere", xyz("point", "center", center), bsdf, radius=radius)
         for center, radius, bsdf in zip(*balls, bsdfs[: len(balls[0])], strict=True)

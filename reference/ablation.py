@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 
 from reference.command import SCENES, run
-from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page
+from reference.measurements import Ratio, Table, Timing, interleaved, measure_page
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd, resized, rods
 from tracer import Scene, load_scene, render
@@ -132,18 +132,16 @@ def _table(
     rows: list[list[object]] = [[part.name] for part in every]
     header = ["change"]
     for name, scene in scenes.items():
-        tasks: dict[int, Task] = {
-            row: partial(_render, scene, part, samples) for row, part in enumerate(every)
-        }
-        spent = interleaved(tasks, 1 if quick else _ROUNDS)
-        truth = Truth.of(scene, truth_side(quick)) if samples > 1 else None
-        header += [name, "RMSE"] if truth else [name]
-        for k, part in enumerate(every):
-            # The fastest: other work of the machine only ever adds to a time.
-            low = spent[k].low
-            rows[k].append(Ratio(low / spent[0].low) if k else Timing(low, low, low))
-            if truth:
-                rows[k].append(f"{truth.error(_render(scene, part, samples)):.6f}")
+        # The fastest: other work of the machine only ever adds to a time.
+        tasks = {part.name: partial(_render, scene, part, samples) for part in every}
+        timings = interleaved(tasks, 1 if quick else _ROUNDS).values()
+        first, *others = (timing.low for timing in timings)
+        columns = [[Timing(first, first, first), *(Ratio(low / first) for low in others)]]
+        if samples > 1:
+            truth = Truth.of(scene, truth_side(quick))
+            columns.append([f"{truth.error(task()):.6f}" for task in tasks.values()])
+        header += (name, "RMSE")[: len(columns)]
+        rows = [[*row, *cells] for row, *cells in zip(rows, *columns, strict=True)]
     note = (
         f"Milliseconds with all parts, in the fastest of {_ROUNDS} rounds; then how many times as"
         " long it takes with a change."

@@ -8,7 +8,7 @@ import platform
 import re
 import shlex
 import subprocess
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
@@ -77,7 +77,7 @@ class Ratio(float):
 
 
 def interleaved(
-    tasks: dict[_Name, Task], rounds: int, *, enough: float = _ENOUGH
+    tasks: Mapping[_Name, Task], rounds: int, *, enough: float = _ENOUGH
 ) -> dict[_Name, Timing]:
     """Time tasks in turns, each after a run to warm up: a round runs each once, after a pause.
 

@@ -31,13 +31,12 @@ from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, to_codes
 
-__all__ = ["Point", "lead", "main", "measure"]
+__all__ = ["Point", "main", "measure"]
 
 Floats: TypeAlias = NDArray[np.float64]
 
 _OURS, _POVRAY = "this tracer", "POV-Ray adaptive"
 _SAMPLERS = {"Mitsuba independent": "independent", "Mitsuba multijitter": "multijitter"}
-_RIVALS = {_POVRAY, *_SAMPLERS}
 _LOOK_OF = {
     _OURS: "tracer",
     "uniform grid": "a",
@@ -53,8 +52,8 @@ _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 # Seconds for a picture: the next one, with four times the samples, would take too long.
 _LONG = 0.7
 
-# The error at which times are compared: that of rounding to 8 bits, about.
-_LEVEL = 1e-3
+# About the error of rounding to 8 bits.
+_EIGHT_BITS = 1e-3
 
 
 class Point(NamedTuple):
@@ -126,21 +125,6 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
         tasks.clear()  # so that Mitsuba's scene goes before the next comes
 
 
-def lead(points: Sequence[Point]) -> tuple[float, float] | None:
-    """Seconds to an error of `_LEVEL`, for this tracer and for the fastest of its rivals.
-
-    Rivals take any number of samples, so they reach it between two points of their curves; this
-    tracer takes squares, and has to render the next picture of its curve that is as good.
-    """
-    ours = [p.seconds for p in points if p.method == _OURS and p.error <= _LEVEL]
-    theirs = []
-    for method in _RIVALS:
-        curve = sorted((p.error, p.seconds) for p in points if p.method == method)
-        if curve and curve[0][0] <= _LEVEL:
-            theirs.append(np.exp(np.interp(np.log(_LEVEL), *np.log(curve).T)))
-    return (min(ours), float(min(theirs))) if ours and theirs else None
-
-
 def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """A panel for each scene; the names of the curves stand in the last one."""
     figure, grid = plt.subplots(2, 3, figsize=(13, 8.6), sharex=True, sharey=True)
@@ -158,7 +142,7 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
         inset.imshow(to_codes(render(small, 16)))
         inset.axis("off")
     first, last = grid.flat[0], grid.flat[-1]
-    first.set_xlim(left=0.25 * min(point.seconds for point in points))
+    first.set_xlim(left=0.5 * min(point.seconds for point in points))
     first.xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
     last.axis("off")
     last.legend(*first.get_legend_handles_labels(), loc="center", fontsize=12)
@@ -168,15 +152,14 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
         figure,
         "Time against error: lower left is better",
         "Rendering alone. Error: root mean square in linear radiance. Points: 1, 4, 16, ... samples"
-        " a pixel (this tracer: 9, 36, ... too), or POV-Ray's thresholds.\nArrows: from the fastest"
-        " of Mitsuba and POV-Ray to this tracer, near the error of rounding to 8 bits.",
+        " a pixel (this tracer: 9, 36, ... too), or POV-Ray's thresholds.",
     )
-    figure.subplots_adjust(0.06, 0.08, 0.99, 0.84, wspace=0.06, hspace=0.2)
+    figure.subplots_adjust(0.06, 0.08, 0.99, 0.86, wspace=0.06, hspace=0.2)
     return figure
 
 
 def _panel(axes: Any, points: Sequence[Point]) -> None:
-    """Draw the curves of one scene, and an arrow for this tracer's lead."""
+    """Draw the curves of one scene."""
     curves: dict[str, dict[float, float]] = defaultdict(dict)
     for point in sorted(points, key=lambda point: point.samples):
         # Two numbers of samples that make the same picture are one point.
@@ -185,15 +168,7 @@ def _panel(axes: Any, points: Sequence[Point]) -> None:
         # This tracer cannot take what lies between two of its points.
         look = {"drawstyle": "steps-post" if method == _OURS else "default", "label": method}
         axes.loglog(curve.values(), curve.keys(), **look, **LOOKS[_LOOK_OF[method]])
-    if times := lead(points):
-        ours, theirs = times
-        arrow = {"arrowstyle": "-|>", "color": "#333333", "lw": 1.4, "shrinkA": 0}
-        axes.annotate("", (ours, _LEVEL), (theirs, _LEVEL), arrowprops=arrow, zorder=6)
-        ratio = theirs / ours
-        words = f"{ratio:.1f}× faster" if ratio >= 1 else f"{1 / ratio:.1f}× slower"
-        # To the lower left, where few curves are.
-        place = {"xytext": (-14, -11), "textcoords": "offset points", "ha": "right", "va": "center"}
-        axes.annotate(words, (min(times), _LEVEL), **place, weight="bold", zorder=8)
+    axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:

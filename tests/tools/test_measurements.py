@@ -19,7 +19,6 @@ from converters.variant import LLVM, use
 from reference import ablation, benchmark, command, measurements, speed_accuracy
 from reference.benchmark import growth_exponent
 from reference.measurements import Ratio, Table, Timing, interleaved, measured_on, write_tables
-from reference.speed_accuracy import Point, lead
 from reference.truth import Truth, truth_side
 from reference.workloads import crowd
 from tracer import render
@@ -96,22 +95,6 @@ def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.P
     error = np.abs(other - picture)
     assert 0 < error.max() < 0.25  # of the contrast of an edge that is not found
     assert np.sqrt((error**2).mean()) < 0.012
-
-
-def test_the_lead_is_over_the_fastest_rival_at_the_same_error() -> None:
-    def curve(method: str, *errors_and_seconds: tuple[float, float]) -> list[Point]:
-        return [Point("any", method, 1, e, t, t, t) for e, t in errors_and_seconds]
-
-    ours = curve("this tracer", (1e-2, 1.0), (5e-4, 2.0), (1e-4, 4.0))
-    fast, grid = curve("Mitsuba multijitter", (1e-4, 3)), curve("uniform grid", (1e-5, 0.1))
-    slow = curve("POV-Ray adaptive", (1e-4, 9))
-    assert lead([*ours, *fast, *slow, *grid]) == pytest.approx((2, 3))
-    # Rivals take any number of samples; this tracer those of its points.
-    between = curve("Mitsuba independent", (1e-2, 1.0), (1e-4, 4.0))
-    assert lead([*ours, *fast, *between]) == pytest.approx((2, 2))
-    # Who does not come so far is no rival there.
-    assert lead([*ours, *curve("Mitsuba independent", (0.1, 1.0)), *grid]) is None
-    assert lead(fast) is None
 
 
 @pytest.mark.slow
