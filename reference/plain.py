@@ -103,6 +103,9 @@ The first leaves out the own object, which is exact, since all are convex.
 """
 
 
+_USUAL = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact"}
+
+
 class Seen(NamedTuple):
     """Views of n rays: linear RGB, the surface's place in the file or -1, lights that reach it."""
 
@@ -114,14 +117,7 @@ class Seen(NamedTuple):
 class _Plain:
     """A scene in numbers of one arithmetic, with the methods to trace it by."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        arithmetic: str = "float64",
-        spheres: str = "closest",
-        shadows: str = "exact",
-    ) -> None:
+    def __init__(self, scene: Scene, arithmetic: str, spheres: str, shadows: str) -> None:
         self.scene, self.surfaces, self.exact = scene, scene.surfaces[:], shadows == "exact"
         self.cast, contact = ARITHMETICS[arithmetic]
         self.roots, self.start = SPHERES[spheres], SHADOWS[shadows]
@@ -157,11 +153,10 @@ class _Plain:
         ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
         w = -w if _dot(w, ahead) > 0 else w
         u = _unit(np.cross(cast(camera.view_up), w))
-        v = np.cross(w, u)
         right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
         up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
-        middle = ahead * cast(camera.proj_distance)
-        d = middle[:, None] + np.outer(u, right) + np.outer(v, up)
+        middle = ahead[:, None] * cast(camera.proj_distance)
+        d = middle + np.outer(u, right) + np.outer(np.cross(w, u), up)
         # What nearly lies in a plane of two axes lies in it.
         return self.zeroed(d, np.abs(d).max(axis=0))
 
@@ -280,7 +275,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> Seen:
     + 0.5.  `methods` are `arithmetic`, `spheres` and `shadows`, keys of the tables.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
-        return _Plain(scene, **methods).trace(np.asarray(x), np.asarray(y))
+        return _Plain(scene, **_USUAL | methods).trace(np.asarray(x), np.asarray(y))
 
 
 def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
@@ -299,7 +294,7 @@ def main() -> None:
     used.add_argument("scene", type=Path)
     used.add_argument("-o", "--output", type=Path, default=Path("plain.png"), help="%(default)s")
     for name, choices in (("arithmetic", ARITHMETICS), ("spheres", SPHERES), ("shadows", SHADOWS)):
-        used.add_argument(f"--{name}", choices=[*choices], default=next(iter(choices)))
+        used.add_argument(f"--{name}", choices=[*choices], default=_USUAL[name])
     options = vars(used.parse_args())
     path, output = options.pop("scene"), options.pop("output")
     try:
