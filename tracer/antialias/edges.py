@@ -16,7 +16,7 @@ import numpy as np
 from tracer.antialias.margins import Margins, Sheets, rays, span
 from tracer.arrays import Floats, Ints, Triple, columns, dot, each, expand, indices, pick, select
 from tracer.shapes.silhouette import box_margins, silhouette_planes, sphere_margins
-from tracer.view.samples import Spans
+from tracer.view.samples import spans
 from tracer.view.view import View, Visible
 
 Apexes: TypeAlias = tuple[Floats, Floats]
@@ -59,7 +59,7 @@ def crossed(view: View, rows: slice, columns: slice) -> tuple[Ints, Ints, Ints]:
     found: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in view.shapes:
         between = columns.start, columns.stop
-        owner, row, left, right = Spans.of(shape, view, lines[:-1], between, height=1.0)
+        owner, row, left, right = spans(shape, view, lines[:-1], between, height=1.0)
         full, full_end = left, right
         for line in (row, row + 1):
             begin, end = shape.ends(view.raster, owner, lines[line], 0.0)

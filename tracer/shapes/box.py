@@ -107,7 +107,7 @@ class Boxes:
         return raster.column(low), raster.column(high)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints
     ) -> tuple[Floats, Sides]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
@@ -138,7 +138,7 @@ class Boxes:
         return t, face
 
     def surface(
-        self, raster: Raster, owner: Index, span: Ints | slice, p: Floats, t: Floats, detail: Sides
+        self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Sides
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """See `Spheres.surface`."""
         face = detail.astype(np.intp) >> 1

@@ -141,7 +141,7 @@ class Spheres:
         return hypot2, u, ahead, (radius - aside) * (radius + aside)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints | slice
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints
     ) -> tuple[Floats, Floats]:
         """Distance at which rays meet objects, or infinity.
 
@@ -155,7 +155,7 @@ class Spheres:
             One object, or one for each span of rays in a row.
         g : (spans,)
         s : (n,)
-        span : (n,), or a slice
+        span : (n,)
             The span of each ray.
 
         Returns
@@ -186,7 +186,7 @@ class Spheres:
         return t, rise
 
     def surface(
-        self, raster: Raster, owner: Index, span: Ints | slice, p: Floats, t: Floats, detail: Floats
+        self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Floats
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
 

@@ -15,46 +15,29 @@ from tracer.view.view import Shape, View
 _PAD = 0.5
 
 
-class Spans(NamedTuple):
-    """Intervals of rows that objects cover.
+def spans(
+    shape: Shape,
+    view: View,
+    rows: Floats,
+    columns: tuple[float, float],
+    height: float = 0.0,
+    pad: float = 0.0,
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Intervals of ascending rows that objects of a shape cover, widened by `pad` pixels.
 
-    Attributes
-    ----------
-    owner, row : (n,)
-        The object, and the index into the rows asked for.
-    left, right : (n,)
-        In pixels from the picture's left edge.
+    Returns the object, the index into `rows`, and the left and right ends.  Exact but for rounding
+    if the rows' `height` is 0.  What is beside the `columns` is left out.
     """
-
-    owner: Ints
-    row: Ints
-    left: Floats
-    right: Floats
-
-    @classmethod
-    def of(
-        cls,
-        shape: Shape,
-        view: View,
-        rows: Floats,
-        columns: tuple[float, float],
-        height: float = 0.0,
-        pad: float = 0.0,
-    ) -> Spans:
-        """Spans of objects in ascending rows, widened by `pad` pixels.
-
-        Exact but for rounding if their `height` is 0.  What is beside the `columns` is left out.
-        """
-        frames = view.frames.take(slice(shape.first, shape.first + shape.count))
-        at = indices((frames.left - pad <= columns[1]) & (frames.right + pad >= columns[0]))
-        begin = rows.searchsorted(frames.top[at] - pad - height)
-        end = rows.searchsorted(frames.bottom[at] + pad, side="right")
-        which, row = expand(np.maximum(end - begin, 0), begin)
-        at = at[which]
-        left, right = shape.ends(view.raster, at + shape.first, rows[row], height)
-        left, right = np.maximum(left, frames.left[at]), np.minimum(right, frames.right[at])
-        keep = indices(left <= right)
-        return cls(at[keep] + shape.first, row[keep], left[keep] - pad, right[keep] + pad)
+    frames = view.frames.take(slice(shape.first, shape.first + shape.count))
+    at = indices((frames.left - pad <= columns[1]) & (frames.right + pad >= columns[0]))
+    begin = rows.searchsorted(frames.top[at] - pad - height)
+    end = rows.searchsorted(frames.bottom[at] + pad, side="right")
+    which, row = expand(np.maximum(end - begin, 0), begin)
+    at = at[which]
+    left, right = shape.ends(view.raster, at + shape.first, rows[row], height)
+    left, right = np.maximum(left, frames.left[at]), np.minimum(right, frames.right[at])
+    keep = indices(left <= right)
+    return at[keep] + shape.first, row[keep], left[keep] - pad, right[keep] + pad
 
 
 class Rows(NamedTuple):
@@ -98,7 +81,7 @@ class Rows(NamedTuple):
         and how many there are.
         """
         beside, columns = (self.x[0] - 1, self.x[-1] + 1), self.x.size
-        owner, row, left, right = Spans.of(shape, view, self.y, beside, pad=_PAD)
+        owner, row, left, right = spans(shape, view, self.y, beside, pad=_PAD)
         first = self.x[0] + self.shift[row]
         start = np.ceil(left - first).clip(0, columns).astype(np.intp)
         stop = (np.floor(right - first) + 1).clip(0, columns).astype(np.intp)
@@ -152,7 +135,7 @@ class Scattered(NamedTuple):
     def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
         """See `Rows.covered`: here each sample is a span of its own."""
         rows, half = self.row[changes(self.row)], self.wide / 2
-        owner, row, left, right = Spans.of(shape, view, rows, (-half, half), height=1.0, pad=_PAD)
+        owner, row, left, right = spans(shape, view, rows, (-half, half), height=1.0, pad=_PAD)
         begin = rows[row] * self.wide
         start = self.place.searchsorted(begin + left.clip(-half, half))
         stop = self.place.searchsorted(begin + right.clip(-half, half), side="right")

@@ -26,10 +26,7 @@ class View(NamedTuple):
 
     Attributes
     ----------
-    raster : Raster
-    surfaces : Surfaces
-    spheres : Spheres
-    boxes : Boxes
+    raster, surfaces, spheres, boxes
     frames, eye_inside
         As in `Spheres`, of all n objects, spheres first.
     curvature : (n,)
@@ -108,7 +105,7 @@ class Group(NamedTuple):
         Which sample.
     owner : int, or (spans,)
         Which object they see (spheres first): one, or one for each span.
-    span : (n,), or a slice
+    span : (n,)
         The span that each is in: samples in one row that see one object.
     face, sign, level, n, height
         See `Spheres.surface`: all of them numbers or (n,).
@@ -118,7 +115,7 @@ class Group(NamedTuple):
     part: slice
     sample: Ints
     owner: Index
-    span: Ints | slice
+    span: Ints
     face: Index
     sign: Floats
     level: Floats
@@ -141,12 +138,8 @@ class Group(NamedTuple):
     def height_of(self, position: Floats, vector: Triple, out: Floats) -> None:
         """Height `out` (n,) of a point over the tangent planes.
 
-        Parameters
-        ----------
-        position : (3,)
-            The point in the scene's axes.
-        vector : three (n,)
-            From the hits to the point, in the camera's axes.
+        `position` (3,): in the scene's axes; `vector`, three (n,): from the hits to the point, in
+        the camera's axes.
         """
         if self.flat:
             # Along the scene's axes a light in a face's plane is at height 0 exactly.

@@ -45,7 +45,7 @@ class _Fragments(NamedTuple):
         An object of that shape.
     g : (spans,)
         The second component of the rays' directions.
-    span : (n,), or a slice
+    span : (n,)
         Which span each lies in; of scattered samples, each in its own.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
@@ -57,7 +57,7 @@ class _Fragments(NamedTuple):
     shape: Shape
     owner: Index
     g: Floats
-    span: Ints | slice
+    span: Ints
     sample: Ints
     s: Floats
     t: Floats
@@ -68,16 +68,8 @@ class _Fragments(NamedTuple):
         index = indices(mask)
         if index.size == mask.size:
             return self
-        if isinstance(self.span, slice):
-            spans = self._replace(owner=select(self.owner, index), g=self.g[index])
-        else:
-            spans = self._replace(span=self.span[index])
-        return spans._replace(
-            sample=self.sample.take(index),
-            s=self.s.take(index),
-            t=self.t.take(index),
-            detail=self.detail.take(index),
-        )
+        shape, owner, g, *pairs = self
+        return _Fragments(shape, owner, g, *(values.take(index) for values in pairs))
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -91,11 +83,7 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
         parts: list[tuple[Index, Ints]] = [(owners[small], small)] if small.size else []
         parts += [(i, indices(owners == i)) for i in indices(size >= _LARGE).tolist()]
         for owner, part in parts:
-            span: Ints | slice
-            if isinstance(samples, Scattered):
-                span, sample = slice(None), first[part]
-            else:
-                span, sample = expand(counts[part], first[part])
+            span, sample = expand(counts[part], first[part])
             g, across = down[rows[part]], s.take(sample)
             t, detail = shape.hit(raster, owner, g, across, span)
             found.append(_Fragments(shape, owner, g, span, sample, across, t, detail))
