@@ -1,15 +1,11 @@
 """Values of a group of samples: one for all of them, or an array (n,).
 
-An object that many samples see has arrays of its own, and its data stay single
-values; small objects share arrays, with their data gathered for each sample.
-NumPy's broadcasting lets the same arithmetic serve both.
-
-Vectors are triples of such values (structure of arrays): each operation then
-runs over contiguous memory.  Docstrings say "three (n,)".  To take some elements of
+An object that many samples see has arrays of its own, and its data stay single values; small
+objects share arrays, with their data gathered for each sample.  Vectors are triples of such values
+(structure of arrays): docstrings say "three (n,)".  To take some elements of
 
     a value, or (n,)             select
     a triple of such values      pick, or points (3, n)
-    points (n, 3), as a triple   columns
     a table (m, n), one by one   entries, put
 """
 
@@ -124,12 +120,6 @@ def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:
         stop = max(start + 1, int(total.searchsorted(before + most, side="right")))
         yield slice(start, stop)
         start = stop
-
-
-def columns(points: Floats, index: Ints | slice) -> Triple:
-    """Some of the points (n, 3), as a triple."""
-    # Not points[index, 0]: NumPy takes three times as long to index both axes at once.
-    return points[:, 0][index], points[:, 1][index], points[:, 2][index]
 
 
 def entries(table: NDArray[Any], row: Index, column: Index) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.antialias.margins import Margins, Sheets, rays, span
-from tracer.arrays import Floats, Ints, Triple, columns, dot, each, expand, indices, pick, select
+from tracer.arrays import Floats, Ints, Triple, dot, each, expand, indices, pick, select
 from tracer.shapes.silhouette import box_margins, silhouette_planes, sphere_margins
 from tracer.view.samples import spans
 from tracer.view.view import View, Visible
@@ -38,7 +38,7 @@ def footprints_of(hits: Visible, size: float) -> Floats:
     footprints = np.empty(halves.size)
     for group in hits.groups:
         half, n_dot_v = halves[group.part], group.height / distance[group.part]
-        if group.flat:
+        if group.shape.flat:
             # The far end of the cell sees the face at a smaller cosine: by up to the angle.
             n_dot_v *= np.maximum(1 - angle / n_dot_v, _NEARLY)
         # However small the cosine, from the silhouette a width of `half` covers no more of a
@@ -89,7 +89,7 @@ def silhouettes(
     spheres, boxes, (positions, local) = view.spheres, view.boxes, apexes
     at = indices(owner < boxes.first)
     if at.size:
-        center = each(np.subtract, pick(spheres.local, owner[at]), columns(local, number[at]))
+        center = each(np.subtract, pick(spheres.local, owner[at]), pick(local.T, number[at]))
         some, radius = each(lambda m: m[:, at], q), spheres.radius[owner[at]]
         yield cell[at], sphere_margins(some, center, radius)
     at = indices(owner >= boxes.first)
@@ -156,7 +156,7 @@ class Seen(NamedTuple):
     def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[Margins]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""
         d, inverse = self.rays(point)
-        q = each(lambda d, place: d - place * inverse, d, columns(self.apexes[1], light))
+        q = each(lambda d, place: d - place * inverse, d, pick(self.apexes[1].T, light))
         cell = self.cell[point]
         yield from silhouettes(self.hits.view, self.apexes, light, cell, occluder, q)
 
@@ -166,7 +166,7 @@ class Seen(NamedTuple):
         turn = self.footprint * view.curvature[own]
         light, at = np.nonzero(n_dot_l**2 < turn * turn * length2)
         d, inverse = self.rays(at)
-        center, apex = pick(view.spheres.local, own[at]), columns(self.apexes[1], light)
+        center, apex = pick(view.spheres.local, own[at]), pick(self.apexes[1].T, light)
         # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
         n = each(lambda d, c: d - c * inverse, d, center)
         to_light = each(lambda d, c: c * inverse - d, d, apex)
@@ -178,7 +178,7 @@ class Seen(NamedTuple):
         ends = (view.boxes.min_pt, -1), (view.boxes.max_pt, 1)
         for group, k, (corner, sign) in product(self.hits.groups, range(3), ends):
             across_face = group.face != k
-            if not group.flat or not np.any(across_face):
+            if not group.shape.flat or not np.any(across_face):
                 continue
             height = view.raster.scene_component(pick(self.hits.p, group.part), k)
             level = corner[k, group.owner - view.boxes.first] - eye[k]

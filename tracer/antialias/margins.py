@@ -166,7 +166,7 @@ class Sheets(NamedTuple):
             # Also where the eye is on a sphere: the plane that touches it where it is seen.
             for out, n in zip(k, group.n, strict=True):
                 out[part] = n / -group.height
-            if not group.flat:
+            if not group.shape.flat:
                 power = group.of(spheres.power)
                 w[part] = np.where(power != 0, 1 / power, 0)
                 for out, center in zip(k, spheres.local, strict=True):

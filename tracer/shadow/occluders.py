@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, columns, each
+from tracer.arrays import Bools, Floats, each, pick
 from tracer.shadow.grid import SLACK, LightGrid, light_grid
 from tracer.view.view import View
 
@@ -51,7 +51,7 @@ def occluders_of(view: View, lights: Floats) -> Occluders:
     shapes, raster = (view.spheres, view.boxes), view.raster
     slack = SLACK * (np.concatenate([shape.size for shape in shapes]) + np.abs(raster.eye).sum())
     # A row for each light, a column for each object.
-    point = each(lambda m: m[:, None], columns(lights, slice(None)))
+    point = each(lambda m: m[:, None], pick(lights.T, slice(None)))
     around = slack + SLACK * np.abs(lights).sum(axis=1)[:, None]
     both = [(shape, shape.first + np.arange(shape.count)) for shape in shapes]
     # Packets lie along rows: more pixels across make them longer, more rows only more numerous.

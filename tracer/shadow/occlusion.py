@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, batches, columns, entries, indices, pick, put
+from tracer.arrays import Bools, Floats, Ints, batches, entries, indices, pick, put
 from tracer.shadow.grid import LightGrid
 from tracer.shadow.occluders import Occluders
 from tracer.shadow.packets import Packets, packets_of
@@ -53,7 +53,7 @@ def shadow_edges(
         grown = _blocks(occluders, hits, shape, pairs, closely, reach)
         # An object grown by more than the gap holds the light.  It may then hold the whole of a
         # segment, and block nothing, where the object itself blocks it.
-        gap = shape.gap(pairs[2], columns(occluders.lights, pairs[0]))
+        gap = shape.gap(pairs[2], pick(occluders.lights.T, pairs[0]))
         near = indices(grown | (gap <= reach))
         pairs, closely = pairs.take(near, axis=1), closely[near]
         reach, grown, gap = reach[near], grown[near], gap[near]
@@ -84,7 +84,7 @@ def _blocks(
 ) -> Bools:
     """The exact test of pairs; `grown` (m,): by how much objects grow on all sides."""
     light, point, occluder = pairs
-    eye, end = occluders.view.raster.eye, columns(occluders.lights, light)
+    eye, end = occluders.view.raster.eye, pick(occluders.lights.T, light)
     return shape.occludes(eye, occluder, hits.points(point), end, closely, grown)
 
 
@@ -110,7 +110,7 @@ def _candidates(
                 pairs = pairs.take(indices(entries(packets.lit, pairs[0], pairs[1])), axis=1)
             light, packet, occluder = pairs
             middle, radius = pick(packets.middle, packet), packets.radius[packet]
-            end = columns(occluders.lights, light)
+            end = pick(occluders.lights.T, light)
             meets, cuts = shape.capsules(occluder, middle, end, radius)
             dark = pairs.take(indices(cuts), axis=1)
             for level in levels[depth:]:

@@ -239,8 +239,8 @@ def _slab(
     """Places where lines enter and leave the slab between two planes, in units of `d`.
 
     `low`, `high`: the planes' places seen from the lines' origins; `d`: the lines' component
-    across.  A line parallel to the planes is between them for ever, or never; one that lies in a
-    plane is if the slab is `closed`.  None: no line is parallel.
+    across.  Parallel lines are in it for ever or never; in a plane, for ever if `closed`, never if
+    not; None: there are none.
     """
     a, b = low / d, high / d
     enter, leave = np.minimum(a, b), np.maximum(a, b)

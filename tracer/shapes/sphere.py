@@ -221,10 +221,7 @@ class Spheres:
         return np.sqrt(dot(away, away)) - self.radius[owner]
 
     def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
-        """Tell balls that may hold points for which `occludes` needs the closer test.
-
-        These are in or on a sphere, or on the plane of a box's face.
-        """
+        """Whether balls may hold points in or on a sphere, or on the plane of a box's face."""
         return self.gap(owner, middle) <= reach
 
     def occludes(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import ceil
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -75,11 +74,7 @@ class Rows(NamedTuple):
         return self.x[column] + self.shift[row], self.y[row]
 
     def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
-        """Spans of samples that may see objects of a shape.
-
-        Returns the object, the index of the span's y among those of the samples, the first sample,
-        and how many there are.
-        """
+        """Spans of samples that may see a shape: object, index in `y`, first sample, and length."""
         beside, columns = (self.x[0] - 1, self.x[-1] + 1), self.x.size
         owner, row, left, right = spans(shape, view, self.y, beside, pad=_PAD)
         first = self.x[0] + self.shift[row]
@@ -97,19 +92,19 @@ class Scattered(NamedTuple):
         In pixels from the picture's upper left corner.
     place : (n,)
         One number for both row and x, in ascending order: row * `wide` + x.
-    wide : int
+    wide : float
         More than twice any x, to either side.
     """
 
     y: Floats
     x: Floats
     place: Floats
-    wide: int
+    wide: float
 
     @classmethod
     def of(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
         """Positions, in any order, as samples; and which position each sample has."""
-        wide = 2 * ceil(np.abs(x).max(initial=0)) + 2
+        wide = 2.0 * float(np.ceil(np.abs(x).max(initial=0))) + 2
         place = np.floor(y) * wide + x
         order = place.argsort(kind="stable")
         return cls(y[order], x[order], place[order], wide), order

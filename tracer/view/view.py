@@ -122,11 +122,6 @@ class Group(NamedTuple):
     n: Triple
     height: Floats
 
-    @property
-    def flat(self) -> bool:
-        """True for planes."""
-        return self.shape.flat
-
     def spread(self, values: Any) -> Any:
         """Values of spans, repeated for each of their samples; of one object, as they are."""
         return select(values, self.span)
@@ -141,7 +136,7 @@ class Group(NamedTuple):
         `position` (3,): in the scene's axes; `vector`, three (n,): from the hits to the point, in
         the camera's axes.
         """
-        if self.flat:
+        if self.shape.flat:
             # Along the scene's axes a light in a face's plane is at height 0 exactly.
             out[:] = self.sign * (position[self.face] - self.level)
         else:

@@ -29,10 +29,8 @@ def visible_and_hidden(view: View, samples: Samples) -> tuple[Visible, Visible]:
     groups = _fragments(view, samples)
     nearest = _nearest(samples, groups)
     hidden = [g.where((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
-    return (
-        _hits(view, samples, _seen(view, groups, nearest)),
-        _hits(view, samples, hidden),
-    )
+    seen = _seen(view, groups, nearest)
+    return _hits(view, samples, seen), _hits(view, samples, hidden)
 
 
 class _Fragments(NamedTuple):
