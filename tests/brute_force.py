@@ -9,16 +9,15 @@ from unittest.mock import patch
 import numpy as np
 
 from tracer import Scene, render
-from tracer.arrays import Bools, Floats
+from tracer.arrays import Bools, Floats, Ints
 from tracer.shadow.occluders import Occluders
-from tracer.view.samples import Spans
 from tracer.view.view import Shape, View, Visible
 
 
 def brute_force(scene: Scene) -> Floats:
     """The picture (height, width, 3) of a scene, by all pairs."""
     with (
-        patch.object(Spans, "of", _all_rows),
+        patch("tracer.view.samples.spans", _all_rows),
         patch("tracer.light.lighting.occlusion", _all_occluders),
     ):
         return render(scene, processes=1)
@@ -26,10 +25,11 @@ def brute_force(scene: Scene) -> Floats:
 
 def _all_rows(
     shape: Shape, view: View, rows: Floats, columns: tuple[float, float], **_: float
-) -> Spans:
+) -> tuple[Ints, Ints, Floats, Floats]:
     """Every object covers every row."""
     row, owner = np.indices((rows.size, shape.count)).reshape(2, -1)
-    return Spans(owner + shape.first, row, *np.full((row.size, 2), columns).T)
+    left, right = np.full((row.size, 2), columns).T
+    return owner + shape.first, row, left, right
 
 
 @np.errstate(all="ignore")
