@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.antialias.lattice import CENTRES
-from tracer.arrays import Ints, Vector, columns
+from tracer.arrays import Ints, Vector, pick
 from tracer.light.lighting import Lighting, incoming_at, lighting_of, radiance_at
 from tracer.picture.png import to_codes
 from tracer.scene.model import Scene, unit
@@ -218,7 +218,7 @@ def _occluders(lighting: Lighting, hits: Visible, light: int) -> Ints:
     for shape in view.shapes:
         others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.own)
         point = hits.points(np.zeros_like(others))
-        end = columns(lighting.positions, np.full_like(others, light))
+        end = pick(lighting.positions.T, np.full_like(others, light))
         blocks = shape.occludes(view.raster.eye, others, point, end, np.ones_like(others) > 0)
         found.append(others[blocks])
     return np.concatenate(found)
