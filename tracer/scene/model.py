@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Floats, SceneError, of
+from tracer.scene.schema import Checked, Floats, of
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
@@ -38,7 +38,7 @@ def unit(vector: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Camera:
+class Camera(Checked):
     """A perspective camera with a window that may be shifted or oblique.
 
     Parameters
@@ -73,19 +73,17 @@ class Camera:
     view_width: float = field(default=1.0, metadata=of(schema.LENGTH, "viewWidth"))
     view_height: float = field(default=1.0, metadata=of(schema.LENGTH, "viewHeight"))
 
-    def __post_init__(self) -> None:
-        schema.check(self)
-        schema.raise_any(self.misfits())
-
     @np.errstate(under="ignore")
-    def misfits(self) -> Iterator[str]:
-        """Find vectors that are right, but do not go together."""
-        normal = unit(self.normal)
+    def misfits(self) -> list[str]:
+        """Say which vectors do not go together."""
+        wrong, normal = [], unit(self.normal)
         if np.linalg.norm(np.cross(unit(self.view_up), normal)) < _DEGENERATE:
             other = "view_dir" if self.proj_normal is None else "proj_normal"
-            yield f"view_up: must not be parallel to {other}; choose another view_up"
+            wrong.append(f"view_up: must not be parallel to {other}; choose another view_up")
         if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-            yield "proj_normal: must not be perpendicular to view_dir: no ray would meet it"
+            remedy = "no ray would meet it"
+            wrong.append(f"proj_normal: must not be perpendicular to view_dir: {remedy}")
+        return wrong
 
     @property
     def normal(self) -> VectorLike:
@@ -93,17 +91,8 @@ class Camera:
         return self.view_dir if self.proj_normal is None else self.proj_normal
 
 
-class _Checked:
-    """Something whose values are checked when it is made."""
-
-    __slots__ = ()
-
-    def __post_init__(self) -> None:
-        schema.check(self)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PointLight(_Checked):
+class PointLight(Checked):
     """A point light; its intensity does not fall off with distance.
 
     Parameters
@@ -112,7 +101,7 @@ class PointLight(_Checked):
     intensity : (3,)
         Linear RGB.
     line : int, optional
-        In its file, if it is from one; no part of equality.
+        In its file; no part of equality.
     """
 
     position: VectorLike = field(metadata=of(schema.POINT, "position"))
@@ -122,7 +111,7 @@ class PointLight(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lambertian(_Checked):
+class Lambertian(Checked):
     """Matt: radiance I kd n.l from each light that is not hidden, of intensity I.
 
     See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
@@ -137,7 +126,7 @@ class Lambertian(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Phong(_Checked):
+class Phong(Checked):
     """Blinn-Phong: I (kd n.l + ks (n.h)^exponent) from each light that is not hidden (Blinn 1977).
 
     A light, of intensity I, that is behind the surface (n.l <= 0) is hidden: it makes no highlight
@@ -162,7 +151,7 @@ _SHADER = of(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sphere(_Checked):
+class Sphere(Checked):
     """A sphere; white and Lambertian if it has no shader.
 
     Parameters
@@ -171,7 +160,7 @@ class Sphere(_Checked):
     radius : float
     shader : Lambertian or Phong
     line : int, optional
-        In its file, if it is from one; no part of equality.
+        In its file; no part of equality.
     """
 
     center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
@@ -181,7 +170,7 @@ class Sphere(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box(_Checked):
+class Box(Checked):
     """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
 
     Parameters
@@ -190,7 +179,7 @@ class Box(_Checked):
         Opposite corners, with the least and the largest coordinates.
     shader : Lambertian or Phong
     line : int, optional
-        In its file, if it is from one; no part of equality.
+        In its file; no part of equality.
 
     Raises
     ------
@@ -203,11 +192,10 @@ class Box(_Checked):
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
-    def __post_init__(self) -> None:
-        schema.check(self)
-        corners = np.array([self.min_pt, self.max_pt])
-        misfits = schema.order_faults(corners[:1], corners[1:])
-        schema.raise_any(f"min_pt: {wrong}" for _, wrong in misfits)
+    def misfits(self) -> list[str]:
+        """Say along which axes the corners are in the wrong order."""
+        low, high = np.array([[self.min_pt], [self.max_pt]])
+        return [f"min_pt: {wrong}" for _, wrong in schema.order_faults(low, high)]
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -371,7 +359,7 @@ _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 
 @dataclass(frozen=True, slots=True, init=False)
-class Scene:
+class Scene(Checked):
     """What is seen (`surfaces`), by what light, through which camera.
 
     Parameters
@@ -404,15 +392,17 @@ class Scene:
         lights: Iterable[PointLight] = (),
         surfaces: Iterable[Sphere | Box] = _NO_SURFACES,
     ) -> None:
-        given = {"camera": camera, "lights": lights, "surfaces": surfaces}
-        schema.check(self, **given, width=width, height=height)
-        if self.width * self.height > schema.MAX_PIXELS:
-            gib = self.width * self.height * 24 / 2**30
-            wrong = (
-                f"width, height: {self.width} x {self.height} pixels are too many: the picture"
-                f" would take {gib:.3g} GiB of memory; at most {schema.MAX_PIXELS} are allowed"
-            )
-            raise SceneError([wrong])
+        sized = {"width": width, "height": height, "camera": camera}
+        for name, value in (sized | {"lights": lights, "surfaces": surfaces}).items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    def misfits(self) -> Iterator[str]:
+        """Say whether the picture would be too large."""
+        if (count := self.width * self.height) > schema.MAX_PIXELS:
+            wrong = f"{self.width} x {self.height} pixels are too many: the picture would take"
+            memory = f"{count * 24 / 2**30:.3g} GiB of memory"
+            yield f"width, height: {wrong} {memory}; at most {schema.MAX_PIXELS} are allowed"
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""

@@ -61,21 +61,28 @@ def of(kind: _Kind, *tags: str) -> dict[str, Any]:
     return {"kind": kind, "tags": tags}
 
 
-def check(made: Any, **values: object) -> None:
-    """Set fields of a frozen dataclass to what their kinds make of `values`, or of theirs.
+class Checked:
+    """A frozen dataclass whose fields' kinds check its values, and make of them what is kept.
 
-    `SceneError` is raised for all that is wrong with them.
+    `SceneError` is raised for all that is wrong.
     """
-    faults: list[str] = []
-    for field in fields(made):
-        kind = field.metadata.get("kind")
-        value = values[field.name] if values else getattr(made, field.name)
-        if kind is not None and not (value is None and field.default is None):
-            try:
-                object.__setattr__(made, field.name, kind(value, field.name))
-            except SceneError as error:
-                faults += error.lines
-    raise_any(faults)
+
+    __slots__ = ()
+
+    def __post_init__(self: Any) -> None:
+        faults: list[str] = []
+        for field in fields(self):
+            kind, value = field.metadata.get("kind"), getattr(self, field.name)
+            if kind is not None and not (value is None and field.default is None):
+                try:
+                    object.__setattr__(self, field.name, kind(value, field.name))
+                except SceneError as error:
+                    faults += error.lines
+        raise_any(faults or self.misfits())
+
+    def misfits(self) -> Iterable[str]:
+        """Say which values do not go together, each of which is right."""
+        return ()
 
 
 def unchecked(made: type[_Made], **values: object) -> _Made:
