@@ -109,10 +109,9 @@ class _Table:
         self.tags = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.numeric = [f for f in tagged if isinstance(f.metadata["kind"], Numbers)]
         required = [field for field in self.numeric if field.default is MISSING]
-        self.required = [(field.name, field.metadata["tags"][0]) for field in required]
+        self.required = {field.name: field.metadata["tags"][0] for field in required}
         self.columns = {field.name: array("d") for field in self.numeric}
-        absent = (None, MISSING)
-        self.defaults = {f.name: np.nan if f.default in absent else f.default for f in self.numeric}
+        self.given: set[str] = set()  # fields that some row gives
         # Of each row the line, the place among all shaders or surfaces, and a surface's shader.
         self.lines, self.index, self.shaders = array("i"), array("i"), array("i")
         # Of each field, elements whose numbers are not converted yet; None where one is not given.
@@ -120,19 +119,17 @@ class _Table:
 
     def objects(self) -> Iterator[Any]:
         """Make the dataclass of each row, whose numbers are known to be right."""
-        names = [field.name for field in fields(self.made)]
-        for row in zip(*map(self._values, fields(self.made)), strict=True):
-            yield unchecked(self.made, **dict(zip(names, row, strict=True)))
+        columns = {field.name: self._values(field) for field in fields(self.made)}
+        for row in zip(*columns.values(), strict=True):
+            yield unchecked(self.made, **dict(zip(columns, row, strict=True)))
 
     def _values(self, field: Field[Any]) -> Iterable[Any]:
         if field.name == "line":
             return self.lines
-        count = field.metadata["kind"].count
-        rows = np.reshape(self.columns[field.name], (-1, count))
-        default = np.broadcast_to(self.defaults[field.name], rows.shape)
-        if np.array_equal(rows, default, equal_nan=True):
-            return repeat(field.default, len(rows))  # one tuple for all
-        return zip(*rows.T.tolist(), strict=True) if count > 1 else rows[:, 0].tolist()
+        if field.name not in self.given:
+            return repeat(field.default, len(self.lines))  # one tuple for all
+        rows = np.reshape(self.columns[field.name], (len(self.lines), -1)).T.tolist()
+        return zip(*rows, strict=True) if len(rows) > 1 else rows[0]
 
 
 def _numbers(texts: Sequence[str], count: int) -> list[float] | None:
@@ -318,7 +315,7 @@ class _Reader:
                 parts[name] = child
         for name, column in table.unread.items():
             column.append(parts.get(name))
-        for name, tag in table.required:
+        for name, tag in table.required.items():
             if name not in parts and tag not in element.attrib:
                 self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         table.lines.append(element.line)
@@ -341,7 +338,10 @@ class _Reader:
             for i, message in kind.faults(values):
                 if not np.isnan(values[i]).any():  # which is noted already
                     self.fault(given[i], message)
-            batch[field.name] = np.full((len(unread), kind.count), table.defaults[field.name])
+            if given:
+                table.given.add(field.name)
+            default = np.nan if field.name in table.required else field.default
+            batch[field.name] = np.full((len(unread), kind.count), default, dtype=np.float64)
             batch[field.name][[each is not None for each in unread]] = values
             table.columns[field.name].frombytes(batch[field.name].tobytes())
         if table.made is model.Box:
