@@ -273,23 +273,17 @@ LINED = """<scene><image>4 3</image><camera/>
 
 def test_objects_know_their_lines() -> None:
     scene = load_scene(io.BytesIO(LINED.encode()))
-    for surfaces in (
-        scene.surfaces,
-        pickle.loads(pickle.dumps(scene.surfaces)),
-        Surfaces.of(list(scene.surfaces)),
-    ):
-        assert [surface.line for surface in surfaces] == [2, 4]
-        assert surfaces[1].line == 4
+    read = scene.surfaces
+    for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.of(list(read)):
+        assert [surface.line for surface in surfaces] == [2, surfaces[1].line] == [2, 4]
     assert [light.line for light in scene.lights] == [3, 5]
     ball, lights = Sphere(), [PointLight(position=(1, 2, 3))] * 2
     assert ball.line is lights[0].line is Surfaces.of([ball])[0].line is None
     # They are no part of what an object is.
-    assert (scene.surfaces[1], scene.lights) == (ball, tuple(lights))
-    assert hash(scene.surfaces[1]) == hash(ball)
-    assert repr(scene.surfaces[1]) == repr(ball)
-    surfaces = scene.surfaces
-    arrays = [value.nbytes for value in vars(surfaces).values() if isinstance(value, np.ndarray)]
-    assert 10 * surfaces.line.nbytes < sum(arrays)
+    assert (read[1], scene.lights) == (ball, tuple(lights))
+    assert (hash(read[1]), repr(read[1])) == (hash(ball), repr(ball))
+    arrays = [a.nbytes for a in vars(read).values() if isinstance(a, np.ndarray)]
+    assert 10 * read.line.nbytes < sum(arrays)
 
 
 USES = """

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import io
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,19 +14,12 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, lo
 EMPTY = "<camera/><image>4 3</image>"
 
 
-@pytest.fixture
-def scene_of(tmp_path):
+def scene_of(content: str) -> Scene:
     """Read a scene, given what stands between <scene> and </scene>."""
-
-    def read(content: str) -> Scene:
-        path = tmp_path / "scene.xml"
-        path.write_text(f"<scene>{content}</scene>", encoding="utf-8")
-        return load_scene(path)
-
-    return read
+    return load_scene(io.BytesIO(f"<scene>{content}</scene>".encode()))
 
 
-def test_defaults(scene_of):
+def test_defaults():
     scene = scene_of("""
       <camera/> <image>4 3</image> <light><position>1 2 3</position></light>
       <surface type="Sphere"/> <surface type="Sphere"><shader type="Phong"/></surface>
@@ -49,7 +44,7 @@ def test_defaults(scene_of):
     ]
 
 
-def test_everything_given(scene_of):
+def test_everything_given():
     scene = scene_of("""
       <surface type="Sphere">
         <radius>.5</radius> <center>1 2 3</center>
@@ -82,7 +77,7 @@ def test_everything_given(scene_of):
     assert scene == Scene(width=640, height=480, camera=camera, lights=[light] * 2, surfaces=[ball])
 
 
-def test_shaders_are_named_nested_or_referred_to_before_they_are_defined(scene_of):
+def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
     """Each is kept once, however often it is used."""
     scene = scene_of(f"""{EMPTY}
       <surface type="Sphere"><shader ref="late"/></surface>
@@ -95,7 +90,7 @@ def test_shaders_are_named_nested_or_referred_to_before_they_are_defined(scene_o
     assert len(scene.surfaces.shaders) == 3  # with white
 
 
-def test_surfaces_keep_the_order_of_the_file(scene_of):
+def test_surfaces_keep_the_order_of_the_file():
     ball = '<surface type="Sphere"/>'
     brick = '<surface type="Box"><minPt>0 0 0</minPt><maxPt>1 1 1</maxPt></surface>'
     scene = scene_of(EMPTY + ball + brick + ball + brick + brick)
@@ -117,12 +112,12 @@ def test_surfaces_keep_the_order_of_the_file(scene_of):
         (f"{'0' * 5000}1 2 {'3' * 300}", (1, 2, float("3" * 300))),
     ],
 )
-def test_numbers(scene_of, text, value):
+def test_numbers(text, value):
     scene = scene_of(f"<camera><viewDir>{text}</viewDir></camera><image>4 3</image>")
     assert scene.camera.view_dir == value
 
 
-def test_the_least_scene_and_the_largest(scene_of):
+def test_the_least_scene_and_the_largest():
     scene = scene_of("<camera/><image>16384 16384</image>")
     assert scene.width * scene.height == 2**28
     assert scene.lights == ()
@@ -130,17 +125,15 @@ def test_the_least_scene_and_the_largest(scene_of):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-15", "koi8-r"])
-def test_encodings_and_what_may_stand_around_the_scene(tmp_path, encoding):
-    path = tmp_path / "scene.xml"
+def test_encodings_and_what_may_stand_around_the_scene(encoding):
     declared = encoding.removesuffix("-sig")
     text = f"""<?xml version="1.0" encoding="{declared}"?>
       <?hint at all?> <!DOCTYPE scene> <!-- before --><scene>{EMPTY}</scene><!-- after -->
     """
-    path.write_text(text, encoding=encoding)
-    assert load_scene(path).width == 4
+    assert load_scene(io.BytesIO(text.encode(encoding))).width == 4
 
 
-def test_a_token_may_lie_across_the_pieces_that_are_read(scene_of):
+def test_a_token_may_lie_across_the_pieces_that_are_read():
     """However a file is cut into pieces of 16 KiB, it means the same."""
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>'
     for shift in range(0, len(sphere), 7):
@@ -150,16 +143,14 @@ def test_a_token_may_lie_across_the_pieces_that_are_read(scene_of):
         assert len(scene.surfaces) == 2000
 
 
-def test_surfaces_take_little_memory(tmp_path):
+def test_surfaces_take_little_memory():
     """The reader holds arrays, not a tree: fewer bytes than the file has."""
-    import tracemalloc
-
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>\n'
-    path = tmp_path / "scene.xml"
-    path.write_text(f"<scene>{EMPTY}{sphere * 20_000}</scene>")
-    load_scene(path)
+    file = io.BytesIO(f"<scene>{EMPTY}{sphere * 20_000}</scene>".encode())
+    load_scene(file)
+    file.seek(0)
     tracemalloc.start()
-    scene = load_scene(path)
+    scene = load_scene(file)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(scene.surfaces) == 20_000
@@ -168,7 +159,7 @@ def test_surfaces_take_little_memory(tmp_path):
     assert peak < 20_000 * 128 + 2**20
 
 
-def test_nothing_is_left_for_the_garbage_collector(scene_of):
+def test_nothing_is_left_for_the_garbage_collector():
     gc.collect()
     gc.disable()
     try:
