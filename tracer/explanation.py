@@ -5,10 +5,8 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Ints, Vector, pick
@@ -173,20 +171,16 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     return Explanation(
         x=x,
         y=y,
-        eye=_vector(raster.eye),
-        direction=_vector(unit(direction)),
+        eye=tuple(raster.eye.tolist()),
+        direction=tuple(unit(direction).tolist()),
         surface=SurfaceRef.of(scene, index) if index >= 0 else None,
         distance=hit.distance.item(),
-        point=_vector(hit.point[0]),
-        normal=_vector(hit.normal[0]),
+        point=tuple(hit.point[0].tolist()),
+        normal=tuple(hit.normal[0].tolist()),
         lights=tuple(_parts(scene, lighting, visible(lighting.view, samples), hit)),
-        radiance=_vector(radiance),
-        codes=_vector(to_codes(radiance[None, None])[0, 0]),
+        radiance=tuple(radiance.tolist()),
+        codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
     )
-
-
-def _vector(values: NDArray[Any]) -> tuple[Any, ...]:
-    return tuple(values.tolist())
 
 
 def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterator[LightPart]:
@@ -207,8 +201,8 @@ def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterat
             line=light.line,
             n_dot_l=float(hit.normal[0] @ towards),
             kept_out_by=tuple(SurfaceRef.of(scene, index) for index in refs),
-            diffuse=_vector(diffuse[:, 0]),
-            specular=_vector(specular[:, 0]),
+            diffuse=tuple(diffuse[:, 0].tolist()),
+            specular=tuple(specular[:, 0].tolist()),
         )
 
 

@@ -115,10 +115,7 @@ def lighting_of(scene: Scene, view: View) -> Lighting:
 
 
 def radiance_at(
-    lighting: Lighting,
-    samples: Samples,
-    out: Floats | None = None,
-    ids: Ints | None = None,
+    lighting: Lighting, samples: Samples, out: Floats | None = None, ids: Ints | None = None
 ) -> Floats:
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given.
 

@@ -21,15 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    batches,
-    equal_runs,
-    expand,
-    indices,
-)
+from tracer.arrays import Bools, Floats, Ints, batches, equal_runs, expand, indices
 from tracer.scene.model import Surfaces
 
 __all__ = ["SLACK", "LightGrid", "light_grid"]
@@ -210,14 +202,8 @@ def _octants(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Cut boxes of ways to lights by octants: bit k is set where ways are negative along axis k.
 
-    Parameters
-    ----------
-    low, high : (3, lights, n)
-        Bounds of each box.
-    field : (8 * lights,)
-        Negative for the octants of lights that are left out.
-    asked : (lights, n)
-        False for the boxes that are left out.
+    `low`, `high` (3, lights, n): bounds of each box; `field` (8 * lights,): negative for octants of
+    lights that are left out; `asked` (lights, n): False for boxes that are left out.
 
     Returns
     -------
