@@ -135,9 +135,7 @@ def atomic_file(path: str | os.PathLike[str], begins: bytes) -> Iterator[IO[byte
         If it cannot be written, or what is there is no regular file, or of another kind.
     """
     target, mode = os.path.realpath(path), None
-    if os.path.islink(target):  # to itself, or it would have been followed
-        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), target)
-    if os.path.exists(target):
+    with suppress(FileNotFoundError):
         mode = os.stat(target).st_mode
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "not a regular file", target)
