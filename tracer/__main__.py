@@ -176,6 +176,7 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoRetu
 def _rendered(path: str, output: str, arguments: argparse.Namespace) -> bool:
     """Render a scene, or explain its pixel; print what goes wrong, if anything does."""
     from tracer.picture.bands import render_compressed
+    from tracer.picture.png import PNG, write_tiles
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.suspicions import suspicions
@@ -199,7 +200,11 @@ def _rendered(path: str, output: str, arguments: argparse.Namespace) -> bool:
         tiles = render_compressed(scene, arguments.samples, processes=arguments.processes)
         if not quiet and sys.stderr is not None and sys.stderr.isatty():
             tiles = _with_progress(tiles, scene, os.path.basename(shown))
-        black = _write(output, scene, tiles, folder=arguments.output)
+        if arguments.output is not None and is_folder(arguments.output):
+            os.makedirs(arguments.output, exist_ok=True)
+        standard = output == "-"
+        with open(1, "wb", closefd=False) if standard else atomic_file(output, PNG) as file:
+            black = write_tiles(file, scene.width, scene.height, tiles)
         for suspicion in () if quiet else suspicions(scene, black=black):
             print_line(sys.stderr, printable(f"{path}: warning: {suspicion}"))
     except SceneFileError as error:
@@ -220,20 +225,10 @@ def _rendered(path: str, output: str, arguments: argparse.Namespace) -> bool:
         if not quiet:
             size = f"{scene.width} x {scene.height} pixels"
             done = f"{shown}: {size} in {perf_counter() - start:.3f} s"
-            print_line(sys.stderr if output == "-" else sys.stdout, done)
+            print_line(sys.stderr if standard else sys.stdout, done)
         return True
     print_line(sys.stderr, fault)
     return False
-
-
-def _write(output: str, scene: Scene, tiles: Iterator[Compressed], folder: str | None) -> bool:
-    """Write a picture, if need be into a new `folder`; return whether it is black."""
-    from tracer.picture.png import PNG, write_tiles
-
-    if folder is not None and is_folder(folder):
-        os.makedirs(folder, exist_ok=True)
-    with open(1, "wb", closefd=False) if output == "-" else atomic_file(output, PNG) as file:
-        return write_tiles(file, scene.width, scene.height, tiles)
 
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, suppress
 from mmap import mmap
 from struct import Struct
-from typing import NamedTuple, NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias
 
 __all__ = ["Job", "Work", "forked", "helped", "processors", "run_helper"]
 
@@ -66,19 +66,15 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
-class _Worker(NamedTuple):
-    """A child process: its descriptor, a pipe to call it, and what closes these."""
-
-    process: int
-    call: int
-    files: ExitStack
-
-
 class _Team:
-    """Workers, by the pipes on which they report, and the file that they share."""
+    """Workers, and the file that they share.
+
+    Of each worker, by the pipe on which it reports: its descriptor, a pipe to call it, what closes
+    all three.
+    """
 
     def __init__(self) -> None:
-        self.workers: dict[int, _Worker] = {}
+        self.workers: dict[int, tuple[int, int, ExitStack]] = {}
         self.busy: set[int] = set()
         self.file, self.memory = -1, mmap(-1, 1)
 
@@ -99,7 +95,7 @@ class _Team:
             theirs.close()  # so that there are files left for one more
             process = os.pidfd_open(number)
             ours.callback(os.close, process)
-            self.workers[report] = _Worker(process, call, ours.pop_all())
+            self.workers[report] = process, call, ours.pop_all()
 
     def done(self, parts: int, work: Work) -> Done:
         """Do a job together with those who are busy with it."""
@@ -134,12 +130,12 @@ class _Team:
 
     def end(self, report: int) -> None:
         """End a worker, whatever it does."""
-        worker = self.workers.pop(report)
+        process, _, files = self.workers.pop(report)
         self.busy.discard(report)
         with suppress(OSError):  # it has ended, and somebody else has waited for it
-            signal.pidfd_send_signal(worker.process, signal.SIGKILL)
-            os.waitid(os.P_PIDFD, worker.process, os.WEXITED)
-        worker.files.close()
+            signal.pidfd_send_signal(process, signal.SIGKILL)
+            os.waitid(os.P_PIDFD, process, os.WEXITED)
+        files.close()
 
     def stop(self) -> None:
         """End all workers, and share nothing."""
@@ -228,7 +224,7 @@ class _Helpers(_Team):
             self.load = 0.0
             self.add(self._started)
         for report in list(self.workers)[:others]:
-            os.write(self.workers[report].call, _CALL.pack(parts, size, end))
+            os.write(self.workers[report][1], _CALL.pack(parts, size, end))
             self.busy.add(report)
         return True
 
