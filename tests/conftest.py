@@ -25,11 +25,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--expect-skips",
-        metavar="NAMES",
-        help="fail if a test is skipped for lack of anything but these, separated by commas",
-    )
+    text = "fail if a test is skipped for lack of anything but these, separated by commas"
+    parser.addoption("--expect-skips", metavar="NAMES", help=text)
 
 
 def need(program: str) -> str:

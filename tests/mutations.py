@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -169,16 +168,7 @@ CHANGES = {
 }
 """For each module texts that stand in it exactly once, and what takes their place."""
 
-
-class Mutation(NamedTuple):
-    """One of them."""
-
-    module: str
-    old: str
-    new: str
-
-
-MUTATIONS = [Mutation(module, *both) for module, each in CHANGES.items() for both in each.items()]
+MUTATIONS = [(module, *both) for module, each in CHANGES.items() for both in each.items()]
 
 FIRST = {
     "tracer/light": ["accuracy/test_closed_forms.py", "accuracy"],
@@ -204,9 +194,8 @@ def copied(folder: Path) -> None:
             shutil.copy(ROOT / name, folder / name)
 
 
-def mutated(mutation: Mutation) -> str:
-    """The text of a mutation's module, with the mutation."""
-    module, old, new = mutation
+def mutated(module: str, old: str, new: str) -> str:
+    """The text of a module, with a mutation."""
     text = (ROOT / module).read_text(encoding="utf-8")
     if text.count(old) != 1:
         raise ValueError(f"{module}: {old!r} stands there {text.count(old)} times, not once")
@@ -230,13 +219,13 @@ def failing(folder: Path, *arguments: str) -> str | None:
     return failed if done.returncode else None
 
 
-def killed(mutation: Mutation, slow: bool) -> str | None:
-    """The test that notices a mutation; None if it survives."""
+def killed(module: str, text: str, slow: bool) -> str | None:
+    """The test that notices a module's new text; None if none does."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         copied(folder)
-        (folder / mutation.module).write_text(mutated(mutation), encoding="utf-8")
-        first = next(tests for start, tests in FIRST.items() if mutation.module.startswith(start))
+        (folder / module).write_text(text, encoding="utf-8")
+        first = next(tests for start, tests in FIRST.items() if module.startswith(start))
         runs = [[f"tests/{name}"] for name in first] + [["tests"]] + [["-m", "slow"]] * slow
         return next((test for run in runs if (test := failing(folder, *run))), None)
 
@@ -252,12 +241,12 @@ def main() -> int:
     arguments = parser.parse_args()
     survivors = 0
     for number in arguments.numbers or range(len(MUTATIONS)):
-        mutation = MUTATIONS[number]
-        mutated(mutation)
-        test = "" if arguments.list else killed(mutation, arguments.slow)
+        module, old, new = MUTATIONS[number]
+        text = mutated(module, old, new)
+        test = "" if arguments.list else killed(module, text, arguments.slow)
         survivors += test is None
         told = "SURVIVED" if test is None else test
-        print(f"{number} {mutation.module}: {mutation.new.strip()!r} {told}", flush=True)
+        print(f"{number} {module}: {new.strip()!r} {told}", flush=True)
     return int(survivors > 0)
 
 

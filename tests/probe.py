@@ -51,16 +51,10 @@ def a_direction(rng: np.random.Generator) -> Floats:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def vector(v: Floats) -> Vector:
-    """(3,), as scenes and their parts take it."""
-    x, y, z = v.tolist()
-    return x, y, z
-
-
 def colored(*positions: Vector) -> list[PointLight]:
     """A red, a green and a blue light: each shows in its own channel."""
     return [
-        PointLight(position=position, intensity=vector(color))
+        PointLight(position=position, intensity=color)
         for position, color in zip(positions, np.eye(3)[: len(positions)], strict=True)
     ]
 

@@ -1,7 +1,6 @@
 """Random scenes that are hard to get right, each from its own seed.
 
-Coordinates are small dyadic numbers wherever objects are meant to touch, so
-that they do touch exactly; the rest is drawn without such care.
+Coordinates are small dyadic numbers wherever objects touch, so that they do so exactly.
 """
 
 from collections.abc import Callable
@@ -9,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from probe import Surface, Vector, a_direction, vector
+from probe import Surface, Vector, a_direction
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
 from tracer.arrays import Floats
@@ -46,16 +45,12 @@ def _camera(rng: Generator, setting: Setting) -> Camera:
     eye = np.array(setting.target) - direction * setting.reach
     up = np.roll(np.abs(direction), 1) if axis_aligned else a_direction(rng)
     tilted = direction + 0.5 * a_direction(rng) if rng.random() < 0.4 else None
-    return Camera(
-        view_point=vector(eye),
-        view_dir=vector(direction),
-        view_up=vector(up),
-        proj_normal=None if tilted is None else vector(tilted),
-        # From further away through a longer lens.
-        proj_distance=rng.uniform(0.5, 2) * max(1, setting.reach / 3),
-        view_width=rng.uniform(0.3, 3),
-        view_height=rng.uniform(0.3, 2),
-    )
+    # From further away through a longer lens.
+    distance = rng.uniform(0.5, 2) * max(1, setting.reach / 3)
+    width, height = rng.uniform(0.3, 3), rng.uniform(0.3, 2)
+    return Camera(view_point=eye, view_dir=direction, view_up=up,
+                  proj_normal=tilted, proj_distance=distance, view_width=width,
+                  view_height=height)  # fmt: skip
 
 
 def _light(rng: Generator, camera: Camera, setting: Setting) -> PointLight:
@@ -64,17 +59,17 @@ def _light(rng: Generator, camera: Camera, setting: Setting) -> PointLight:
     surface = setting.surfaces[rng.integers(len(setting.surfaces))]
     where = rng.random()
     if where < 0.1:
-        position = np.array(camera.view_point)
+        position = camera.view_point
     elif where < 0.2 and isinstance(surface, Sphere):
-        position = np.array(surface.center)
+        position = surface.center
     elif where < 0.3 and isinstance(surface, Box):
         position = rng.uniform(surface.min_pt, surface.max_pt)
         position[1] = surface.min_pt[1]
-    return PointLight(position=vector(position), intensity=vector(rng.uniform(0.2, 1, 3)))
+    return PointLight(position=tuple(position), intensity=rng.uniform(0.2, 1, 3))
 
 
 def _shader(rng: Generator) -> Shader:
-    diffuse = vector(rng.uniform(0.1, 1, 3))
+    diffuse = rng.uniform(0.1, 1, 3)
     if rng.random() < 0.5:
         return Lambertian(diffuse=diffuse)
     return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=float(rng.integers(0, 60)))
@@ -99,9 +94,9 @@ def _some(rng: Generator, count: int, spread: float) -> list[Surface]:
         center, shader = rng.uniform(-spread, spread, 3), _shader(rng)
         size = rng.uniform(0.1, 0.9, 3) * (rng.random(3) > 0.1)  # now and then flat
         surfaces.append(
-            Sphere(center=vector(center), radius=rng.uniform(0.1, 1), shader=shader)
+            Sphere(center=center, radius=rng.uniform(0.1, 1), shader=shader)
             if rng.random() < 0.5
-            else Box(min_pt=vector(center - size), max_pt=vector(center + size), shader=shader)
+            else Box(min_pt=center - size, max_pt=center + size, shader=shader)
         )
     return surfaces
 
@@ -184,7 +179,7 @@ def _walled(rng: Generator) -> Setting:
         for sign in (-1, 1):
             low, high = np.full(3, -2.5), np.full(3, 2.5)
             low[axis], high[axis] = sorted((2 * sign, 2.5 * sign))
-            surfaces.append(_box(rng, vector(low), vector(high)))
+            surfaces.append(_box(rng, low, high))
     return Setting(surfaces, (0, 0, 0), rng.uniform(0.5, 1.9))
 
 
@@ -194,23 +189,17 @@ def _crowd(rng: Generator) -> Setting:
     for center in rng.uniform(-2, 2, (1000, 3)):
         size, shader = rng.uniform(0.01, 0.06, 3), _shader(rng)
         surfaces.append(
-            Sphere(center=vector(center), radius=float(size[0]), shader=shader)
+            Sphere(center=center, radius=float(size[0]), shader=shader)
             if rng.random() < 0.5
-            else Box(min_pt=vector(center - size), max_pt=vector(center + size), shader=shader)
+            else Box(min_pt=center - size, max_pt=center + size, shader=shader)
         )
     return Setting(surfaces, (0, 0, 0), rng.uniform(0, 4))
 
 
-_ALL = (
-    _scattered,
-    _touching,
-    _nested,
-    _duplicated,
-    _enormous,
-    _rooms,
-    _far,
-    _grazing,
-    _walled,
-    _crowd,
-)
-KINDS: dict[str, Callable[[Generator], Setting]] = {kind.__name__[1:]: kind for kind in _ALL}
+KINDS: dict[str, Callable[[Generator], Setting]] = {
+    make.__name__[1:]: make
+    for make in (
+        *(_scattered, _touching, _nested, _duplicated, _enormous),
+        *(_rooms, _far, _grazing, _walled, _crowd),
+    )
+}

@@ -1,7 +1,5 @@
 """Scenes of this project, small; scenes that tests write; the codes of a picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from probe import EPS, colored, moved, one_ray, radiance_along, scene_of, vector
+from probe import EPS, colored, moved, one_ray, radiance_along, scene_of
 
 from reference import plain
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Sphere, render
@@ -103,16 +103,16 @@ def shading() -> Iterator[Ray]:
     # the normal's components.  Lengths up to 7 are rounded, against the unit.
     for n in ((0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)):
         p, ball = 2 + 3 * np.array(n), Sphere(center=(2, 2, 2), radius=3)
-        eye, lights = vector(p + 2 * np.array(n)), colored(*map(vector, p + AXES))
+        eye, lights = p + 2 * np.array(n), colored(*(p + AXES))
         toward = (-n[0], -n[1], -n[2])
         yield Ray(f"sphere, normal {n}", eye, toward, lights, [ball], list(n), 16 * EPS)
     # Each face from outside and, where the opposite face looks at the eye, from inside.
     for axis, sign in product(range(3), (-1, 1)):
         n, up = sign * AXES[axis], AXES[axis - 2]
-        eye, light = vector(5 * n), vector(5 * n + 3 * up)
-        yield Ray(f"box from {eye}", eye, vector(-n), light, [CUBE], 0.8)
-        light = vector(0.2 * n + 0.6 * up)
-        yield Ray(f"box along {eye}", (0, 0, 0), vector(n), light, [CUBE], 0.8)
+        eye, light = 5 * n, 5 * n + 3 * up
+        yield Ray(f"box from {eye}", eye, -n, light, [CUBE], 0.8)
+        light = 0.2 * n + 0.6 * up
+        yield Ray(f"box along {eye}", (0, 0, 0), n, light, [CUBE], 0.8)
 
 
 def far_and_large() -> Iterator[Ray]:
@@ -326,7 +326,7 @@ def test_eye_on_a_wall(axis, side):
     # the wall those of one half of the picture.
     outwards = side * AXES[axis]
     for direction, share in ((-outwards, 1.0), (outwards, 0.0), (np.roll(outwards, 1), 0.5)):
-        camera = Camera(view_point=vector(outwards), view_dir=vector(direction), view_up=(1, 2, 4))
+        camera = Camera(view_point=outwards, view_dir=direction, view_up=(1, 2, 4))
         scene = scene_of(CUBE, camera=camera, size=(16, 16), lights=(0, 0, 0))
         assert (render(scene) > 0).mean() == share
 

@@ -12,7 +12,7 @@ import pytest
 from brute_force import brute_force
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probe import scene_of, vector
+from probe import scene_of
 from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, Scene, Sphere, render
@@ -93,7 +93,7 @@ def test_any_scene(kind, seed, width, height, zooms):
         local = np.array([raster.across(x)[0], raster.down(y)[0], raster.depth])
         camera = replace(
             scene.camera,
-            view_dir=vector(local @ raster.axes),
+            view_dir=local @ raster.axes,
             proj_normal=scene.camera.normal,
             proj_distance=math.hypot(*local),
             view_width=scene.camera.view_width / 16,
@@ -248,7 +248,7 @@ def without_end() -> Iterator[tuple[str, Scene, Scene]]:
     camera = Camera(view_point=(3, 4, 8), view_dir=(-3, -4, -8))
     for far, toward in product((1e10, 1e13, 1e15, 1e20, 1e40), ((1, 2, 1.5), (1, 1, 0), (0, 1, 0))):
         sun, usual = (
-            seen(*some, camera=camera, size=(40, 40), light=vector(distance * np.array(toward)))
+            seen(*some, camera=camera, size=(40, 40), light=distance * np.array(toward))
             for distance in (far, 1e6)
         )
         yield f"sun at {far}, {toward}", sun, usual

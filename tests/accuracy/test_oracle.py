@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from judge import judge
-from probe import a_direction, colored, moved, scene_of, vector
+from probe import a_direction, colored, moved, scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import small
 
@@ -115,7 +115,7 @@ def test_own_scenes(name):
     ],
 )
 def test_scaled_and_shifted(kind, scale, offset):
-    shift = vector(np.array(offset) * scale)
+    shift = np.array(offset) * scale
     scenes = (random_scene(kind, seed, 7, 5) for seed in range(2))
     hold((moved(scene, scale, shift) for scene in scenes), 3e-14, 0.9)
 
@@ -125,7 +125,7 @@ def test_decisions_from_afar(distance):
     scenes = [random_scene(kind, seed) for kind in ("scattered", "touching") for seed in range(2)]
     for i, scene in enumerate(scenes):
         direction = np.array(scene.camera.view_dir)
-        camera = Camera(view_point=vector(direction * -distance), view_dir=vector(direction),
+        camera = Camera(view_point=direction * -distance, view_dir=direction,
                         view_up=scene.camera.view_up, proj_distance=distance, view_width=4,
                         view_height=3)  # fmt: skip
         scenes[i] = replace(scene, camera=camera)
@@ -161,12 +161,12 @@ def test_distance_and_offset_over_radius(distance, offset, promise, radius):
         # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most: nearer the silhouette the
         # normal of any rounded ray errs by 1 / cosine.
         size = 1.4 * radius * 5 / 4
-        camera = Camera(view_point=vector(center - direction * distance * radius),
-                        view_dir=vector(direction), view_up=vector(a_direction(rng)),
+        camera = Camera(view_point=center - direction * distance * radius,
+                        view_dir=direction, view_up=a_direction(rng),
                         proj_distance=distance * radius, view_width=size,
                         view_height=size)  # fmt: skip
-        surface = Sphere(center=vector(center), radius=radius)
-        return scene_of(surface, camera=camera, size=(5, 5), lights=colored(*map(vector, lights)))
+        surface = Sphere(center=center, radius=radius)
+        return scene_of(surface, camera=camera, size=(5, 5), lights=colored(*lights))
 
     assert worst(ball() for _ in range(4)) <= promise
 
@@ -182,7 +182,7 @@ def test_ground_radius_over_height(ratio, height):
         flat = math.cos(slope)
         ahead = (flat * math.cos(turn), -math.sin(slope), flat * math.sin(turn))
         camera = Camera(view_point=(0, height, 0), view_dir=ahead, view_width=0.3, view_height=0.3)
-        lights = colored(*(vector(a_direction(rng) * radius) for _ in range(3)))
+        lights = colored(*(a_direction(rng) * radius for _ in range(3)))
         surface = Sphere(center=(0, -radius, 0), radius=radius)
         return scene_of(surface, camera=camera, size=(5, 5), lights=lights)
 
