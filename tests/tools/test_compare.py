@@ -97,13 +97,11 @@ def test_figures_by_hand() -> None:
     shown = a ** (1 / 2.2), b ** (1 / 2.2)
     right = structural_similarity(*shown, channel_axis=2, data_range=1.0)
     assert figures(a, b).ssim == pytest.approx(right, abs=1e-6)
-
-
-@pytest.mark.parametrize(("pixels", "p999"), [(1, 0.0), (4, 0.5)])
-def test_a_thousandth_of_the_pixels_may_differ_more(pixels: int, p999: float) -> None:
-    a, b = np.full((40, 50, 3), 0.25), np.full((40, 50, 3), 0.25)
-    a[0, :pixels] += 0.5
-    assert figures(a, b).p999 == p999
+    # A thousandth of the pixels may differ more.
+    for pixels, p999 in ((1, 0.0), (4, 0.5)):
+        a, b = np.full((40, 50, 3), 0.25), np.full((40, 50, 3), 0.25)
+        a[0, :pixels] += 0.5
+        assert figures(a, b).p999 == p999
 
 
 def test_figures_refuse() -> None:
@@ -155,22 +153,20 @@ def test_comparisons_are_enlarged_by_their_longer_side(
     np.testing.assert_array_equal(panel[::zoom, ::zoom], to_codes(a))
 
 
-@pytest.mark.parametrize(
-    ("tolerances", "status"),
-    [
-        ("", 1),
-        ("--max 0.2", 0),
-        ("--max 1e-4", 1),
-        ("--ssim 0.9", 0),
-        ("--ssim 0.9 --max 1e-4", 1),
-        ("--ssim 1", 1),
-    ],
-)
-def test_exit_status(
-    tmp_path: Path, right: Path, compare: Compare, tolerances: str, status: int
-) -> None:
+def test_exit_status(tmp_path: Path, right: Path, compare: Compare) -> None:
     a = save(tmp_path / "a.png", to_codes(1.05 * RIGHT))
-    assert compare(a, right, *tolerances.split())[0] == status
+    for tolerances, status in {
+        "": 1,
+        "--max 0.2": 0,
+        "--max 1e-4": 1,
+        "--ssim 0.9": 0,
+        "--ssim 0.9 --max 1e-4": 1,
+        "--ssim 1": 1,
+        "--max -1": 2,
+    }.items():
+        assert compare(a, right, *tolerances.split())[0] == status, tolerances
+    assert compare("only-one.png")[0] == 2
+    assert compare(tmp_path, right, "-o", f"{tmp_path}/no-folder.png")[0] == 2
 
 
 def test_command(tmp_path: Path, right: Path) -> None:
@@ -201,30 +197,26 @@ def test_a_module_that_is_no_command_says_so(module: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "mode", "note"),
+    ("name", "note"),
     [
-        ("a.jpg", "RGB", ["A is a JPEG, which changes levels: save it as PNG."]),
-        ("a.gif", "P", ["A has a palette, of 256 colours at most: save it as RGB."]),
-        ("a.png", "RGB", []),
+        ("a.jpg", ["A is a JPEG, which changes levels: save it as PNG."]),
+        ("a.gif", ["A has a palette, of 256 colours at most: save it as RGB."]),
+        ("a.png", []),
     ],
 )
 def test_a_format_is_noted_and_hides_nothing(
-    tmp_path: Path, right: Path, compare: Compare, name: str, mode: str, note: list[str]
+    tmp_path: Path, right: Path, compare: Compare, name: str, note: list[str]
 ) -> None:
-    Image.fromarray(np.ascontiguousarray(CODES[::-1])).convert(mode).save(tmp_path / name)
-    status, told, _ = compare(tmp_path / name, right, "-o", tmp_path)
+    status, told, _ = compare(save(tmp_path / name, CODES[::-1]), right, "-o", tmp_path)
     words = "A is upside down: row 0 should be the top."
     assert (status, told[1:]) == (1, [*note, words, str(tmp_path / "a.compare.png")])
 
 
 def test_transparency_that_was_not_meant(tmp_path: Path, right: Path, compare: Compare) -> None:
-    nothing = np.zeros((*CODES.shape[:2], 1), dtype=np.uint8)
-    clear = save(tmp_path / "a.png", np.concatenate([CODES, nothing], axis=2))
+    clear = save(tmp_path / "a.png", np.dstack([CODES, 0 * CODES[:, :, 0]]))
     assert not read_picture(clear).codes.any()
-    assert compare(clear, right)[1][1:-1] == [
-        "A is transparent in places, which counts as black: save it as RGB.",
-        "A is black, and B is not.",
-    ]
+    note = "A is transparent in places, which counts as black: save it as RGB."
+    assert compare(clear, right)[1][1:-1] == [note, "A is black, and B is not."]
 
 
 def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
@@ -245,15 +237,15 @@ def test_names_that_are_not_text_are_escaped(tmp_path: Path, black: Path) -> Non
     assert told.endswith(f"{tmp_path}/\\udcff.compare.png\n")
 
 
-@pytest.mark.parametrize("where", ["full", "closed", "ascii"])
+@pytest.mark.parametrize("where", ["full", "ascii"])
 def test_what_cannot_be_printed_does_not_change_the_status(
-    tmp_path: Path, black: Path, unread: int, where: str
+    tmp_path: Path, black: Path, where: str
 ) -> None:
     output = tmp_path / "\u00f6.png"
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "reference.compare", black, black, "-o", str(output)],
-            stdout={"full": full, "closed": unread, "ascii": subprocess.PIPE}[where],
+            stdout=full if where == "full" else subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=ROOT,
             env=os.environ | {"PYTHONIOENCODING": "ascii"},
@@ -268,17 +260,12 @@ def test_sizes_exit_1(tmp_path: Path, right: Path, compare: Compare) -> None:
     assert told[0].startswith("Different sizes")
 
 
-@pytest.mark.parametrize("what", ["missing", "empty", "text", "cut", "wrong length of a chunk"])
+@pytest.mark.parametrize("what", ["missing", "empty", "cut", "wrong length of a chunk"])
 def test_unreadable(tmp_path: Path, right: Path, compare: Compare, what: str) -> None:
-    whole = right.read_bytes()
+    whole, bad = right.read_bytes(), tmp_path / "a.png"
     before, after = whole.split(b"IDAT", 1)
-    contents = {
-        "empty": b"",
-        "text": b"no picture",
-        "cut": whole[: len(whole) // 2],
-        "wrong length of a chunk": before[:-4] + b"\0\0\0\5IDAT" + after,
-    }
-    bad = tmp_path / "a.png"
+    wrong = before[:-4] + b"\0\0\0\5IDAT" + after
+    contents = {"empty": b"", "cut": whole[: len(whole) // 2], "wrong length of a chunk": wrong}
     if what in contents:
         bad.write_bytes(contents[what])
     status, told, error = compare(bad, right)
@@ -312,14 +299,14 @@ def test_grey_of_sixteen_bits_is_read(tmp_path: Path) -> None:
     assert read_picture(path).codes[0].tolist() == [[k] * 3 for k in (0, 1, 255, 117)]
 
 
-def deep_png(colour_type: int, channels: int) -> bytes:
-    """A pixel of 16 bits a channel."""
+def deep_png() -> bytes:
+    """A pixel of 16 bits in each of red, green and blue."""
     chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, colour_type, 0, 0, 0)),
-        (b"IDAT", zlib.compress(b"\0" + channels * b"\x12\x34")),
+        (b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(b"\0" + 3 * b"\x12\x34")),
         (b"IEND", b""),
     )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
+    return PNG + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks
     )
@@ -332,24 +319,15 @@ def deep_tiff(order: Literal["<", ">"]) -> bytes:
     return data.getvalue()
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        pytest.param(deep_png(2, 3), id="RGB"),
-        pytest.param(deep_png(4, 2), id="LA"),
-        pytest.param(deep_png(6, 4), id="RGBA"),
-        pytest.param(deep_tiff("<"), id="TIFF, low byte first"),
-        pytest.param(deep_tiff(">"), id="TIFF, high byte first"),
-        pytest.param(b"P6 1 1 65535\n" + 6 * b"\x12", id="PPM"),
-        pytest.param(b"P3 1 1 1023\n1 2 3\n", id="plain PPM"),
-    ],
-)
+DEEP = (deep_png(), deep_tiff("<"), deep_tiff(">"), b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n")
+
+
+@pytest.mark.parametrize("content", DEEP, ids=("PNG", "TIFF", "big TIFF", "PPM", "plain PPM"))
 def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "deep"
     path.write_bytes(content)
     with Image.open(path) as image:
         image.load()  # Pillow reads it
-        assert image.mode in ("RGB", "RGBA", "LA")
     with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
         read_picture(path)
 
@@ -428,8 +406,8 @@ def test_many_are_shared_by_processes(tmp_path: Path, black: Path, compare: Comp
         shutil.copy(black, folder / f"{k:02}.png")
     (folder / "05.png").write_bytes(b"no picture")
     status, lines, _ = compare(folder, black)
-    assert (status, len(lines)) == (3, 13)
-    for k, line in enumerate(lines[:-1]):
+    assert status == 3
+    for k, line in enumerate(lines[:12]):
         assert line.startswith("unread" if k == 5 else "agrees")
         assert f"{folder}/{k:02}.png: " in line
 
@@ -473,11 +451,6 @@ def test_what_cannot_be_written_whole_leaves_what_was_there(
     assert compare(black, black, "-o", output) == (3, [], told)
     assert output.read_bytes() == PNG + b"precious"
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_wrong_usage(tmp_path: Path, black: Path, compare: Compare) -> None:
-    assert compare("only-one.png")[0] == 2
-    assert compare(tmp_path, black, "-o", f"{tmp_path}/no-folder.png")[0] == 2
 
 
 def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:
