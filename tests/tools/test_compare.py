@@ -13,7 +13,7 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -125,28 +125,24 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
     a[19, 150] += 0.4
     path = tmp_path / "out.png"
     write_comparison(path, a, b, ("A", "B"))
-    shown = read_picture(path).codes / 255
-    assert shown.shape == (20 + 2 * 8 + 2 * 24, 3 * 300 + 4 * 8, 3)
-    difference = shown[8 + 24 : 8 + 24 + 20, 3 * 8 + 2 * 300 : 3 * 8 + 3 * 300]
+    difference = read_picture(path).codes[32:52, 624:924] / 255
     # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
-    np.testing.assert_allclose(difference[10, 50], [0.8, 0.8 * 0.62, 0], atol=1 / 255)
-    np.testing.assert_allclose(difference[19, 150], [1, 0.62, 0], atol=1 / 255)
-    assert not difference[10, 150].any()
-    np.testing.assert_allclose(
-        difference[10, 250], [0.4 * 0.34, 0.4 * 0.71, 0.4 * 0.91], atol=1 / 255
-    )
+    for row, column, level in (
+        (10, 50, (0.8, 0.8 * 0.62, 0)),
+        (19, 150, (1, 0.62, 0)),
+        (10, 150, (0, 0, 0)),
+        (10, 250, (0.4 * 0.34, 0.4 * 0.71, 0.4 * 0.91)),
+    ):
+        np.testing.assert_allclose(difference[row, column], level, atol=1 / 255)
 
 
-@pytest.mark.parametrize(
-    ("width", "height", "zoom"), [(1, 2000, 1), (2000, 1, 1), (100, 150, 2), (8, 6, 38)]
-)
+@pytest.mark.parametrize(("width", "height", "zoom"), [(1, 2000, 1), (100, 150, 2), (8, 6, 38)])
 def test_comparisons_are_enlarged_by_their_longer_side(
     tmp_path: Path, width: int, height: int, zoom: int
 ) -> None:
     a = np.linspace(0, 1, width * height * 3).reshape(height, width, 3)
-    path = tmp_path / "out.png"
-    write_comparison(path, a, a[::-1, ::-1], ("A", "B"))
-    shown = read_picture(path).codes
+    write_comparison(tmp_path / "out.png", a, a[::-1, ::-1], ("A", "B"))
+    shown = read_picture(tmp_path / "out.png").codes
     column = max(300, zoom * width)  # the labels fit
     assert shown.shape == (zoom * height + 2 * 8 + 2 * 24, 3 * column + 4 * 8, 3)
     panel = shown[8 + 24 : 8 + 24 + zoom * height, 8 : 8 + zoom * width]
@@ -180,13 +176,9 @@ def test_command(tmp_path: Path, right: Path) -> None:
         assert comparison.size[0] == 3 * 300 + 4 * 8
 
 
-@pytest.mark.parametrize("module", ["PIL", "skimage"])
-def test_a_missing_package_does_not_pass_for_a_difference(
-    tmp_path: Path, black: Path, module: str
-) -> None:
-    stub = f"raise ModuleNotFoundError('No module named {module}')"
-    (tmp_path / f"{module}.py").write_text(stub)
-    told = f"No module named {module}; install it with pip install -e '.[reference]'\n"
+def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, black: Path) -> None:
+    (tmp_path / "PIL.py").write_text("raise ModuleNotFoundError('No module named PIL')")
+    told = "No module named PIL; install it with pip install -e '.[reference]'\n"
     assert run(black, black, PYTHONPATH=str(tmp_path)) == (2, "", told)
 
 
@@ -221,37 +213,9 @@ def test_transparency_that_was_not_meant(tmp_path: Path, right: Path, compare: C
 
 def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
     black = np.zeros((40, 40, 3))
-    pictures = []
-    for name in ("x" * 200, "x" * 300):
-        write_comparison(tmp_path / "c.png", black, black + 0.5, (name, "right"))
-        pictures.append(read_picture(tmp_path / "c.png").codes)
-    np.testing.assert_array_equal(*pictures)
-    gap = pictures[0][: 8 + 24, 8 + 320 : 2 * 8 + 320]  # panels of 40 pixels, 8 times as large
+    write_comparison(tmp_path / "c.png", black, black + 0.5, ("x" * 200, "right"))
+    gap = read_picture(tmp_path / "c.png").codes[:32, 328:336]  # panels 8 times as large
     assert (gap == 250).all()
-
-
-def test_names_that_are_not_text_are_escaped(tmp_path: Path, black: Path) -> None:
-    a = shutil.copy(black, os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png"))
-    status, told, error = run(a, black, PYTHONIOENCODING="utf-8")
-    assert (status, error) == (0, "")
-    assert told.endswith(f"{tmp_path}/\\udcff.compare.png\n")
-
-
-@pytest.mark.parametrize("where", ["full", "ascii"])
-def test_what_cannot_be_printed_does_not_change_the_status(
-    tmp_path: Path, black: Path, where: str
-) -> None:
-    output = tmp_path / "\u00f6.png"
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "reference.compare", black, black, "-o", str(output)],
-            stdout=full if where == "full" else subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            cwd=ROOT,
-            env=os.environ | {"PYTHONIOENCODING": "ascii"},
-        )
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert output.exists()
 
 
 def test_sizes_exit_1(tmp_path: Path, right: Path, compare: Compare) -> None:
@@ -435,22 +399,6 @@ def test_inputs_are_not_replaced(
     assert status == 2
     assert "this would replace an input; choose another with -o" in error
     assert {path: path.read_bytes() for path in before} == before
-
-
-def test_what_cannot_be_written_whole_leaves_what_was_there(
-    tmp_path: Path, black: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
-) -> None:
-    def fail(_image: Image.Image, file: IO[bytes], **_options: object) -> None:
-        file.write(b"half")
-        raise OSError("the disk is full")
-
-    output = tmp_path / "out.png"
-    output.write_bytes(PNG + b"precious")
-    monkeypatch.setattr(Image.Image, "save", fail)
-    told = f"{output}: cannot be written: the disk is full\n"
-    assert compare(black, black, "-o", output) == (3, [], told)
-    assert output.read_bytes() == PNG + b"precious"
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:

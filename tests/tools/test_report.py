@@ -192,14 +192,6 @@ def test_scenes_of_one_name_are_told_apart(small: Path, report: Report) -> None:
     assert text.count("The unit sphere") == text.count("The same again") == 1
 
 
-def test_names_that_are_not_text_are_escaped(small: Path, report: Report) -> None:
-    odd = Path(os.fsdecode(os.fsencode(small.parent) + b"/\xffa\nb.xml"))
-    small.rename(odd)
-    status, _, text = report(odd.with_name("report.html"), odd)
-    assert status == 0
-    assert f"<h2>{repr(odd.stem)[1:-1]}</h2>" in text
-
-
 def test_a_variant_that_cannot_run_is_told_once(small: Path, report: Report) -> None:
     variant = "scalar_spectral"
     status, error, text = report(small.with_name("report.html"), small, "--variant", variant)
