@@ -71,8 +71,7 @@ def parser(
 ) -> argparse.ArgumentParser:
     """The parser of `python -m module`, described by its docstring.
 
-    `quick` is what the option `--quick` does, if there is one; `redraw`: whether there is
-    an option to draw stored measurements again.
+    `quick` is what its option `--quick` does; `redraw`: whether it can draw stored measurements.
     """
     made = argparse.ArgumentParser(
         prog=f"python -m {module}",
@@ -80,8 +79,7 @@ def parser(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     if quick:
-        where = f"{quick}; writes into {BUILD.name}/"
-        made.add_argument("--quick", action="store_true", help=where)
+        made.add_argument("--quick", action="store_true", help=f"{quick}; writes into build/")
     if redraw:
         made.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     return made

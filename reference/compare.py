@@ -61,18 +61,10 @@ _BRIGHTER, _DARKER = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """How far apart two pictures are: pixels in linear light, each by its worst channel.
+    """How far apart two pictures are, in linear light; each pixel counts by its worst channel.
 
-    Attributes
-    ----------
-    ssim : float
-        Mean structural similarity as displayed, masked pixels included.
-    max, p999, median : float
-        Largest, 99.9th percentile and median of the pixels' differences.
-    rmse : float
-        Root mean square over pixels and channels.
-    over, masked : int
-        Pixels that differ by more than 1e-3; pixels left out of all but `ssim`.
+    `ssim` is of the pictures as displayed, masked pixels included; `rmse` is over pixels and
+    channels; `over` counts the pixels that differ by more than 1e-3.
     """
 
     ssim: float
@@ -92,19 +84,9 @@ class Figures:
 
 
 def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
-    """Measure how far apart two pictures are.
+    """Measure how far apart two pictures (h, w, 3) of linear radiance are, less a mask (h, w).
 
-    Parameters
-    ----------
-    a, b : (h, w, 3) float
-        Linear radiance.
-    mask : (h, w) bool, optional
-        Pixels to leave out.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a value is not finite, or every pixel is masked.
+    Raises ValueError if the shapes differ, a value is not finite, or every pixel is masked.
     """
     if a.shape != b.shape:
         raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
@@ -113,12 +95,8 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not kept.any():
         raise ValueError("every pixel is masked")
-    rows, columns = (max(_WINDOW - size, 0) for size in a.shape[:2])
-    missing = (0, rows), (0, columns), (0, 0)
-    shown = [
-        np.pad(np.clip(image, 0, 1).astype(np.float32) ** (1 / GAMMA), missing, mode="edge")
-        for image in (a, b)
-    ]
+    missing = [(0, max(_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
+    shown = [np.pad(np.clip(x, 0, 1) ** (1 / GAMMA), missing, mode="edge") for x in (a, b)]
     ssim = structural_similarity(*shown, win_size=_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixels = difference.max(axis=1)
@@ -134,20 +112,9 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
 
 
 def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
-    """Write a PNG of A, B and the difference, amplified.
+    """Write a PNG of A, B and the difference, amplified, under labels.
 
-    Parameters
-    ----------
-    path : str or Path
-    a, b : (h, w, 3) float
-        Linear radiance.
-    labels : (str, str)
-        What A and B are.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    A and B are linear radiance (h, w, 3).  Raises OSError if the file cannot be written.
     """
     shown, gain = amplified(a, b)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
@@ -197,14 +164,10 @@ class Picture(NamedTuple):
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture, or render a scene file with one sample a pixel.
+    """Read a picture, or render a scene file; what is transparent is black.
 
-    What is transparent in a picture is black, as where a scene has nothing.
-
-    Raises
-    ------
-    OSError, SyntaxError, ValueError
-        If it cannot be read, is no scene, or has colours of more than 8 bits a channel.
+    Raises OSError, SyntaxError or ValueError if it cannot be read, is no scene, or has colours of
+    more than 8 bits a channel.
     """
     if not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
@@ -259,8 +222,7 @@ class _Result(NamedTuple):
 
 def tolerance(text: str) -> float:
     """The type of a tolerance; argparse names it so where the text is no number."""
-    value = float(text)
-    if not value >= 0:
+    if not (value := float(text)) >= 0:
         raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
     return value
 
@@ -332,9 +294,8 @@ def _outputs(options: argparse.Namespace, pictures: list[Path], many: bool) -> l
     """Where the comparison of each picture goes; none to another's place."""
     if options.output is not None and not many and not is_folder(options.output):
         return [Path(options.output)]
+    above, outputs = options.a if many else options.a.parent, []
     taken = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
-    above = options.a if many else options.a.parent
-    outputs = []
     for picture in pictures:
         name = picture.stem if taken[picture.with_suffix("")] == 1 else picture.name
         folder = picture.parent

@@ -33,14 +33,9 @@ def linear(codes: NDArray[np.generic]) -> Floats:
 
 
 def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
-    """Tell which kinds of difference lie between A and the right picture, B.
+    """Tell which kinds of difference lie between A and the right picture, B, of any sizes.
 
-    Parameters
-    ----------
-    a, b : (h, w, 3) uint8
-        Their sizes may differ.
-    lossy : bool
-        Whether the format of a picture changes levels, as JPEG does.
+    Both are (h, w, 3) uint8.  `lossy`: whether the format of one changes levels, as JPEG does.
     """
     if a.shape != b.shape:
         return _sizes(a.shape, b.shape)
@@ -76,12 +71,13 @@ def diagnose(a: Codes, b: Codes, *, lossy: bool = False) -> Diagnosis:
 
 
 def _sizes(a: tuple[int, ...], b: tuple[int, ...]) -> Diagnosis:
-    text = f"Different sizes: A has {a[1]}x{a[0]} pixels, B {b[1]}x{b[0]}"
+    more = ""
     if a[:2] == b[1::-1]:
-        text += "; width and height are swapped"
+        more = "; width and height are swapped"
     elif a[0] * b[1] == a[1] * b[0]:
-        text += f"; of the same shape, A {a[0] / b[0]:.3g} times as large"
-    return Diagnosis("size", text + ".")
+        more = f"; of the same shape, A {a[0] / b[0]:.3g} times as large"
+    text = f"Different sizes: A has {a[1]}x{a[0]} pixels, B {b[1]}x{b[0]}{more}."
+    return Diagnosis("size", text)
 
 
 def _rounding(a: Codes, b: Codes) -> Diagnosis:

@@ -37,14 +37,11 @@ __all__ = ["main", "page"]
 
 # What a report is called in a folder, and how each begins, as the template does.
 _NAME, _HTML = "report.html", b"<!doctype html>"
-
 TEMPLATE = HERE / "report-template.html"
-
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
-
 _MASKED = 0.3
 
 
@@ -54,18 +51,9 @@ def page(
     charts: Iterable[tuple[str, bytes]] = (),
     unread: Sequence[str] = (),
 ) -> str:
-    """The report as HTML.
+    """The report as HTML, with a comment on each result by its name.
 
-    Parameters
-    ----------
-    results : sequence of CheckResult
-        One for each scene.
-    comments : dict
-        What each scene shows, by its name.
-    charts : iterable of (str, bytes)
-        Title and SVG of each.
-    unread : sequence of str
-        What is wrong with each scene that could not be compared.
+    `charts` are titles and SVGs; `unread` says what is wrong with scenes that were not compared.
     """
     environment = Environment(autoescape=True, trim_blocks=True)
     environment.filters |= {"codes": to_codes, "data": _data, "difference": _difference}
