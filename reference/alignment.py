@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import permutations, product
 from typing import NamedTuple, TypeAlias
@@ -43,29 +42,22 @@ class Diagnosis(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
+class Pair(NamedTuple):
     """A (h, w, 3), and B moved to where A shows it: its levels lie between `low` and `high`.
 
-    A shift by half a pixel, say, leaves them undecided.  `known` (h, w): where B shows what is
-    there.  Levels count as equal up to `noise`.
+    A shift by half a pixel, say, leaves them undecided.  `shown` (h, w): where something is seen,
+    in A or in B, and B shows what is there.  Levels count as equal up to `noise`.
     """
 
     a: Codes
     low: Codes
     high: Codes
-    known: Bools
+    shown: Bools
     noise: int
-
-    @property
-    def shown(self) -> Bools:
-        """Places (h, w) where something is seen, in A or in B."""
-        shown: Bools = self.known & (np.maximum(self.a, self.high).max(axis=2) > self.noise)
-        return shown
 
     def curve(self) -> Floats:
         """Level of A (256,) for each of B: the median where B has no edge."""
-        sure = self.known & ((self.high - self.low).max(axis=2) <= EDGE)
+        sure = self.shown & ((self.high - self.low).max(axis=2) <= EDGE)
         if not sure.any():
             return _SAME
         levels = 256 * ((self.low[sure].astype(np.intp) + self.high[sure]) // 2) + self.a[sure]
@@ -86,7 +78,7 @@ class Pair:
     def unexplained(self) -> float:
         """Part of what is shown that neither a curve nor none explains."""
         left = min(int(self.misfit(curve, curve).sum()) for curve in (self.curve(), _SAME))
-        return left / max(1, int(self.shown.sum())) if self.known.any() else 1.0
+        return left / self.shown.sum() if self.shown.any() else 1.0
 
 
 class _Motion(NamedTuple):
@@ -97,10 +89,6 @@ class _Motion(NamedTuple):
     matrix: Floats = np.eye(2)
     shift: Floats = np.zeros(2)
     slack: float = 0
-
-    def back(self) -> _Motion:
-        inverse = np.linalg.inv(self.matrix).astype(np.float64)
-        return self._replace(matrix=inverse, shift=-self.shift)
 
     def pair(self, a: Codes, b: Codes, noise: int) -> Pair:
         step, middle = _step(a), np.array([a.shape[1] - 1, a.shape[0] - 1]) / 2
@@ -114,7 +102,8 @@ class _Motion(NamedTuple):
             ends.append([np.clip(end, 0, 2 * half).astype(np.intp) for end in both])
         near = [b[row, column] for column, row in product(*ends)]
         low, high = np.minimum.reduce(near), np.maximum.reduce(near)
-        return Pair(a[::step, ::step], low, high, known, noise)
+        some = a[::step, ::step]
+        return Pair(some, low, high, known & (np.maximum(some, high).max(axis=2) > noise), noise)
 
 
 def _step(image: Codes, most: int = _PIXELS) -> int:
@@ -182,7 +171,9 @@ def align(a: Codes, b: Codes, noise: int) -> tuple[Pair, list[Diagnosis]]:
     before = still.unexplained()
     for search in (_slid, _far) if before > 0.002 else ():
         if motion := search(a, b, still):
-            moved, opposite = (m.pair(a, b, noise) for m in (motion, motion.back()))
+            inverse = np.linalg.inv(motion.matrix).astype(np.float64)
+            back = motion._replace(matrix=inverse, shift=-motion.shift)
+            moved, opposite = (m.pair(a, b, noise) for m in (motion, back))
             # The leeway that a motion brings would explain something the other way as well.
             if moved.unexplained() < min(0.3 * before, 0.5 * opposite.unexplained()):
                 return moved, [*found, Diagnosis(motion.kind, motion.text)]
@@ -198,7 +189,8 @@ def _slid(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     height, width = b.shape[:2]
     if min(height, width) < 4:
         return None
-    step, there = _step(b), still.curve().astype(np.float32)[b].mean(axis=2)
+    step, curve = _step(b), still.curve().astype(np.float32)
+    there = np.where(b > still.noise, curve[b], b).mean(axis=2)
     down, across = (gradient[::step, ::step] for gradient in np.gradient(there))
     x, y = np.linspace(-0.5, 0.5, width)[::step], np.linspace(-0.5, 0.5, height)[::step, None]
     columns = np.stack([across, across * x, down, down * y]).reshape(4, -1)
@@ -221,9 +213,7 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
 
     What makes B most like A in small pictures is made precise in larger ones.
     """
-    silhouettes = [image.max(axis=2) > still.noise for image in (still.a, still.low)]
-    agree = (silhouettes[0] == silhouettes[1]).mean() > 0.995
-    if agree and max(shared(edges_of(still.a), edges_of(still.low))) > 0.85:
+    if max(shared(edges_of(still.a), edges_of(still.low))) > 0.85:
         return None
     small, fine = ([_grey(image, size) for image in (a, b)] for size in (_SMALL, _FINE))
 

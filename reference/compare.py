@@ -96,7 +96,7 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     if not kept.any():
         raise ValueError("every pixel is masked")
     missing = [(0, max(_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
-    shown = [np.pad(np.clip(x, 0, 1) ** (1 / GAMMA), missing, mode="edge") for x in (a, b)]
+    shown = [np.pad(np.float32(x.clip(0, 1)) ** (1 / GAMMA), missing, mode="edge") for x in (a, b)]
     ssim = structural_similarity(*shown, win_size=_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixels = difference.max(axis=1)

@@ -9,7 +9,6 @@ ends.  Two faults are told one after the other.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -100,72 +99,67 @@ def _differ(count: int) -> str:
     return "One pixel differs" if count == 1 else f"{count} pixels differ"
 
 
-def _encoded(pair: Pair) -> tuple[Pair, list[Diagnosis]]:
-    """The same, B's levels mapped as A's are."""
-    shown = max(1, int(pair.shown.sum()))
-    before = int(pair.misfit().sum()) / shown
-    tried = [(int(pair.misfit(t.low, t.high).sum()) / shown, t) for t in _tones(pair)]
-    left, tone = min((t for t in tried if t[1].kind != "curve"), key=lambda one: one[0])
-    if left > 0.03:
-        left, tone = min(tried, key=lambda one: one[0])
-    # A curve without a parameter may leave half to other faults.
-    if not (
-        left <= min(0.03, 0.3 * before) < before - (0.05 if pair.noise > 1 else 0)
-        or (tone.fixed and left < 0.5 < 0.8 < before)
-    ):
-        return pair, []
-    ends = tone.low[pair.low], tone.high[pair.high]
-    low, high = (f(*ends).astype(np.uint8) for f in (np.minimum, np.maximum))
-    return replace(pair, low=low, high=high), [Diagnosis(tone.kind, tone.text)]
-
-
 class _Tone(NamedTuple):
-    """A curve of levels: for each of B (256,) the least and the largest level of A."""
+    """What light is encoded as; where nothing was `fitted`, other faults may hide half of it."""
 
     kind: str
     text: str
-    low: Floats
-    high: Floats
-    fixed: bool
+    encode: Callable[[Floats], Floats]
+    fitted: bool = False
 
 
-# Kind, sentence, and what light is encoded as; IEC 61966-2-1 is sRGB.
-_CURVES: tuple[tuple[str, str, Callable[[Floats], Floats]], ...] = (
-    ("gamma", "A lacks gamma: its levels are linear in light.", lambda x: x),
-    ("gamma", "A has gamma twice: the power 1 / 2.2 is to be taken once.",
-     lambda x: x ** GAMMA**-2),
-    ("gamma", "A has gamma the wrong way round: the power 2.2 in place of 1 / 2.2.",
-     lambda x: x**GAMMA),
-    ("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.",
-     lambda x: np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)),
-    ("unclipped", "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap"
-     " round.", lambda x: np.where(x > 1, 0, x ** (1 / GAMMA))),
+# IEC 61966-2-1 is sRGB.
+_TONES = (
+    _Tone("gamma", "A lacks gamma: its levels are linear in light.", lambda x: x),
+    _Tone("gamma", "A has gamma twice: the power 1 / 2.2 is to be taken once.",
+          lambda x: x ** GAMMA**-2),
+    _Tone("gamma", "A has gamma the wrong way round: the power 2.2 in place of 1 / 2.2.",
+          lambda x: x**GAMMA),
+    _Tone("gamma", "A is encoded with the sRGB curve in place of gamma 2.2.",
+          lambda x: np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)),
+    _Tone("unclipped", "A differs only where B is 255: light beyond 1 is to be clipped, not to wrap"
+          " round.", lambda x: np.where(x > 1, 0, x ** (1 / GAMMA))),
 )  # fmt: skip
 
 
-def _tones(pair: Pair) -> Iterator[_Tone]:
-    # B's light is known to within the half level by which it was rounded, unless it is clipped.
-    lights = [(np.maximum(np.arange(256) + half, 0) / 255) ** GAMMA for half in (-0.5, 0.5)]
-    lights[1][255] = np.inf
-    curves = [(*curve, True) for curve in _CURVES]
+def _fitted(pair: Pair) -> Iterator[_Tone]:
     a, b = pair.a, pair.low
-    sure = pair.known[:, :, None] & (pair.high - b <= pair.noise)
+    sure = pair.shown[:, :, None] & (pair.high - b <= pair.noise)
     sure = sure & (b > 20) & (b < 240) & (a > 8) & (a < 248)
     if sure.sum() > 50:
         x, y = linear(a[sure]), linear(b[sure])
         by, power = float(np.median(x / y)), float(np.median(np.log(x) / np.log(y))) / GAMMA
         text = f"A is {'brighter' if by > 1 else 'darker'} by a factor of {by:.3g} in linear light."
-        curves.append(("brightness", text, lambda x: (by * x) ** (1 / GAMMA), False))
+        yield _Tone("brightness", text, lambda x: (by * x) ** (1 / GAMMA), True)
         text = f"A is encoded with a gamma of about {1 / power:.2f} in place of 2.2."
-        curves.append(("gamma", text, lambda x: x**power, False))
+        yield _Tone("gamma", text, lambda x: x**power, True)
         curve = pair.curve()
         if np.ptp(curve) > 32 and _palette(b[sure.any(axis=2)]) > 16:
             sample = ", ".join(f"{k} to {curve[k]:.0f}" for k in (64, 128, 192))
             text = f"A's levels are those of B through another curve, which takes {sample}."
-            yield _Tone("curve", text, curve, curve, False)
-    for kind, text, encode, fixed in curves:
-        low, high = (np.round(255 * np.clip(encode(light), 0, 1)) for light in lights)
-        yield _Tone(kind, text, low, high, fixed)
+            levels = np.linspace(0, 1, 256) ** GAMMA
+            yield _Tone("curve", text, lambda x: np.interp(x, levels, curve / 255), True)
+
+
+def _encoded(pair: Pair) -> tuple[Pair, list[Diagnosis]]:
+    """The same, B's levels mapped as A's are."""
+    # B's light is known to within the half level by which it was rounded, unless it is clipped.
+    lights = [(np.maximum(np.arange(256) + half, 0) / 255) ** GAMMA for half in (-0.5, 0.5)]
+    lights[1][255] = np.inf
+    shown, tried = max(1, int(pair.shown.sum())), []
+    for tone in (*_TONES, *_fitted(pair)):
+        ends = [np.round(255 * np.clip(tone.encode(light), 0, 1)) for light in lights]
+        tried.append((int(pair.misfit(*ends).sum()) / shown, tone, ends))
+    left, tone, ends = min(tried, key=lambda t: (t[0] > 0.03, t[1].kind == "curve", t[0]))
+    before = int(pair.misfit().sum()) / shown
+    if not (
+        left <= min(0.03, 0.3 * before) < before - (0.05 if pair.noise > 1 else 0)
+        or (not tone.fitted and left < 0.5 < 0.8 < before)
+    ):
+        return pair, []
+    mapped = ends[0][pair.low], ends[1][pair.high]
+    low, high = (f(*mapped).astype(np.uint8) for f in (np.minimum, np.maximum))
+    return pair._replace(low=low, high=high), [Diagnosis(tone.kind, tone.text)]
 
 
 def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
