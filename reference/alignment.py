@@ -241,9 +241,8 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
         if cost(kind, small, start) < -0.7:
             near = start + 0.1 * np.eye(len(start) + 1, len(start))
             options = {"initial_simplex": near, "xatol": 1e-4, "maxfev": 60}
-            best = optimize.minimize(
-                partial(cost, kind, fine), start, method="Nelder-Mead", options=options
-            )
+            exact = partial(cost, kind, fine)
+            best = optimize.minimize(exact, start, method="Nelder-Mead", options=options)
             found.append((best.fun, kind(*best.x)))
     return min(found, key=lambda one: one[0])[1] if found else None
 
@@ -262,8 +261,8 @@ def _zoom(*powers: float) -> _Motion:
     """Larger across and down by powers of e."""
     across, down = np.exp(powers)
     sides = (across, "wide", "viewWidth"), (down, "high", "viewHeight")
-    changed = [side for side in sides if abs(side[0] - 1) > 0.01]
-    size = " and ".join(f"{by:.2f} times as {word}" for by, word, _ in changed)
+    changed = [side for side in sides if abs(side[0] - 1) > 0.004] or sides
+    size = " and ".join(f"{by:.3g} times as {word}" for by, word, _ in changed)
     check = changed[0][2] if len(changed) == 1 else "the window's size and distance"
     text = f"A shows everything {size} as B, about its centre: check {check}."
     return _Motion("zoomed", text, np.diag([1 / across, 1 / down]), slack=0.5)

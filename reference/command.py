@@ -15,31 +15,18 @@ from tracer.commands import exit_process, no_working_folder, printable
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
-__all__ = [
-    "BUILD",
-    "HERE",
-    "SCENES",
-    "built",
-    "need_scenes",
-    "need_table",
-    "own_scenes",
-    "parser",
-    "result",
-    "run",
-    "spare_inputs",
-]
+__all__ = ["BUILD", "HERE", "SCENES", "built", "need_scenes", "need_table", "own_scenes", "parser"]
+__all__ += ["result", "run", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
-
 BUILD = HERE.parent / "build"
 """Folder for files that can be made again; not under version control."""
 
 
 def own_scenes() -> list[Path]:
     """This project's scenes by name, without what was converted for Mitsuba beside them."""
-    paths = SCENES.glob("*.xml")
-    return sorted(path for path in paths if not path.name.endswith(".mitsuba.xml"))
+    return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
 
 
 def need_scenes(used: argparse.ArgumentParser) -> None:

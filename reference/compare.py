@@ -43,18 +43,15 @@ __all__ = ["Figures", "figures", "main", "write_comparison"]
 
 # SSIM's window (Z. Wang et al., Image quality assessment, IEEE TIP 13(4), 2004).
 _WINDOW = 7
-# Pixels further apart than this, in linear light, are counted.
-_OVER = 1e-3
 # Smaller panels are enlarged, pixel by pixel.
-_PANEL = 300
+_PANEL, _MARGIN, _LABEL = 300, 8, 24
+_PAPER, _INK = (250, 250, 250), (30, 30, 30)
 # So many pictures take longer than to start further processes.
 _MANY = 8
 # Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 _LOSSY = ("JPEG", "WEBP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
-_MARGIN, _LABEL = 8, 24
-_PAPER, _INK = (250, 250, 250), (30, 30, 30)
 # Colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008).
 _BRIGHTER, _DARKER = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
@@ -106,7 +103,7 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
         p999=float(np.percentile(pixels, 99.9)),
         rmse=float(np.sqrt(np.mean(difference**2))),
         median=float(np.median(pixels)),
-        over=int(np.count_nonzero(pixels > _OVER)),
+        over=int(np.count_nonzero(pixels > 1e-3)),
         masked=int(kept.size - pixels.size),
     )
 
@@ -166,18 +163,14 @@ class Picture(NamedTuple):
 def read_picture(path: Path) -> Picture:
     """Read a picture, or render a scene file; what is transparent is black.
 
-    Raises OSError, SyntaxError or ValueError if it cannot be read, is no scene, or has colours of
-    more than 8 bits a channel.
+    Raises OSError, SyntaxError, ValueError, or Pillow's own, if it cannot be read, is no scene, or
+    has colours of more than 8 bits a channel.
     """
     if not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device may block
         raise ValueError("not a regular file")
     if path.suffix.lower() == ".xml":
         return Picture(to_codes(render(load_scene(path))))
-    try:
-        opened = Image.open(path, formats=_FORMATS)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with opened as image:
+    with Image.open(path, formats=_FORMATS) as image:
         if image.mode.startswith("I"):  # grey of 16 bits
             grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
             return Picture(np.repeat(grey[:, :, None], 3, axis=2))
@@ -344,7 +337,7 @@ def _judge(
             write_comparison(output, a, b, (printable(picture.name), printable(right.name)))
     except SceneFileError as error:
         return result._replace(error=str(error)), []
-    except (MemoryError, OSError, SyntaxError, ValueError) as error:
+    except (MemoryError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         # Pillow's of a PNG is a SyntaxError.
         memory = "not enough memory; compare a part" if isinstance(error, MemoryError) else error
         reason = getattr(error, "strerror", None) or memory

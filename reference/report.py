@@ -59,14 +59,8 @@ def page(
     environment.filters |= {"codes": to_codes, "data": _data, "difference": _difference}
     environment.filters |= {"png": _png, "time": _time}
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(
-        results=results,
-        comments=comments,
-        charts=charts,
-        unread=unread,
-        tolerance=f"{MAX_DIFFERENCE:g}",
-        machine=measured_on(),
-    )
+    found = {"results": results, "comments": comments, "charts": charts, "unread": unread}
+    return template.render(found, tolerance=f"{MAX_DIFFERENCE:g}", machine=measured_on())
 
 
 def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], str]:
@@ -110,9 +104,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--output",
         type=file_name,
         metavar="PATH",
-        default=str(BUILD / _NAME),
-        help="the page to write, or a folder for it (%(default)s)",
+        help="the page, or a folder for it (build/report.html)",
     )
+    used.set_defaults(output=str(BUILD / _NAME))
     used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = used.parse_args(arguments)
     if not options.scenes:
@@ -128,13 +122,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
     results, comments, unread = [], {}, []
-    # None: no bar where there is no terminal.
     for path in tqdm(paths, unit="scene", disable=sys.stderr is None or None):
+        name = printable(str(path) if alike else path.stem)
         try:
-            name = printable(str(path) if alike else path.stem)
-            result = replace(check(path, options.variant), name=name)
+            results.append(replace(check(path, options.variant), name=name))
             comments[name] = _comment(path)
-            results.append(result)
         except (*TROUBLE, OSError) as error:
             unread.append(told(path, error))
             print_line(sys.stderr, unread[-1])
