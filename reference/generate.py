@@ -11,15 +11,12 @@ import math
 import random
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from reference.command import SCENES, need_scenes, parser, run
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, save_scene
 
 __all__ = ["main", "many_objects", "sunflower", "write"]
-
-Lights: TypeAlias = Sequence[tuple[Sequence[float], Sequence[float]]]
-"""Position and intensity of each."""
 
 
 def _rounded(*values: float) -> list[float]:
@@ -29,11 +26,6 @@ def _rounded(*values: float) -> list[float]:
 
 def _phong(color: Sequence[float], specular: float, exponent: float) -> Phong:
     return Phong(diffuse=_rounded(*color), specular=(specular,) * 3, exponent=exponent)
-
-
-def _scene(camera: Camera, lights: Lights, surfaces: Sequence[Sphere | Box]) -> Scene:
-    points = [PointLight(position=at, intensity=color) for at, color in lights]
-    return Scene(camera=camera, width=320, height=180, lights=points, surfaces=surfaces)
 
 
 def many_objects(count: int = 500, seed: int = 1) -> Scene:
@@ -55,8 +47,11 @@ def many_objects(count: int = 500, seed: int = 1) -> Scene:
             low, high = _rounded(x - a, y - b, z - c), _rounded(x + a, y + b, z + c)
             surfaces.append(Box(min_pt=low, max_pt=high, shader=shuffled.choice(palette)))
     camera = Camera(view_point=(0, 0, 9), view_width=2.4, view_height=1.35)
-    lights = [((6, 9, 8), (0.75, 0.72, 0.66)), ((-9, 2, 5), (0.2, 0.26, 0.36))]
-    return _scene(camera, lights, surfaces)
+    lights = [
+        PointLight(position=(6, 9, 8), intensity=(0.75, 0.72, 0.66)),
+        PointLight(position=(-9, 2, 5), intensity=(0.2, 0.26, 0.36)),
+    ]
+    return Scene(camera=camera, width=320, height=180, lights=lights, surfaces=surfaces)
 
 
 def sunflower(count: int = 233) -> Scene:
@@ -78,11 +73,11 @@ def sunflower(count: int = 233) -> Scene:
     window: Any = {"proj_distance": 3, "view_width": 3.68, "view_height": 2.07}
     camera = Camera(view_point=(0, 7.6, 11), view_dir=(0, -8.25, -10.6), **window)
     lights = [
-        ((9, 8, 3), (0.9, 0.76, 0.56)),
-        ((-10, 6, 6), (0.14, 0.24, 0.5)),
-        ((-4, 3, -14), (0.42, 0.28, 0.36)),
+        PointLight(position=(9, 8, 3), intensity=(0.9, 0.76, 0.56)),
+        PointLight(position=(-10, 6, 6), intensity=(0.14, 0.24, 0.5)),
+        PointLight(position=(-4, 3, -14), intensity=(0.42, 0.28, 0.36)),
     ]
-    return _scene(camera, lights, surfaces)
+    return Scene(camera=camera, width=320, height=180, lights=lights, surfaces=surfaces)
 
 
 _SUNFLOWER = """A sunflower of 233 balls, each turned from the one before by the golden angle,

@@ -17,35 +17,27 @@ __all__ = ["main", "sheet"]
 _SAMPLES = 16
 # A row holds five square pictures or three wide ones.
 _WIDTH, _GAP, _LABEL = 960, 12, 22
-_PAPER, _INK = (255, 255, 255), (60, 60, 60)
 
 
 def sheet(paths: Iterable[Path]) -> Image.Image:
     """All scenes on one sheet, each over its name: square ones first, then wide ones."""
     scenes = {path.stem: load_scene(path) for path in sorted(paths)}
-    places: list[tuple[Image.Image, tuple[int, int]]] = []
-    top = 0
+    places, top = list[tuple[str, Image.Image, tuple[int, int]]](), 0
     for per_row in (5, 3):
         width = (_WIDTH - (per_row - 1) * _GAP) // per_row
         square = [name for name, s in scenes.items() if s.width == s.height]
         shown = square if per_row == 5 else [name for name in scenes if name not in square]
         for first in range(0, len(shown), per_row):
-            tiles = [_tile(name, scenes[name], width) for name in shown[first : first + per_row]]
-            places += ((tile, (k * (width + _GAP), top)) for k, tile in enumerate(tiles))
-            top += max(tile.height for tile in tiles) + _GAP
-    image = Image.new("RGB", (_WIDTH, top - _GAP), _PAPER)
-    for tile, place in places:
-        image.paste(tile, place)
+            row = {name: _drawn(scenes[name], width) for name in shown[first : first + per_row]}
+            for k, (name, picture) in enumerate(row.items()):
+                places.append((name, picture, (k * (width + _GAP), top)))
+            top += max(picture.height for picture in row.values()) + _LABEL + _GAP
+    image = Image.new("RGB", (_WIDTH, top - _GAP), (255, 255, 255))
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=13)
+    for name, picture, (x, y) in places:
+        image.paste(picture, (x, y))
+        pen.text((x, y + picture.height + 3), name, fill=(60, 60, 60), font=font)
     return image
-
-
-def _tile(name: str, scene: Scene, width: int) -> Image.Image:
-    picture = _drawn(scene, width)
-    tile = Image.new("RGB", (width, picture.height + _LABEL), _PAPER)
-    tile.paste(picture)
-    font = ImageFont.load_default(size=13)
-    ImageDraw.Draw(tile).text((0, picture.height + 3), name, fill=_INK, font=font)
-    return tile
 
 
 def _drawn(scene: Scene, width: int) -> Image.Image:

@@ -29,7 +29,7 @@ from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 __all__ = ["METHODS", "PANELS", "Panel", "measure"]
 
 Floats: TypeAlias = NDArray[np.float64]
-Vector: TypeAlias = tuple[float, float, float]
+Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 
 # Half a level of an 8-bit picture near white, where errors begin to be seen; smaller errors than
@@ -64,12 +64,9 @@ def limb(distance: float) -> Scene:
 
 def moved(offset: float) -> Scene:
     """The sphere of `distant`, 4 radii away, with the whole scene moved."""
-
-    def at(x: float, y: float, z: float) -> Vector:
-        return offset + x, y - 0.7 * offset, z + 0.4 * offset
-
-    sphere = Sphere(center=at(0, 0, 0))
-    return _scene(at(1, 0, 4), (-1, 0, -4), at(1, 2, 6), sphere, view=(4, 1, 1))
+    places = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
+    center, eye, light = places + offset * np.array([1, -0.7, 0.4])
+    return _scene(eye, (-1, 0, -4), light, Sphere(center=center), view=(4, 1, 1))
 
 
 def ground(radius: float) -> Scene:
@@ -88,14 +85,12 @@ def shiny(exponent: float) -> Scene:
 
 def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
     """A ball that touches a ground sphere; with powers of two every number is exact."""
-
-    def at(x: float, y: float, z: float) -> Vector:
-        return scale * x + offset, scale * y + offset, scale * z + offset
-
-    ground = Sphere(center=at(0, -radius, 0), radius=scale * radius)
-    ball = Sphere(center=at(0, 0.5, 0), radius=scale * 0.5)
+    places = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
+    eye, light, below, above = scale * np.array(places) + offset
+    ground = Sphere(center=below, radius=scale * radius)
+    ball = Sphere(center=above, radius=scale * 0.5)
     view = (2 * scale, 2 * scale, 1.125 * scale)
-    return _scene(at(0, 1, 4), (0, 0, -1), at(4, 5, 3), ground, ball, view=view, pixels=128)
+    return _scene(eye, (0, 0, -1), light, ground, ball, view=view, pixels=128)
 
 
 def mitsuba_render(scene: Scene, variant: str) -> Floats:
