@@ -108,8 +108,6 @@ def output_paths(
                 taken[place] = scene
     except OSError as error:
         parser.exit(FAILED, no_working_folder(error) + "\n")
-    except ValueError as error:  # a NUL
-        parser.error(printable(f"no such name: {error}"))
     return found
 
 

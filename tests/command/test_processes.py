@@ -210,7 +210,7 @@ def test_a_worker_has_the_same_tracer_and_is_isolated(tmp_path, monkeypatch):
     """As a program may be that was started by python -I."""
     (tmp_path / "tracer.py").write_text("raise ImportError('another one')\n")
     (tmp_path / "sitecustomize.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "path", [str(tmp_path), tmp_path, *sys.path])
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert len(signed_by_all()) == 2
     assert not (tmp_path / "run").exists()

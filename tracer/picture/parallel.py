@@ -231,10 +231,10 @@ class _Helpers(_Team):
     def _started(self, calls: int, reports: int, _ours: ExitStack) -> int:
         import subprocess  # takes longer to import than a small picture to render
 
-        files = self.file, calls, reports
+        files, path = (self.file, calls, reports), [_FOLDER, *map(str, sys.path)]
         process = subprocess.Popen(
             # Isolated, as this process may be: the path says all about where modules are.
-            [sys.executable, "-I", "-c", _CODE.format(path=[_FOLDER, *sys.path], files=files)],
+            [sys.executable, "-I", "-c", _CODE.format(path=path, files=files)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
