@@ -213,7 +213,9 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
 
     What makes B most like A in small pictures is made precise in larger ones.
     """
-    if max(shared(edges_of(still.a), edges_of(still.low))) > 0.85:
+    seen = [image.max(axis=2) > still.noise for image in (still.a, still.low)]
+    edges = shared(edges_of(still.a), edges_of(still.low))
+    if (seen[0] == seen[1]).mean() > 0.995 and max(edges) > 0.85:
         return None
     small, fine = ([_grey(image, size) for image in (a, b)] for size in (_SMALL, _FINE))
 
