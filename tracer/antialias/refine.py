@@ -3,9 +3,9 @@
 A *cell* is a pixel or a part of one, classified by the sample in its middle (see `classify`).  Most
 cells see one smooth surface: there that sample, with a correction for curvature, is worth a whole
 grid of samples.  Other pixels are split into quarters, and these in turn, and so on (Whitted 1980).
-A smaller cell that straight lines divide gets samples on a lattice; those between the same lines
-stand for their exact area together.  Where these do not see the same, there is an edge that was not
-found: the cell is split as well, or in the end gets a finer lattice.
+A cell that straight lines divide gets samples on a lattice once few enough are asked for; those
+between the same lines stand for their exact area together.  Where these do not see the same, there
+is an edge that was not found: the cell is split as well, or in the end gets a finer lattice.
 
 In pictures full of edges no cells are classified, and all pixels have the lattice.
 """
