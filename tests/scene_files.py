@@ -3,14 +3,21 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from reference.command import SCENES
+from reference.command import SCENES, own_scenes
 from reference.workloads import resized
 from tracer import Scene, load_scene
 from tracer.arrays import Floats
 
+NAMES = [path.stem for path in own_scenes()]
 ONE_SPHERE = SCENES / "one-sphere.xml"
+
+
+def names(*quick: str) -> list:
+    """The project's scenes as parameters of a test, of which all others are slow."""
+    return [pytest.param(m, marks=[pytest.mark.slow] * (m not in quick)) for m in NAMES]
 
 
 def small(name: str, width: int = 48, height: int = 27) -> Scene:

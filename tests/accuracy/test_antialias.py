@@ -9,16 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from probe import Surface, Vector, scene_of
+from scene_files import NAMES, names
 from uniform_grid import no_worse_than_the_uniform_grid, rmse, uniform
 
-from reference.command import SCENES, own_scenes
+from reference.command import SCENES
 from reference.workloads import crowd
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
-
-NAMES = [path.stem for path in own_scenes()]
-QUICK = {"room", "highlights", "four-spheres", "one-box", "touching"}
 
 
 def small(name: str) -> Scene:
@@ -27,9 +25,7 @@ def small(name: str) -> Scene:
     return replace(scene, width=64, height=round(64 * scene.height / scene.width))
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in NAMES]
-)
+@pytest.mark.parametrize("name", names("room", "highlights", "four-spheres", "one-box", "touching"))
 def test_no_worse_than_the_uniform_grid(name):
     no_worse_than_the_uniform_grid(small(name))
 

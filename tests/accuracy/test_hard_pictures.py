@@ -34,8 +34,6 @@ class Hard(NamedTuple):
     """How many times the grid's largest error its own may be."""
     numbers: tuple[int, ...] = (4, 16, 64, 256)
     """Of samples a pixel."""
-    split: bool = False
-    """Pixels are split even if it is full of outlines."""
 
 
 def seen(light, *surfaces, eye=(0, 0, 0), ahead=(0, 0, -1), size=(36, 24), wide=1, high=0, **lens):
@@ -78,7 +76,7 @@ def outlines() -> Iterator[Hard]:
     bead = red(ball((-1.7, -0.3, -3.9), 0.1))
     yield Hard("bead", seen((0, 3, 4), wall(60, -5), bead, size=(96, 72), high=1), 2)
     crossing = random_scene("touching", 111, 36, 24)
-    yield Hard("surfaces that cross within pixels", crossing, numbers=(64,), split=True)
+    yield Hard("surfaces that cross within pixels", crossing, numbers=(64,))
     # Rays to its horizon are at right angles to the way to its centre, or nearly.
     for r, up in product((1e4, 6.4e6, 1e8), (0, 0.02, -0.02)):
         planet, view = ball((0, -r, 0), r), {"eye": (0, 2, 0), "ahead": (0, up, -1)}
@@ -135,7 +133,7 @@ def shadows() -> Iterator[Hard]:
     above = red(box((0.933, 1.304, 0.797), (1.35, 1.746, 1.072)))
     below = box((-9, -1.55, -9), (9, -0.55, 9))
     scene = seen((3.04, 4.625, 2.95), Sphere(radius=0.55), above, below, **lens)
-    yield Hard("box over a small ball", scene, numbers=(64,), split=True)
+    yield Hard("box over a small ball", scene, numbers=(64,))
     lens = {"eye": (0, 0, 10), "proj_distance": 10, "wide": 3, "size": (24, 24)}
     scene = seen((3, 4, 5), Sphere(), box((0.9, 1.2, 1.5), (1.5, 1.8, 2.1)), **lens)
     yield Hard("box over a ball", scene, numbers=(64, 256))
@@ -144,7 +142,7 @@ def shadows() -> Iterator[Hard]:
     plate = box((-1.401, -1.014, -1.69), (-0.496, 0.099, -1.105))
     under = ball((0.7515, -0.7091, -1.1605), 0.4899)
     scene = seen((-4.0502, 1.5368, -2.4968), plate, under, **tall)
-    yield Hard("box over a ball in tall pixels", scene, numbers=(64, 256), split=True)
+    yield Hard("box over a ball in tall pixels", scene, numbers=(64, 256))
     # Light and shaded points are both so near to the plate that one a pixel larger holds both.
     plate = box((-1, 0, -4.02), (1, 0.5, -4))
     scene = seen((0, 0.2, -4.1), floor(9), plate, eye=(0, 0.3, 0), size=(41, 41))
@@ -247,10 +245,9 @@ def pictures() -> Iterator[Any]:
         yield pytest.param(each, marks=slow, id=each.name)
 
 
+@pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("picture", [*pictures()])
-def test_no_worse_than_the_uniform_grid(picture, monkeypatch):
-    if picture.split:
-        monkeypatch.setattr(antialias, "_DENSE", math.inf)
+def test_no_worse_than_the_uniform_grid(picture):
     no_worse_than_the_uniform_grid(picture.scene, picture.times, picture.numbers)
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from judge import judge
 from probe import a_direction, colored, moved, scene_of
 from random_scenes import KINDS, random_scene
-from scene_files import small
+from scene_files import NAMES, names, small
 
 from reference import plain
 from reference.command import SCENES, own_scenes
@@ -82,16 +82,10 @@ def test_any_random_scene(kind, seed):
     assert not judge(random_scene(kind, seed, width=3, height=2)).wrong(RADIANCE[kind])
 
 
-_LARGE = {path.stem for path in own_scenes() if len(load_scene(path).surfaces) > 100}
+LARGE = {path.stem for path in own_scenes() if len(load_scene(path).surfaces) > 100}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(path.stem, marks=[pytest.mark.slow] * (path.stem in _LARGE))
-        for path in own_scenes()
-    ],
-)
+@pytest.mark.parametrize("name", names(*{*NAMES} - LARGE))
 def test_own_scenes(name):
     # Nearly orthographic scenes are seen from 1,700 times their size.
     scene = load_scene(SCENES / f"{name}.xml")

@@ -5,15 +5,13 @@ import sys
 import numpy as np
 import pytest
 from conftest import need
-from scene_files import small
+from scene_files import names, small
 
 from reference import plain, povray
-from reference.command import SCENES, own_scenes
+from reference.command import SCENES
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 
-NAMES = [path.stem for path in own_scenes()]
-QUICK = {"highlights", "room", "sticks-shifted", "touching"}
 # Half a step of its 16 bits, which end at a radiance of 4, and its own rounding.
 HALF_A_STEP = 1.01 * povray.WHITE / 65535 / 2
 
@@ -31,9 +29,7 @@ def draw(tmp_path):
 
 
 @pytest.mark.povray
-@pytest.mark.parametrize(
-    "name", [pytest.param(m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in NAMES]
-)
+@pytest.mark.parametrize("name", names("highlights", "room", "sticks-shifted", "touching"))
 def test_draws_the_same_picture(name, draw):
     scene = load_scene(SCENES / f"{name}.xml")
     ours = render(scene)

@@ -10,18 +10,18 @@ from functools import cache
 import numpy as np
 import pytest
 from random_scenes import random_scene
+from scene_files import NAMES
 
 from converters.rendering import Rendering, render_mitsuba
 from converters.variant import SCALAR, use
 from reference import check
-from reference.command import HERE, SCENES, own_scenes
+from reference.command import HERE, SCENES
 from reference.compare import figures, write_comparison
 from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
 from tracer import load_scene, render
 
 pytestmark = pytest.mark.cross_validation
 
-NAMES = [path.stem for path in own_scenes()]
 BUILD = HERE.parent / "build" / "comparisons"
 
 # Faces of boxes that touch are ties, which float32 decides otherwise in so many pixels.
