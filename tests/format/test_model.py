@@ -92,7 +92,6 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
     (Sphere, {"center": 3}, ["center: needs 3 numbers, has 1"]),
     (Sphere, {"center": [[1, 2, 3]]}, ["center: needs 3 numbers, has shape (1, 3)"]),
     (Sphere, {"radius": (1, 2)}, ["radius: needs 1 number, has 2"]),
-    (Sphere, {"radius": 10**400}, ["radius: must be finite"]),
     # Parts of another type.
     *(
         (
@@ -125,7 +124,6 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
             ("shader_index", [0, 1], "needs 3, one a surface; has 2"),
             ("shader_index", [0, 7, -1], "must be places among 2 shaders, has 7"),
             ("shader_index", [-1, 0, 0], "must be places among 2 shaders, has -1"),
-            ("shader_index", [0, 0, None], "must be whole numbers"),
             ("shader_index", [0, 0, 0.5], "must be whole numbers"),
             ("shader_index", ["red"], "must be given in numbers, is ['red']"),
             ("line", [1, 2], "needs 3, one a surface; has 2"),

@@ -22,8 +22,9 @@ def scene_of(content: str) -> Scene:
 def test_defaults():
     scene = scene_of("""
       <camera/> <image>4 3</image> <light><position>1 2 3</position></light>
-      <surface type="Sphere"/> <surface type="Sphere"><shader type="Phong"/></surface>
-      <surface type="Box"><minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt></surface>""")
+      <surface type="Sphere"/>
+      <surface type="Box"><minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt></surface>
+      <surface type="Sphere"><shader type="Phong"/></surface>""")
     assert (scene.width, scene.height) == (4, 3)
     assert scene.camera == Camera(
         view_point=(0, 0, 0),
@@ -39,9 +40,10 @@ def test_defaults():
     plain = Phong(diffuse=(1, 1, 1), specular=(0, 0, 0), exponent=1)
     assert list(scene.surfaces) == [
         Sphere(center=(0, 0, 0), radius=1, shader=white),
-        Sphere(center=(0, 0, 0), radius=1, shader=plain),
         Box(min_pt=(-1, -2, -3), max_pt=(1, 2, 3), shader=white),
+        Sphere(center=(0, 0, 0), radius=1, shader=plain),
     ]
+    assert scene.surfaces.file_index.tolist() == [0, 2, 1]
 
 
 def test_everything_given():
@@ -88,14 +90,6 @@ def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
     green = Lambertian(diffuse=(0, 1, 0))
     assert [surface.shader for surface in scene.surfaces] == [green, Phong(), Phong(), green]
     assert len(scene.surfaces.shaders) == 3  # with white
-
-
-def test_surfaces_keep_the_order_of_the_file():
-    ball = '<surface type="Sphere"/>'
-    brick = '<surface type="Box"><minPt>0 0 0</minPt><maxPt>1 1 1</maxPt></surface>'
-    scene = scene_of(EMPTY + ball + brick + ball + brick + brick)
-    assert [type(surface) for surface in scene.surfaces] == [Sphere, Box, Sphere, Box, Box]
-    assert scene.surfaces.file_index.tolist() == [0, 2, 1, 3, 4]
 
 
 @pytest.mark.parametrize(
