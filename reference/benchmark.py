@@ -102,8 +102,8 @@ def whole_process(rounds: int, quick: bool) -> Table:
         found = interleaved(tasks, rounds, enough=2.0)
         rivals = ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
         over_exact, *over_stock = (_speedup(found["tracer"], found[rival]) for rival in rivals)
-        speedups = over_exact, min(over_stock)
-        rows.append((f"{name} {size[0]}×{size[1]}", *found.values(), *speedups))
+        cells = (*found.values(), over_exact, min(over_stock))
+        rows.append((f"{name} {size[0]}×{size[1]}", *cells))
     return Table(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell. Mitsuba {variant} with a warm kernel cache; its stock"
@@ -148,8 +148,7 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
     rows: list[tuple[object, ...]] = []
     timings = []
     for count in counts:
-        scene, path = crowd(count), built("many.xml")
-        save_scene(scene, path)
+        save_scene(scene := crowd(count), path := built("many.xml"))
         tasks: dict[str, Task] = {
             "first": lambda path=path: render(load_scene(path)),  # type: ignore[misc]
             "warm": partial(render, scene),
@@ -181,10 +180,8 @@ def growth_in_objects(rounds: int, quick: bool) -> Table:
 def loading(rounds: int, quick: bool) -> Table:
     """Time reading and validating many objects, against xml.etree alone."""
     count = 1000 if quick else 100_000
-    path = built("many.xml")
-    save_scene(crowd(count), path)
-    # As in a small process: each collection that so many new objects set off would otherwise go
-    # through all of Mitsuba's as well.
+    save_scene(crowd(count), path := built("many.xml"))
+    # As in a small process: no collection of garbage goes through all of Mitsuba's objects as well.
     gc.collect()
     gc.freeze()
     tasks: dict[str, Task] = {"tracer": partial(load_scene, path), "etree": partial(ET.parse, path)}
@@ -209,24 +206,17 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 def peak(*command: str) -> float:
     """Peak resident memory of a process and its workers, MB; what they share counts once."""
-    command = (sys.executable, "-c", _WATCH, *command)
-    together = 0.0
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watch:
+    watched, together = (sys.executable, "-c", _WATCH, *command), 0.0
+    with subprocess.Popen(watched, stdout=subprocess.PIPE, text=True) as watch:
         while watch.poll() is None:
             together = max(together, _resident(watch.pid))
             sleep(0.005)
-        alone, _ = watch.communicate()
-    if watch.returncode:
-        raise subprocess.CalledProcessError(watch.returncode, command)
-    # Linux counts kibibytes, macOS bytes.
-    return max(int(alone) * (1 if sys.platform == "darwin" else 1024) / 1e6, together)
+        alone = int(watch.communicate()[0])  # in kibibytes on Linux, in bytes on macOS
+    return max(alone * (1 if sys.platform == "darwin" else 1024) / 1e6, together)
 
 
 def _resident(pid: int | str) -> float:
-    """Shares of resident memory (proportional set sizes), MB, of all that a process has started.
-
-    0 where the system does not tell, or one ends meanwhile.
-    """
+    """Memory of all that a process has started, MB (Linux' proportional set sizes), or 0."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         shares = " ".join(Path(f"/proc/{child}/smaps_rollup").read_text() for child in children)

@@ -40,8 +40,7 @@ _Name = TypeVar("_Name", bound=Hashable)
 # Seconds between tasks: threads of the one before, Mitsuba's above all, spin for some 10 ms.
 _PAUSE = 0.02
 
-# Short times vary most: a task goes on until its times add up to the first, in seconds, for at most
-# the second times the rounds asked for.
+# Short times vary most: a task goes on for so many seconds, and times as many rounds, at most.
 _ENOUGH, _MORE = 0.5, 5
 
 
@@ -58,14 +57,8 @@ class Timing(NamedTuple):
         return cls(median(seconds), min(seconds), max(seconds))
 
     def __str__(self) -> str:
-        if self.low == self.high:
-            return _ms(self.median)
-        return f"{_ms(self.median)} ({_ms(self.low)}–{_ms(self.high)})"
-
-
-def _ms(seconds: float) -> str:
-    ms = 1e3 * seconds
-    return f"{ms:,.0f}" if ms >= 100 else f"{ms:.1f}"
+        shown, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
+        return shown if self.low == self.high else f"{shown} ({low}–{high})"
 
 
 class Ratio(float):
