@@ -219,8 +219,11 @@ class _Picture:
         # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
         times = (_SPLIT if split else 1) / self._lattice.size
         self._at_once, least = (max(1, int(n * times)) for n in (_TILE_SAMPLES, _LEAST_SAMPLES))
-        size = max(least, pixels // (_TILES * self.processes))
-        size = max(_LEAST_PIXELS, min(size, self._at_once, -(-pixels // self.processes)))
+        size = self._at_once
+        if self.processes > 1:
+            size = min(size, max(least, pixels // (_TILES * self.processes)))
+            size = min(size, -(-pixels // self.processes))
+        size = max(_LEAST_PIXELS, size)
         self._rows = _pieces(slice(0, height), max(1, size // width))
         self._columns = _pieces(slice(0, width), size)
         self.tiles = len(self._rows) * len(self._columns)
