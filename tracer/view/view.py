@@ -80,9 +80,9 @@ def view_of(raster: Raster, surfaces: Surfaces) -> View:
 
 def _repeated(surfaces: Surfaces) -> Bools:
     """See `View.repeated`."""
-    radius = surfaces.radius[:, None]
-    spheres = np.hstack([surfaces.center, radius, radius, radius + np.inf])  # no box ends there
-    numbers = np.vstack([spheres, np.hstack([surfaces.min_pt, surfaces.max_pt])]).T
+    radius, ends = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    spheres = [*surfaces.center.T, radius, radius, radius + np.inf]  # no box ends there
+    numbers = np.concatenate([spheres, ends], axis=1)
     # By one number that hardly any others share: equal objects then follow each other.
     number = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
     order = np.lexsort((surfaces.file_index, number))
