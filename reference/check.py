@@ -163,10 +163,32 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare diffuse light, by Mitsuba's own parts, in square pixels."""
+    """Compare diffuse light, by Mitsuba's own parts alone, in square pixels.
+
+    Each light is rendered by itself, for Mitsuba would pick one of them at random, and its fall-off
+    undone by the distance of the points that Mitsuba sees.
+    """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
     matte = replace(squared(scene), surfaces=Surfaces.of(surfaces))
-    return compare(matte, f"{name}, diffuse light by stock plugins", _diffuse(matte, variant))
+    image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
+    for light in matte.lights:
+        white = replace(light, intensity=(1.0, 1.0, 1.0))
+        root = ET.fromstring(stock(replace(matte, lights=(white,)), 1))
+        parts = {part.get("type"): part for part in root.iter("*")}
+        root.remove(parts["direct"])
+        aov = ET.SubElement(root, "integrator", type="aov")
+        ET.SubElement(aov, "string", name="aovs", value="p:position")
+        aov.append(parts["direct"])
+        parts["multijitter"].set("type", "stratified")
+        ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
+        seen = load(ET.tostring(root, encoding="unicode"), variant=variant)().image
+        place, strength = parts["point"].findall("*")
+        away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
+        unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(matte.surfaces))
+        falloff = (away * away).sum(axis=2, keepdims=True) / unit
+        image += seen[..., :3] * falloff * light.intensity
+    rendering = Rendering(image, use(variant).variant, perf_counter() - start)
+    return compare(matte, f"{name}, diffuse light by stock plugins", rendering)
 
 
 def resemblance(
@@ -219,32 +241,6 @@ def compare(scene: Scene, name: str, rendering: Rendering, *, judged: bool = Tru
         mitsuba_seconds=rendering.seconds,
         judged=judged,
     )
-
-
-def _diffuse(scene: Scene, variant: str | None) -> Rendering:
-    """Render a matte scene by Mitsuba's own parts alone.
-
-    Each light is rendered by itself, for Mitsuba would pick one of them at random, and its fall-off
-    undone by the distance of the points that Mitsuba sees.
-    """
-    image, start = np.zeros((scene.height, scene.width, 3)), perf_counter()
-    for light in scene.lights:
-        white = replace(light, intensity=(1.0, 1.0, 1.0))
-        root = ET.fromstring(stock(replace(scene, lights=(white,)), 1))
-        parts = {part.get("type"): part for part in root.iter("*")}
-        root.remove(parts["direct"])
-        aov = ET.SubElement(root, "integrator", type="aov")
-        ET.SubElement(aov, "string", name="aovs", value="p:position")
-        aov.append(parts["direct"])
-        parts["multijitter"].set("type", "stratified")
-        ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
-        seen = load(ET.tostring(root, encoding="unicode"), variant=variant)().image
-        place, strength = parts["point"].findall("*")
-        away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
-        unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(scene.surfaces))
-        falloff = (away * away).sum(axis=2, keepdims=True) / unit
-        image += seen[..., :3] * falloff * light.intensity
-    return Rendering(image, use(variant).variant, perf_counter() - start)
 
 
 def main() -> None:
