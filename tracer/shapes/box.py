@@ -134,8 +134,7 @@ class Boxes:
         # Through an edge or a corner, the face of the first axis.
         face = np.where(place[1] == t, faces[1], faces[2])
         face = np.where(place[0] == t, faces[0], face)
-        t[~(t > 0)] = np.inf
-        return t, face
+        return np.where(t > 0, t, np.inf), face
 
     def surface(
         self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Sides

@@ -182,8 +182,7 @@ class Spheres:
             far = np.where(middle > 0, root / length2, power / (middle - rise))
             t = np.where(power > 0, power / root, far)
         # Not a number where there is no root; negative behind the eye.
-        t[~(t > 0)] = np.inf
-        return t, rise
+        return np.where(t > 0, t, np.inf), rise
 
     def surface(
         self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Floats
