@@ -149,7 +149,7 @@ def _rearranged(a: Codes, b: Codes) -> tuple[Codes, list[Diagnosis]]:
     turns = [(turn(a), kind, text) for kind, text, turn in _TURNS]
     fitting = [turn for turn in turns if turn[0].shape == b.shape]
     turned, *fault = min(fitting, key=lambda turn: _unlike(turn[0], b).min())
-    edges = shared(*(edges_of(image[::step, ::step]) for image in (turned, b)))
+    edges = shared(turned[::step, ::step], b[::step, ::step])
     limit = (0.75 if max(edges) > 0.95 else 0.4) * unlike.min() - 1e-3
     if (other := _unlike(turned, b)).min() < limit:
         a, unlike, found = turned, other, [Diagnosis(*fault)]
@@ -214,8 +214,7 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     What makes B most like A in small pictures is made precise in larger ones.
     """
     seen = [image.max(axis=2) > still.noise for image in (still.a, still.low)]
-    edges = shared(edges_of(still.a), edges_of(still.low))
-    if (seen[0] == seen[1]).mean() > 0.995 and max(edges) > 0.85:
+    if (seen[0] == seen[1]).mean() > 0.995 and max(shared(still.a, still.low)) > 0.85:
         return None
     small, fine = ([_grey(image, size) for image in (a, b)] for size in (_SMALL, _FINE))
 
@@ -290,8 +289,9 @@ def edges_of(image: Codes) -> Bools:
     return np.asarray((steps > EDGE).any(axis=2))
 
 
-def shared(a: Bools, b: Bools) -> tuple[float, float]:
+def shared(a: Codes, b: Codes) -> tuple[float, float]:
     """Part of A's edges that B has, and of B's that A has, within a pixel."""
-    wide = [ndimage.binary_dilation(edges, np.ones((3, 3))) for edges in (a, b)]
-    first, second = (a & wide[1]).sum() / max(1, a.sum()), (b & wide[0]).sum() / max(1, b.sum())
-    return float(first), float(second)
+    mine, right = edges_of(a), edges_of(b)
+    wide = [ndimage.binary_dilation(edges, np.ones((3, 3))) for edges in (mine, right)]
+    first, second = mine[wide[1]].sum() / max(1, mine.sum()), right[wide[0]].sum()
+    return float(first), float(second / max(1, right.sum()))

@@ -176,8 +176,7 @@ def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
     )
     word = "brighter" if brighter else "darker" if darker else "brighter or darker"
     one_way, all_over = brighter or darker, part > 0.9
-    edges = edges_of(a), edges_of(b)
-    kept, common = shared(*edges)
+    kept, common = shared(a, b)
     peak, right_peak = a.max(axis=2), b.max(axis=2)
     black, full = (float(found[wrong].mean()) for found in (peak <= pair.noise, peak == 255))
     colours, right_colours = (_palette(image[shown]) for image in (a, b))
@@ -201,7 +200,7 @@ def _shading(pair: Pair, wrong: Bools, count: int) -> Diagnosis:
     fades, even = one_way and not sharp, all_over and 0.5 < rise < 2
     specks = 1 - ndimage.binary_opening(wrong, np.ones((3, 3))).sum() / wrong.sum()
     unlit = brighter and high[wrong].max(axis=1).max() <= pair.noise
-    at_edges = (edges[0] & edges[1])[wrong].mean() > 0.95
+    at_edges = (edges_of(a) & edges_of(b))[wrong].mean() > 0.95
     flat = colours == 1 or (colours <= 16 and 4 * colours < right_colours and full < 0.8)
     share, factors = f"in {part:.1%} of what is shown", f"by factors from {least:.2g} to {most:.2g}"
     levels = np.percentile(np.abs(change).max(axis=1), 95)
