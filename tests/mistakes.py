@@ -37,11 +37,11 @@ def rays(scene: Scene, *mistakes: str) -> tuple[Array, Array]:
         down = across
     if "window ignored" in mistakes:
         across = down = 1
-    x, y = (np.arange(width) + 0.5) / width - 0.5, 0.5 - (np.arange(height) + 0.5) / height
-    if "corners" in mistakes:
-        x, y = np.arange(width) / width - 0.5, 0.5 - np.arange(height) / height
-    if "ends" in mistakes:
-        x, y = np.arange(width) / (width - 1) - 0.5, 0.5 - np.arange(height) / (height - 1)
+    corners, ends = "corners" in mistakes, "ends" in mistakes
+    x, y = (
+        (np.arange(n) + (0 if corners or ends else 0.5)) / (n - ends) - 0.5 for n in (width, height)
+    )
+    y = -y
     x = -x if "mirrored" in mistakes else x
     y = -y if "upside down" in mistakes else y
     ahead = np.array(c.view_dir) if "viewDir not normalised" in mistakes else unit(c.view_dir)
@@ -51,8 +51,8 @@ def rays(scene: Scene, *mistakes: str) -> tuple[Array, Array]:
 
 
 @np.errstate(all="ignore")
-def meet(surface: Sphere | Box, origin: Array, d: Array) -> Array:
-    """Where rays meet a surface: distances (h, w), infinite where not at all."""
+def meet(surface: Sphere | Box, origin: Array, d: Array, least: float = 1e-6) -> Array:
+    """Distances (h, w) over `least` where rays meet a surface, infinite where not at all."""
     if isinstance(surface, Sphere):
         o = origin - surface.center
         a, b, c = (d * d).sum(-1), (d * o).sum(-1), (o * o).sum(-1) - surface.radius**2
@@ -63,8 +63,8 @@ def meet(surface: Sphere | Box, origin: Array, d: Array) -> Array:
         near, far = slabs[0].max(-1), slabs[1].min(-1)
         far = np.where(near <= far, far, -np.inf)
         near = np.where(near <= far, near, -np.inf)
-    t = np.where(near > 1e-6, near, far)
-    return np.where(t > 1e-6, t, np.inf)
+    t = np.where(near > least, near, far)
+    return np.where(t > least, t, np.inf)
 
 
 def visible(scene: Scene, *mistakes: str) -> tuple[Array, Array]:
@@ -110,12 +110,9 @@ def radiance(scene: Scene, *mistakes: str) -> Array:
             n = -n
         kd = np.array(shader.diffuse if "white" not in mistakes else (1, 1, 1))
         light_up = np.zeros(p.shape)
-        if "ambient" in mistakes:
-            light_up += 0.1 * kd
-        if "one colour" in mistakes:
-            light_up += (1, 0.5, 0)
-        if "no shading" in mistakes:
-            light_up += kd
+        everywhere = {"ambient": 0.1 * kd, "one colour": (1, 0.5, 0), "no shading": kd}
+        for mistake in {*everywhere} & {*mistakes}:
+            light_up += everywhere[mistake]
         unlit = "one colour" in mistakes or "no shading" in mistakes
         for light in () if unlit else lights:
             way = np.array(light.position) - p
@@ -132,8 +129,8 @@ def radiance(scene: Scene, *mistakes: str) -> Array:
             lit = np.ones(len(p), dtype=bool)
             for other in range(len(surfaces)) if "no shadows" not in mistakes else ():
                 if other == index and "acne" in mistakes:
-                    start = p.astype(np.float32).astype(float)
-                    t = acne(surface, start, way)
+                    # Rounding has put some of the points behind their own surface.
+                    t = meet(surface, p.astype(np.float32).astype(float), way, 0)
                 elif other == index:
                     continue
                 else:
@@ -154,16 +151,6 @@ def radiance(scene: Scene, *mistakes: str) -> Array:
             light_up += np.where(lit[:, None], returned * light.intensity, 0)
         image[own] = light_up
     return image
-
-
-def acne(surface: Sphere | Box, start: Array, way: Array) -> Array:
-    """Distances to the surface itself, met again where rounding has put the start behind it."""
-    if isinstance(surface, Sphere):
-        n = start - surface.center
-        inside = (n * n).sum(-1) < surface.radius**2
-    else:
-        inside = ((start > surface.min_pt) & (start < surface.max_pt)).all(-1)
-    return np.where(inside, 1e-7, np.inf)
 
 
 CURVES: dict[str, Callable[[Array], Array]] = {
@@ -188,10 +175,8 @@ def picture(scene: Scene, *mistakes: str) -> Image8:
     levels = 255 * curve(np.maximum(light, 0) if "wraps" in mistakes else np.clip(light, 0, 1))
     codes = (levels if "cut off" in mistakes else np.round(levels)).astype(int) % 256
     codes = codes.astype(np.uint8)
-    if "BGR" in mistakes:
-        codes = codes[:, :, ::-1]
-    if "transposed" in mistakes:
-        codes = codes.transpose(1, 0, 2)
+    codes = codes[:, :, ::-1] if "BGR" in mistakes else codes
+    codes = codes.transpose(1, 0, 2) if "transposed" in mistakes else codes
     return np.ascontiguousarray(codes)
 
 
