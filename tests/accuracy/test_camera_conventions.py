@@ -84,6 +84,10 @@ def test_points_of_a_wall(camera, points):
     # Points up to 20 away are rounded, against the light's distance of 1.
     np.testing.assert_allclose(render(scene), expected, rtol=0, atol=64 * EPS)
     np.testing.assert_allclose(plain.render(scene), expected, rtol=0, atol=64 * EPS)
+    # An offset, right and down, moves the samples of both alike.
+    aside, off = plain.render(scene, (0.25, -0.5)), render(scene, offset=(0.25, -0.5))
+    assert np.abs(aside - expected).max() > 0.01
+    np.testing.assert_allclose(off, aside, rtol=0, atol=64 * EPS)
 
 
 def test_nothing_is_mirrored():

@@ -85,11 +85,10 @@ def shading() -> Iterator[Ray]:
     for exponent in (1.0, 1e2, 1e4, 1e6):
         power = math.exp(-exponent / 2 * math.log1p(x * x))
         yield floor_under((2 * x, 1 - x * x, 0), power, shiny(1, exponent), 1e-12 * power)
-    # (n.h)^0 = 1 where n.l > 0; and where the light is at the point, it adds nothing.
+    # (n.h)^0 = 1 where n.l > 0, and nothing elsewhere or where the light is at the point.
+    ball = Sphere(shader=shiny(0.5, 0))
     for light, seen in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
-        for shader in (shiny(0.5, 0), shiny(0.5, 0, 1))[: 2 - (seen > 0)]:
-            ball = Sphere(shader=shader)
-            yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], seen)
+        yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], seen)
     yield floor_under((0, 0, 0), 0, shiny(1, 10, 1), 0)
     # Three lights, each in its own channel, twice; radiance is not clipped; no light is no light.
     lights = colored((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
@@ -101,11 +100,10 @@ def shading() -> Iterator[Ray]:
         yield Ray(f"no fall-off, {distance}", EYE, DOWN, (0, distance, 0), [FLOOR], 1, 0)
     # The eye is straight above the point, the lights a unit along each axis from it: their n.l are
     # the normal's components.  Lengths up to 7 are rounded, against the unit.
-    for n in ((0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)):
-        p, ball = 2 + 3 * np.array(n), Sphere(center=(2, 2, 2), radius=3)
-        eye, lights = p + 2 * np.array(n), colored(*(p + AXES))
-        toward = (-n[0], -n[1], -n[2])
-        yield Ray(f"sphere, normal {n}", eye, toward, lights, [ball], list(n), 16 * EPS)
+    ball = Sphere(center=(2, 2, 2), radius=3)
+    for n in np.array([(0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)]):
+        lights = colored(*(2 + 3 * n + AXES))
+        yield Ray(f"sphere, normal {n}", 2 + 5 * n, -n, lights, [ball], n.tolist(), 16 * EPS)
     # Each face from outside and, where the opposite face looks at the eye, from inside.
     for axis, sign in product(range(3), (-1, 1)):
         n, up = sign * AXES[axis], AXES[axis - 2]
@@ -158,7 +156,7 @@ def shadows() -> Iterator[Ray]:
     plate = Box(min_pt=(-0.5, 1, -0.5), max_pt=(0.5, 1, 0.5))
     for other, at, edge, off in ((Sphere(center=(0, 3, 0)), 9, 9 / math.sqrt(35), 1e-9),
                                  (plate, 4, 2 / 3, 1e-12)):  # fmt: skip
-        for x, lit in ((0, 0), *((side * (edge + s * off), s > 0) for side, s in SIGNS)):
+        for x, lit in ((-edge - off, 1), (off - edge, 0), (0, 0), (edge - off, 0), (edge + off, 1)):
             seen = lit * at / math.hypot(at, x)
             yield Ray(f"edge, {x}", (x, 0.5, 0), DOWN, (0, at, 0), [FLOOR, other], seen, 1e-12)
     # What is behind the light casts no shadow; from within the ball nothing comes out.
@@ -185,9 +183,6 @@ def shadows() -> Iterator[Ray]:
         seen = max(0, 5 * y - 1) / math.sqrt(26 - 10 * y)
         eye, toward = (across * x * 7, y, across * z * 7), (-x, 0, -z)
         yield Ray(f"terminator, {y}, {angle}", eye, toward, (0, 5, 0), [BALL], seen, 1e-14)
-
-
-SIGNS = list(product((-1, 1), repeat=2))
 
 
 def odd_lights_and_eyes() -> Iterator[Ray]:

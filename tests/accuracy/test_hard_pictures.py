@@ -26,14 +26,12 @@ FEW = (16, 64)
 
 
 class Hard(NamedTuple):
-    """A picture, and what is asked of it."""
+    """A picture, and how many times the grid's largest error its own may be, of so many samples."""
 
     name: str
     scene: Scene
     times: float = 1
-    """How many times the grid's largest error its own may be."""
     numbers: tuple[int, ...] = (4, 16, 64, 256)
-    """Of samples a pixel."""
 
 
 def seen(light, *surfaces, eye=(0, 0, 0), ahead=(0, 0, -1), size=(36, 24), wide=1, high=0, **lens):

@@ -183,14 +183,6 @@ def test_ground_radius_over_height(ratio, height):
     assert worst(ground() for _ in range(8)) <= 3e-9
 
 
-def test_offset_moves_the_samples_of_both_renderers_alike():
-    scene = small("four-spheres")
-    for offset in [(0.25, 0.0), (0.0, -0.5)]:
-        aside = plain.render(scene, offset)
-        assert np.abs(aside - render(scene)).max() > 0.01
-        np.testing.assert_allclose(aside, render(scene, offset=offset), rtol=0, atol=1e-12)
-
-
 def test_command_writes_the_picture(tmp_path, monkeypatch, capsys):
     path, right = tmp_path / "plain.png", tmp_path / "right.png"
     scene = SCENES / "one-sphere.xml"
