@@ -23,6 +23,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -250,8 +251,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outputs = _outputs(options, pictures, many)
     spare_inputs(used, outputs, (*pictures, *filter(None, rights)))
     results: list[_Result] = []
-    with ProcessPoolExecutor(2) as pool:
-        mapped = pool.map if len(pictures) >= _MANY else map
+    with ProcessPoolExecutor(2) if len(pictures) >= _MANY else nullcontext() as pool:
+        mapped = pool.map if pool else map
         for result, lines in mapped(partial(_judge, options, many), pictures, rights, outputs):
             results.append(result)
             if not (options.json or options.csv):

@@ -193,9 +193,9 @@ def test_scenes_of_one_name_are_told_apart(small: Path, report: Report) -> None:
 
 
 def test_a_variant_that_cannot_run_is_told_once(small: Path, report: Report) -> None:
-    variant = "scalar_spectral"
-    status, error, text = report(small.with_name("report.html"), small, "--variant", variant)
-    assert error.startswith(f"Mitsuba cannot run: {variant} is no RGB variant; choose one of ")
+    output = small.with_name("report.html")
+    status, error, text = report(output, small, "--variant", "scalar_spectral")
+    assert error.startswith("Mitsuba cannot run: scalar_spectral is no RGB variant; choose one of ")
     assert (status, error.count("\n"), text) == (1, 1, "")
 
 
