@@ -21,7 +21,6 @@ from tracer.antialias.classify import curvature
 
 RED = Lambertian(diffuse=(1, 0, 0))
 ROOM = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
-HOLLOW = Sphere(radius=6)
 FEW = (16, 64)
 
 
@@ -147,7 +146,7 @@ def shadows() -> Iterator[Hard]:
     yield Hard("lamp behind a plate", scene, 2)
     # Points on one of the two are outside of the other as soon as that is a little smaller.
     plate = red(box((-0.7, -0.5, -2.5), (0.4, 0.8, -2.4)))
-    scene = seen((2, 1.5, 1), HOLLOW, HOLLOW, plate, eye=(0, 0, 4), size=(36, 36))
+    scene = seen((2, 1.5, 1), *[Sphere(radius=6)] * 2, plate, eye=(0, 0, 4), size=(36, 36))
     yield Hard("hollow ball that is there twice", scene, 2)
     # Seen so nearly edge-on that a pixel sees as much of the floor as is before it.
     for slope, pixel in ((5e-4, 1e-4), (1e-4, 1e-5), (1e-5, 1e-6)):
