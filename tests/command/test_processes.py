@@ -82,6 +82,14 @@ def test_forks_share_the_parts(others):
     assert not children()
 
 
+def test_no_part_is_taken_twice():
+    def nothing(_memory: mmap | None) -> Work:
+        return lambda _number: None
+
+    done = [number for number, _ in forked(100_000, 1, 8, nothing, nothing(None))]
+    assert sorted(done) == list(range(100_000))
+
+
 @pytest.mark.parametrize("others", [1, 2])
 def test_workers_stay_for_the_next_job(others):
     first = signed_by_all(others)

@@ -81,7 +81,11 @@ class _Team:
     def share(self, size: int) -> None:
         """Have so many bytes of memory, and a counter of parts at 0."""
         if self.file < 0:
-            self.file = os.memfd_create("tracer")
+            memory = os.memfd_create("tracer")
+            try:  # opened by a name: only then do seeks of two processes wait for each other
+                self.file = os.open(f"/proc/self/fd/{memory}", os.O_RDWR)
+            finally:
+                os.close(memory)
         os.ftruncate(self.file, max(size, _KEPT))
         os.lseek(self.file, 0, os.SEEK_SET)
         self.memory = mmap(self.file, size)
