@@ -148,6 +148,10 @@ def light_grid(
     parts = [_middle_part(rect[:, part]) for part in np.split(some, begin[1:])]
     origin, size = np.array(parts).transpose(1, 2, 0)
     some = indices((field[octant] >= 0) & shades[owner])
+    # Rounding keeps the order, so that no bound fails.
+    kind = np.float32 if size.min() > _NARROW else np.float64
+    bounds = np.negative(wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]].astype(kind))
+    del wedge  # the longest of all arrays
     number, rect = field[octant[some]], rect[:, some]
     rect = _in_fields(rect, origin[:, number], size[:, number])
     u0, u1, v0, v1 = rect.clip(0, 1)
@@ -157,19 +161,18 @@ def light_grid(
     cell = 4 * cell + _LIST.take(corner)
     # NumPy sorts numbers of 16 bits by their digits, several times as fast as longer ones.
     order = np.lexsort((cell.astype(np.uint16), (cell >> 16).astype(np.uint16)))
-    counts = np.bincount(cell, minlength=4 * begin.size * side**2)
-    bounds: Floats = -wedge[some][:, [1, 0, 3, 2, 5, 4, 7, 6]]
+    first = np.zeros(4 * begin.size * side**2 + 1, dtype=np.intp)
+    np.cumsum(np.bincount(cell, minlength=first.size - 1), out=first[1:])
     return LightGrid(
         light=light,
         field=field,
         side=side,
         origin=origin,
         size=size,
-        first=np.append(0, counts.cumsum()),
+        first=first,
         listed=place.take(order),
         owner=owner[some],
-        # Rounding keeps the order, so that no bound fails.
-        wedge=bounds.astype(np.float32 if size.min() > _NARROW else np.float64),
+        wedge=bounds,
     )
 
 
