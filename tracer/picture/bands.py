@@ -237,11 +237,12 @@ class _Picture:
     @_QUIET
     def prepared(self) -> tuple[Lighting, tuple[slice, slice]]:
         """The lighting, and the rows and columns of pixels in which something may be seen."""
-        keep_heap()
         view = view_of(self._raster, self.scene.surfaces)
         rows, columns = view.frames.window(view.raster)
         across, down = self._lattice
-        return lighting_of(self.scene, view), (
+        lighting = lighting_of(self.scene, view)
+        keep_heap()  # of what is drawn: what was needed to prepare it is given back
+        return lighting, (
             slice(rows.start // down, -(-rows.stop // down)),
             slice(columns.start // across, -(-columns.stop // across)),
         )
