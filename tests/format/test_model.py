@@ -249,16 +249,17 @@ def test_all_digits_are_saved(tmp_path: Path) -> None:
     assert len(same.surfaces.shaders) <= 3
 
 
-def test_what_is_no_xml_is_not_replaced(tmp_path: Path) -> None:
+def test_only_scenes_are_replaced(tmp_path: Path) -> None:
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
-    for there in ("", "<scene/>"):
+    for there in ("", "<scene/>", '<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >'):
         path.write_text(there)
         save_scene(scene, path)
         assert load_scene(path) == scene
-    path.write_text("my notes")
-    with pytest.raises(FileExistsError):
-        save_scene(scene, path)
-    assert path.read_text() == "my notes"
+    for there in ('<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text"):
+        path.write_text(there)
+        with pytest.raises(FileExistsError):
+            save_scene(scene, path)
+        assert path.read_text() == there
 
 
 LINED = """<scene><image>4 3</image><camera/>

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import fields
 from typing import IO, Any
@@ -12,6 +14,9 @@ import numpy as np
 from tracer.commands import atomic_file
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers, number
+
+# How scene files begin; Mitsuba's have a version.
+_SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
 
 
 def save_scene(
@@ -24,18 +29,23 @@ def save_scene(
     ----------
     scene : Scene
     target : str, bytes, path-like or binary file object
-        An XML file that is there already is replaced, once the new one is whole.
+        A scene file that is there already is replaced, once the new one is whole.
 
     Raises
     ------
     OSError
-        If the file cannot be written, or a file that is there does not begin with ``<``.
+        If the file cannot be written, or a file that is there is not a scene.
     """
     lines = (line.encode() for line in _lines(scene))
     if not isinstance(target, (str, bytes, os.PathLike)):
         target.writelines(lines)
         return
-    with atomic_file(os.fsdecode(target), b"<") as file:
+    path = os.fsdecode(target)
+    if os.path.isfile(path):
+        with open(path, "rb") as there:
+            if not re.match(_SCENE, there.read(1 << 16)):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
+    with atomic_file(path, b"") as file:
         file.writelines(lines)
 
 
