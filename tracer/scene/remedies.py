@@ -77,7 +77,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
 
     # Each takes some 30 us to compare.
-    names = sorted(islice(known, 64))
+    names = sorted(islice(known, 256))
     if not names:
         return "remove it"
     folded = {word.lower(): word for word in names}
