@@ -154,8 +154,8 @@ class Visible(NamedTuple):
     groups : list of Group
     first : (runs + 1,)
         Where each run of points begins, through all groups, and the end of the last.  A run is on
-        one object and one face, in one row of samples; or, if these are scattered, in one row of
-        pixels, without gaps of several pixels.
+        one object and one face, in one row of samples; or, if these are scattered, in some pixels
+        of one row and in one octave of depth.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)

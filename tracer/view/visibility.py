@@ -128,7 +128,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
         np.multiply(part.t, raster.depth, out=here[2])
         surface = part.shape.surface(raster, owner, span, here, part.t, part.detail)
         groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
-    first, owner, begin = _runs(samples, groups)
+    first, owner, begin = _runs(samples, groups, p[2])
     x, y = samples.at(begin)
     return Visible(
         view=view,
@@ -142,15 +142,20 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     )
 
 
-def _runs(samples: Samples, groups: list[Group]) -> tuple[Ints, Ints, Ints]:
-    """Runs of hits, as in `Visible.first`: the first hit, object, and first sample of each."""
+def _runs(samples: Samples, groups: list[Group], ahead: Floats) -> tuple[Ints, Ints, Ints]:
+    """Runs of hits, as in `Visible.first`: the first hit, object, and first sample of each.
+
+    `ahead` (n,): how far ahead of the eye hits are.
+    """
     none = np.zeros(0, dtype=np.intp)
     firsts, owners, begins = [none], [none], [none]
     for group in groups:
         same: list[Any] = [4 * group.face + group.sign, group.span]
         if isinstance(samples, Scattered):
             tile = np.floor(samples.x[group.sample] / _TILE)
-            same[1:] = samples.row[group.sample], tile, group.spread(group.owner)
+            # Towards a horizon neighbours are far apart: a packet of them would meet all objects.
+            octave = np.frexp(ahead[group.part])[1]
+            same[1:] = samples.row[group.sample], tile, group.spread(group.owner), octave
         first = indices(changes(*(m for m in same if np.ndim(m))))
         firsts.append(first + group.part.start)
         owners.append(np.broadcast_to(group.spread(group.owner), group.sample.shape)[first])
