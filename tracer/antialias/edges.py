@@ -176,17 +176,18 @@ class Seen(NamedTuple):
         """Edges between faces of boxes that are both seen."""
         view, eye = self.hits.view, self.hits.view.raster.eye
         ends = (view.boxes.min_pt, -1), (view.boxes.max_pt, 1)
-        for group, k, (corner, sign) in product(self.hits.groups, range(3), ends):
+        for group, k in product(self.hits.groups, range(3)):
             across_face = group.face != k
             if not group.shape.flat or not np.any(across_face):
                 continue
             height = view.raster.scene_component(pick(self.hits.p, group.part), k)
-            level = corner[k, group.owner - view.boxes.first] - eye[k]
-            shown = view.eye_inside[group.owner] | (sign * level < 0)
-            level = group.spread(level)
-            near = np.abs(height - level) < self.footprint[group.part]
-            at = indices(near & across_face & group.spread(shown))
-            if at.size:
-                d, inverse = self.rays(group.part.start + at)
-                value = inverse - view.raster.scene_component(d, k) / select(level, at)
-                yield self.cell[group.part][at], value
+            for corner, sign in ends:
+                level = corner[k, group.owner - view.boxes.first] - eye[k]
+                shown = view.eye_inside[group.owner] | (sign * level < 0)
+                level = group.spread(level)
+                near = np.abs(height - level) < self.footprint[group.part]
+                at = indices(near & across_face & group.spread(shown))
+                if at.size:
+                    d, inverse = self.rays(group.part.start + at)
+                    value = inverse - view.raster.scene_component(d, k) / select(level, at)
+                    yield self.cell[group.part][at], value
