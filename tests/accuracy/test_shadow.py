@@ -39,10 +39,8 @@ def balls_under(light: Vector, count: int, radius: float, *others: Sphere) -> Sc
     [*((10.0**k, 1.0) for k in (7, 9, 11, 13, 20, 40)), (1e9, 6.4e6), (1.5e11, 6.4e6)],
 )
 def test_suns_and_planets_cost_no_more(far, ground):
-    light, planet = (
-        (0.3 * far, 0.8 * far, 0.5 * far),
-        Sphere(center=(0, -ground - 1, 0), radius=ground),
-    )
+    light = (0.3 * far, 0.8 * far, 0.5 * far)
+    planet = Sphere(center=(0, -ground - 1, 0), radius=ground)
     with candidates_noted() as sizes:
         render(balls_under(light, 1000, 0.02, planet), processes=1)
     assert 0 < sum(sizes) < 5 * 60 * 60
