@@ -7,6 +7,8 @@ objects share arrays, with their data gathered for each sample.  Vectors are tri
     a value, or (n,)             select
     a triple of such values      pick, or points (3, n)
     a table (m, n), one by one   entries, put
+
+and to repeat one value for each run of samples, spread.
 """
 
 from __future__ import annotations
@@ -60,6 +62,19 @@ def select(value: T, index: Index | slice) -> T:
         chosen: T = array[index] if isinstance(index, slice) else array.take(index)
         return chosen
     return value
+
+
+def spread(values: T, counts: Ints | None) -> T:
+    """Values of runs (m,), repeated for each sample of these; a single value stays as it is.
+
+    `counts` (m,): how many samples each run has; None if it is one in each.
+    """
+    if counts is not None and getattr(values, "ndim", False):
+        array: Any = values
+        # A quarter of the time of `take`, which would need each sample's run besides.
+        repeated: T = array.repeat(counts)
+        return repeated
+    return values
 
 
 def pick(vector: Triple | Floats, index: Index | slice) -> Triple:

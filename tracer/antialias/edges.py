@@ -37,7 +37,8 @@ def footprints_of(hits: Visible, size: float) -> Floats:
     halves, distance = hits.p[2] * angle, hits.distance
     footprints = np.empty(halves.size)
     for group in hits.groups:
-        half, n_dot_v = halves[group.part], group.height / distance[group.part]
+        half = halves[group.part]
+        n_dot_v = group.at_samples(group.height) / distance[group.part]
         if group.shape.flat:
             # The far end of the cell sees the face at a smaller cosine: by up to the angle.
             n_dot_v *= np.maximum(1 - angle / n_dot_v, _NEARLY)
@@ -184,9 +185,9 @@ class Seen(NamedTuple):
             for corner, sign in ends:
                 level = corner[k, group.owner - view.boxes.first] - eye[k]
                 shown = view.eye_inside[group.owner] | (sign * level < 0)
-                level = group.spread(level)
+                level, shown = group.spread(level), group.spread(shown & across_face)
                 near = np.abs(height - level) < self.footprint[group.part]
-                at = indices(near & across_face & group.spread(shown))
+                at = indices(near & shown)
                 if at.size:
                     d, inverse = self.rays(group.part.start + at)
                     value = inverse - view.raster.scene_component(d, k) / select(level, at)

@@ -165,7 +165,7 @@ class Sheets(NamedTuple):
             part = group.part
             # Also where the eye is on a sphere: the plane that touches it where it is seen.
             for out, n in zip(k, group.n, strict=True):
-                out[part] = n / -group.height
+                out[part] = group.at_samples(n / -group.height)
             if not group.shape.flat:
                 power = group.of(spheres.power)
                 w[part] = np.where(power != 0, 1 / power, 0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, pick, scaled, select
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, pick, scaled, select
 from tracer.light.shading import highlight
 from tracer.scene.model import Phong, Scene
 from tracer.shadow.occluders import Occluders, occluders_of
@@ -83,11 +83,11 @@ class Incoming(NamedTuple):
         def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
             wi = scaled(pick(to_light, some), 1 / length[some])
             wo = scaled(pick(p, some), -1 / distance[some])
-            return pick(pick(group.n, at), some), wi, wo
+            return pick(each(group.at_samples, group.n), at[some]), wi, wo
 
         return highlight(
             self.n_dot_l[number, group.part][at] / length,
-            select(group.height, at) / distance,
+            group.at_samples(group.height)[at] / distance,
             dot(to_light, p) / (-distance * length),
             select(group.of(self.lighting.exponent), at),
             vectors,
@@ -138,7 +138,7 @@ def ids_of(hits: Visible, lit: Bools) -> Ints:
     """A number (n,) for the object, its face, and the lights that reach it: `lit` (lights, n)."""
     ids = np.empty(hits.p.shape[1], dtype=np.intp)
     for group in hits.groups:
-        ids[group.part] = group.spread(group.owner * 4) + group.face
+        ids[group.part] = group.spread(group.owner * 4 + group.face)
     for bit in lit:
         # An odd factor: with more lights than bits, the first are not shifted out.
         ids = ids * 3 + bit

@@ -98,13 +98,18 @@ def render(
     image = np.zeros((scene.height, scene.width, 3))
     # Whoever asks for processes by number gets helpers from the first picture on.
     load = inf if processes else picture.load
-    others, size, draw = picture.processes - 1, image.nbytes, picture.drawing
-    with closing(helped(picture.tiles, others, size, draw, draw(image), load)) as done:
+    others, size = picture.processes - 1, image.nbytes
+
+    def work(number: int) -> None:
+        picture.draw(number, image[picture.tile(number)])
+
+    with closing(helped(picture.tiles, others, size, picture.drawing, work, load)) as done:
         for number, memory in done:
             if memory is not None:
                 seen = picture.seen(number)
                 image[seen] = picture.image_in(memory)[seen]
-    for suspicion in suspicions(scene, black=not image.any()):
+    # Row by row: this ends at the first that is not black.
+    for suspicion in suspicions(scene, black=not any(row.any() for row in image)):
         warnings.warn(suspicion, SceneWarning, stacklevel=2)
     return image
 
@@ -252,17 +257,17 @@ class _Picture:
         both = zip(self.tile(number), self.prepared[1], strict=True)
         return tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in both)
 
-    def image_in(self, memory: mmap | Floats) -> Floats:
+    def image_in(self, memory: mmap) -> Floats:
         """The picture (height, width, 3) in memory."""
         height, width = self.scene.height, self.scene.width
         return np.frombuffer(memory, count=height * width * 3).reshape(height, width, 3)
 
-    def drawing(self, memory: mmap | Floats) -> Work:
-        """Return what draws tiles of the picture in memory."""
+    def drawing(self, memory: mmap) -> Work:
+        """Return what draws tiles of the picture in shared memory."""
         image = self.image_in(memory)
 
         def work(number: int) -> None:
-            image[self.seen(number)] = 0  # memory of helpers holds the last picture
+            image[self.seen(number)] = 0  # where the last picture may still be
             self.draw(number, image[self.tile(number)])
 
         return work

@@ -22,7 +22,7 @@ from tracer.arrays import (
     entries,
     indices,
     pick,
-    select,
+    spread,
 )
 from tracer.scene.model import Surfaces
 from tracer.shapes.rounding import (
@@ -107,7 +107,7 @@ class Boxes:
         return raster.column(low), raster.column(high)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Sides]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
@@ -117,9 +117,15 @@ class Boxes:
         box, eye, (u, v, w) = owner - self.first, raster.eye.tolist(), raster.axes.tolist()
         near, far, faces = [], [], []
         for k in range(3):
-            d = s * u[k] + select(g * v[k] + raster.depth * w[k], span)
-            low, high = (select(m[k, box] - eye[k], span) for m in (self.min_pt, self.max_pt))
-            enter, leave = _slab(low, high, d, closed=True)
+            d = s * u[k] + spread(g * v[k] + raster.depth * w[k], counts)
+            low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
+            above = high < 0
+            if np.all(above | (low > 0)):
+                # The nearer plane is known; a ray away from it would leave before it enters.
+                planes = np.where(above, high, low), np.where(above, low, high)
+                enter, leave = (spread(m, counts) / d for m in planes)
+            else:
+                enter, leave = _slab(spread(low, counts), spread(high, counts), d, closed=True)
             near.append(enter)
             far.append(leave)
             # The face that is seen looks against the ray.
@@ -127,8 +133,9 @@ class Boxes:
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
         t, place = np.where(enter <= leave, enter, np.inf), near
-        inside = select(self.eye_inside[box], span)
+        inside = self.eye_inside[box]
         if inside.any():
+            inside = spread(inside, counts)
             t = np.where(inside, leave, t)
             place = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
         # Through an edge or a corner, the face of the first axis.
@@ -137,12 +144,11 @@ class Boxes:
         return np.where(t > 0, t, np.inf), face
 
     def surface(
-        self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Sides
+        self, raster: Raster, owner: Index, counts: Ints, p: Floats, t: Floats, detail: Sides
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """See `Spheres.surface`."""
-        face = detail.astype(np.intp) >> 1
-        sign = np.where(detail & 1, 1.0, -1.0)
-        own = select(owner - self.first, span)
+        own, detail = owner - self.first, detail.take(counts.cumsum() - counts)
+        face, sign = detail.astype(np.intp) >> 1, np.where(detail & 1, 1.0, -1.0)
         low, high = entries(self.min_pt, face, own), entries(self.max_pt, face, own)
         level = np.where(self.eye_inside[own] == (sign > 0), low, high)
         height = sign * (raster.eye[face] - level)

@@ -28,7 +28,7 @@ from tracer.arrays import (
     each,
     indices,
     pick,
-    select,
+    spread,
 )
 from tracer.scene.model import Surfaces
 from tracer.shapes.rounding import (
@@ -141,7 +141,7 @@ class Spheres:
         return hypot2, u, ahead, (radius - aside) * (radius + aside)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, span: Ints
+        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Floats]:
         """Distance at which rays meet objects, or infinity.
 
@@ -155,8 +155,8 @@ class Spheres:
             One object, or one for each span of rays in a row.
         g : (spans,)
         s : (n,)
-        span : (n,)
-            The span of each ray.
+        counts : (spans,), or None
+            How many rays follow each other in each span; None if it is one.
 
         Returns
         -------
@@ -169,42 +169,45 @@ class Spheres:
         """
         hypot2, u, ahead, chord2 = self._discs(raster, owner, self.radius[owner], g)
         hypot = np.sqrt(hypot2)
-        power = select(self.power[owner], span)
-        length2 = s * s + select(hypot2, span)
+        power = self.power[owner]
+        length2 = s * s + spread(hypot2, counts)
         # Of the centre (u, ahead) and the ray (s, hypot) the cross and the dot product.
-        cross = select(u * hypot, span) - select(ahead, span) * s
-        rise = np.sqrt(length2 * select(chord2, span) - cross * cross)
-        middle = select(u, span) * s + select(ahead * hypot, span)
+        cross = spread(u * hypot, counts) - spread(ahead, counts) * s
+        rise = np.sqrt(length2 * spread(chord2, counts) - cross * cross)
+        middle = spread(u, counts) * s + spread(ahead * hypot, counts)
         root = middle + rise
-        if np.all(power > 0):
-            t = power / root
-        else:  # the far root, in the form that cancels less
+        outside, power = np.all(power > 0), spread(power, counts)
+        t = power / root
+        if not outside:  # the far root, in the form that cancels less
             far = np.where(middle > 0, root / length2, power / (middle - rise))
-            t = np.where(power > 0, power / root, far)
+            t = np.where(power > 0, t, far)
         # Not a number where there is no root; negative behind the eye.
         return np.where(t > 0, t, np.inf), rise
 
     def surface(
-        self, raster: Raster, owner: Index, span: Ints, p: Floats, t: Floats, detail: Floats
+        self, raster: Raster, owner: Index, counts: Ints, p: Floats, t: Floats, detail: Floats
     ) -> tuple[Index, Floats, Floats, Triple, Floats]:
         """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
+
+        `owner`: one, or one for each run of hits on one face, of which `counts` (runs,) gives the
+        lengths.
 
         Returns
         -------
         face, sign, level
-            Of boxes, the axis of the face, whether it looks up (1) or down (-1) that axis, and its
-            coordinate there; `NO_FACE` for spheres.
-        n : three
+            Of boxes (runs,), the axis of the face, whether it looks up (1) or down (-1) that axis,
+            and its coordinate there; `NO_FACE` for spheres.
+        n : three (n,); of boxes, (runs,)
             Unit normal towards the eye, in the camera's axes.
-        height
+        height : (n,); of boxes, (runs,)
             n . (eye - p), the eye's height over the tangent plane.
         """
-        inverse = select(1 / self.radius[owner], span)
-        center = (select(m[owner], span) for m in self.local)
+        inverse = spread(1 / self.radius[owner], counts)
+        center = (spread(m[owner], counts) for m in self.local)
         x, y, z = ((q - c) * inverse for q, c in zip(p, center, strict=True))
         inside = self.eye_inside[owner]
         if inside.any():
-            flip = select(np.where(inside, -1.0, 1.0), span)
+            flip = spread(np.where(inside, -1.0, 1.0), counts)
             x, y, z = flip * x, flip * y, flip * z
         return NO_FACE, np.ones(()), np.zeros(()), (x, y, z), detail * inverse * t
 

@@ -83,7 +83,7 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> Hits:
             at = start + order[group.sample]
             if group.shape.flat:
                 normal[at] = 0
-                normal[at, group.face] = group.sign
+                normal[at, group.spread(group.face)] = group.spread(group.sign)
             else:
                 normal[at] = np.transpose(raster.vector_to_scene(group.n))
     return found

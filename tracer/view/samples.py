@@ -127,15 +127,15 @@ class Scattered(NamedTuple):
         """x and y of some samples."""
         return self.x[index], self.y[index]
 
-    def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, Ints]:
-        """See `Rows.covered`: here each sample is a span of its own."""
+    def covered(self, shape: Shape, view: View) -> tuple[Ints, Ints, Ints, None]:
+        """See `Rows.covered`: here each sample is a span of its own, and no length is given."""
         rows, half = self.row[changes(self.row)], self.wide / 2
         owner, row, left, right = spans(shape, view, rows, (-half, half), height=1.0, pad=_PAD)
         begin = rows[row] * self.wide
         start = self.place.searchsorted(begin + left.clip(-half, half))
         stop = self.place.searchsorted(begin + right.clip(-half, half), side="right")
         span, sample = expand(np.maximum(stop - start, 0), start)
-        return owner[span], sample, sample, np.ones_like(sample)
+        return owner[span], sample, sample, None
 
 
 Samples: TypeAlias = Rows | Scattered

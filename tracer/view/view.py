@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Index, Ints, Triple, changes, dot, pick, select
+from tracer.arrays import Bools, Floats, Index, Ints, Triple, changes, dot, pick, spread
 from tracer.scene.model import Surfaces
 from tracer.shapes.box import Boxes
 from tracer.shapes.sphere import Spheres
@@ -103,19 +103,20 @@ class Group(NamedTuple):
         Their places among the hits.
     sample : (n,)
         Which sample.
-    owner : int, or (spans,)
-        Which object they see (spheres first): one, or one for each span.
-    span : (n,)
-        The span that each is in: samples in one row that see one object.
+    counts : (runs,)
+        Runs are neighbours in one row that see one object and one face of it: how many samples
+        each has.
+    owner : int, or (runs,)
+        Which object they see (spheres first): one, or one for each run.
     face, sign, level, n, height
-        See `Spheres.surface`: all of them numbers or (n,).
+        See `Spheres.surface`: numbers, (runs,), or, of what curves, n and height (n,).
     """
 
     shape: Shape
     part: slice
     sample: Ints
+    counts: Ints
     owner: Index
-    span: Ints
     face: Index
     sign: Floats
     level: Floats
@@ -123,8 +124,12 @@ class Group(NamedTuple):
     height: Floats
 
     def spread(self, values: Any) -> Any:
-        """Values of spans, repeated for each of their samples; of one object, as they are."""
-        return select(values, self.span)
+        """Values of runs, repeated for each of their samples; of one object, as they are."""
+        return spread(values, self.counts)
+
+    def at_samples(self, values: Floats) -> Floats:
+        """`n`'s components or `height`, or what is made of them, for each sample."""
+        return spread(values, self.counts) if self.shape.flat else values
 
     def of(self, values: NDArray[Any]) -> Any:
         """Values of objects, spheres first, for each of the samples that see them."""
@@ -138,7 +143,7 @@ class Group(NamedTuple):
         """
         if self.shape.flat:
             # Along the scene's axes a light in a face's plane is at height 0 exactly.
-            out[:] = self.sign * (position[self.face] - self.level)
+            out[:] = self.spread(self.sign * (position[self.face] - self.level))
         else:
             dot(self.n, vector, out)
 
@@ -152,10 +157,10 @@ class Visible(NamedTuple):
     p : (3, n)
         Points seen from the eye, in the camera's axes.
     groups : list of Group
+    sample : (n,)
+        The sample that each point is seen by.
     first : (runs + 1,)
-        Where each run of points begins, through all groups, and the end of the last.  A run is on
-        one object and one face, in one row of samples; or, if these are scattered, in some pixels
-        of one row and in one octave of depth.
+        Where each run of points begins, through all groups, and the end of the last.
     owner : (runs,)
         The object that each run sees.
     row, column : (runs,)
@@ -167,6 +172,7 @@ class Visible(NamedTuple):
     view: View
     p: Floats
     groups: list[Group]
+    sample: Ints
     first: Ints
     owner: Ints
     row: Ints
@@ -177,11 +183,6 @@ class Visible(NamedTuple):
     def own(self) -> Ints:
         """The object (n,) that each point lies on."""
         return self.owner.repeat(np.diff(self.first))
-
-    @property
-    def sample(self) -> Ints:
-        """The sample (n,) that each point is seen by."""
-        return np.concatenate([np.zeros(0, dtype=np.intp), *(g.sample for g in self.groups)])
 
     @property
     def distance(self) -> Floats:

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Index, Ints, changes, expand, indices, select
+from tracer.arrays import Bools, Floats, Index, Ints, changes, indices, ranges, select, spread
 from tracer.view.samples import Samples, Scattered
 from tracer.view.view import Group, Shape, View, Visible
 
-# Runs of scattered samples end at the borders of squares of so many pixels.
+# Pixels along each side of the squares at whose borders runs of scattered samples end.
 _TILE = 4.0
 
 # With this many samples or more, an object is worth arrays of its own, with its data as numbers.
@@ -39,12 +39,13 @@ class _Fragments(NamedTuple):
     Attributes
     ----------
     shape : Spheres or Boxes
+    counts : (spans,), or None
+        Spans are samples that follow each other in one row, paired with one object; None if each
+        has one sample.
     owner : int, or (spans,)
         An object of that shape.
     g : (spans,)
         The second component of the rays' directions.
-    span : (n,)
-        Which span each lies in; of scattered samples, each in its own.
     sample, s, t : (n,)
         Which sample, the first component of its ray's direction, and the distance in
         units of the direction's length, infinite for a miss.
@@ -53,9 +54,9 @@ class _Fragments(NamedTuple):
     """
 
     shape: Shape
+    counts: Ints | None
     owner: Index
     g: Floats
-    span: Ints
     sample: Ints
     s: Floats
     t: Floats
@@ -66,8 +67,27 @@ class _Fragments(NamedTuple):
         index = indices(mask)
         if index.size == mask.size:
             return self
-        shape, owner, g, *pairs = self
-        return _Fragments(shape, owner, g, *(values.take(index) for values in pairs))
+        shape, counts, owner, g, *pairs = self
+        if counts is None:
+            owner, g = select(owner, index), g.take(index)
+        else:
+            counts = np.diff(index.searchsorted(counts.cumsum()), prepend=0)
+        return _Fragments(shape, counts, owner, g, *(values.take(index) for values in pairs))
+
+    def runs(self, samples: Samples, ahead: Floats) -> Ints:
+        """The first hit of each run, see `Group`; `ahead` (n,): how far ahead of the eye they are.
+
+        Runs of scattered samples end at the borders of squares and of octaves of depth: towards a
+        horizon neighbours are far apart, and a packet of them would meet all objects.
+        """
+        begins = changes(self.detail) if self.shape.flat else np.zeros(ahead.size, dtype=np.bool_)
+        if self.counts is None:
+            x, y = samples.at(self.sample)
+            owner = np.broadcast_to(self.owner, ahead.shape)
+            begins |= changes(owner, np.floor(y), np.floor(x / _TILE), np.frexp(ahead)[1])
+        else:
+            begins[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
+        return indices(begins)
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
@@ -77,14 +97,19 @@ def _fragments(view: View, samples: Samples) -> list[_Fragments]:
     for shape in view.shapes:
         owners, rows, first, counts = samples.covered(shape, view)
         size = np.bincount(owners, counts, minlength=len(view.surfaces))
-        small = indices((size[owners] < _LARGE) & (counts > 0))
-        parts: list[tuple[Index, Ints]] = [(owners[small], small)] if small.size else []
-        parts += [(i, indices(owners == i)) for i in indices(size >= _LARGE).tolist()]
+        parts: list[tuple[Index, Any]] = [
+            (owner, indices(owners == owner)) for owner in indices(size >= _LARGE).tolist()
+        ]
+        small = indices(size[owners] < _LARGE)
+        if small.size:
+            parts.append((owners[small], small))
         for owner, part in parts:
-            span, sample = expand(counts[part], first[part])
-            g, across = down[rows[part]], s.take(sample)
-            t, detail = shape.hit(raster, owner, g, across, span)
-            found.append(_Fragments(shape, owner, g, span, sample, across, t, detail))
+            g, sample, lengths = down[rows[part]], first[part], select(counts, part)
+            if lengths is not None:
+                sample = ranges(sample, lengths)
+            across = s.take(sample)
+            t, detail = shape.hit(raster, owner, g, across, lengths)
+            found.append(_Fragments(shape, lengths, owner, g, sample, across, t, detail))
     return found
 
 
@@ -108,7 +133,7 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
         return first
     # Of those that share a sample, the first in the file.
     index = view.surfaces.file_index
-    places = [np.broadcast_to(select(index[g.owner], g.span), g.t.shape) for g in first]
+    places = [np.broadcast_to(spread(index[g.owner], g.counts), g.t.shape) for g in first]
     least = np.full(nearest.size, index.size)
     for group, place in zip(first, places, strict=True):
         np.minimum.at(least, group.sample, place)
@@ -118,46 +143,31 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
 def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
     """Visible of fragments that are seen."""
     raster = view.raster
-    parts = [group for group in fragments if group.t.size]
+    parts = [part for part in fragments if part.t.size]
     ends = np.cumsum([0] + [part.t.size for part in parts]).tolist()
-    p, groups = np.empty((3, ends[-1])), []
+    p, groups, none = np.empty((3, ends[-1])), [], np.zeros(0, dtype=np.intp)
     for part, start, end in zip(parts, ends, ends[1:], strict=False):
-        here, owner, span = p[:, start:end], part.owner, part.span
+        here = p[:, start:end]
         np.multiply(part.t, part.s, out=here[0])
-        np.multiply(part.t, select(part.g, span), out=here[1])
+        np.multiply(part.t, spread(part.g, part.counts), out=here[1])
         np.multiply(part.t, raster.depth, out=here[2])
-        surface = part.shape.surface(raster, owner, span, here, part.t, part.detail)
-        groups.append(Group(part.shape, slice(start, end), part.sample, owner, span, *surface))
-    first, owner, begin = _runs(samples, groups, p[2])
-    x, y = samples.at(begin)
+        first = part.runs(samples, here[2])
+        counts, owner = np.diff(first, append=end - start), spread(part.owner, part.counts)
+        owner = select(owner, first)
+        surface = part.shape.surface(raster, owner, counts, here, part.t, part.detail)
+        groups.append(Group(part.shape, slice(start, end), part.sample, counts, owner, *surface))
+    first = np.concatenate([none, [0], *(group.counts for group in groups)]).cumsum()
+    owners = [np.broadcast_to(group.owner, group.counts.shape) for group in groups]
+    sample = np.concatenate([none, *(group.sample for group in groups)])
+    x, y = samples.at(sample.take(first[:-1]))
     return Visible(
         view=view,
         p=p,
         groups=groups,
-        first=np.append(first, p.shape[1]),
-        owner=owner,
+        sample=sample,
+        first=first,
+        owner=np.concatenate([none, *owners]),
         row=y.astype(np.intp),
         column=x.astype(np.intp),
         scattered=isinstance(samples, Scattered),
     )
-
-
-def _runs(samples: Samples, groups: list[Group], ahead: Floats) -> tuple[Ints, Ints, Ints]:
-    """Runs of hits, as in `Visible.first`: the first hit, object, and first sample of each.
-
-    `ahead` (n,): how far ahead of the eye hits are.
-    """
-    none = np.zeros(0, dtype=np.intp)
-    firsts, owners, begins = [none], [none], [none]
-    for group in groups:
-        same: list[Any] = [4 * group.face + group.sign, group.span]
-        if isinstance(samples, Scattered):
-            tile = np.floor(samples.x[group.sample] / _TILE)
-            # Towards a horizon neighbours are far apart: a packet of them would meet all objects.
-            octave = np.frexp(ahead[group.part])[1]
-            same[1:] = samples.row[group.sample], tile, group.spread(group.owner), octave
-        first = indices(changes(*(m for m in same if np.ndim(m))))
-        firsts.append(first + group.part.start)
-        owners.append(np.broadcast_to(group.spread(group.owner), group.sample.shape)[first])
-        begins.append(group.sample[first])
-    return np.concatenate(firsts), np.concatenate(owners), np.concatenate(begins)
