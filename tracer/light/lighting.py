@@ -167,27 +167,30 @@ def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
 def shade(incoming: Incoming, lit: Bools) -> Floats:
     """Radiance (3, n) of hits towards the eye; `lit` (lights, n): whether lights reach them."""
     lighting = incoming.lighting
-    radiance, specular = np.zeros((2, 3, lit.shape[1]))
+    radiance = np.zeros((3, lit.shape[1]))
     for group in incoming.hits.groups:
         glossy = group.of(lighting.glossy)
-        diffuse, shine = radiance[:, group.part], specular[:, group.part]
+        # Sums over lights of intensity times cosine, and highlight, without the shaders' colours.
+        sums = [radiance[:, group.part]]
+        if np.any(glossy):
+            sums.append(np.zeros(sums[0].shape))
         for number, reached in enumerate(lit[:, group.part]):
             if not reached.any():
                 continue
             n_dot_l, length2 = (m[number, group.part] for m in (incoming.n_dot_l, incoming.length2))
-            cosine = np.where(reached, n_dot_l / np.sqrt(length2), 0)
-            for channel, strength in zip(diffuse, lighting.intensities[number], strict=True):
-                channel += strength * cosine
-            at = indices(reached & glossy)
-            if at.size:
-                power = incoming.highlight(number, group, at)
-                for channel, strength in zip(shine, lighting.intensities[number], strict=True):
-                    channel[at] += strength * power
-        # Without the shaders' colours so far.
-        for k in range(3):
-            diffuse[k] *= group.of(lighting.diffuse[k])
-            if np.any(glossy):
-                diffuse[k] += shine[k] * group.of(lighting.specular[k])
+            weights = np.zeros((len(sums), reached.size))
+            np.divide(n_dot_l, np.sqrt(length2), out=weights[0], where=reached)
+            if len(sums) > 1:
+                at = indices(reached & glossy)
+                weights[1, at] = incoming.highlight(number, group, at)
+            for channels, weight in zip(sums, weights, strict=True):
+                for channel, strength in zip(channels, lighting.intensities[number], strict=True):
+                    channel += strength * weight
+        for channels, colors in zip(sums, (lighting.diffuse, lighting.specular), strict=False):
+            for channel, color in zip(channels, colors, strict=True):
+                channel *= group.of(color)
+        if len(sums) > 1:
+            sums[0] += sums[1]
     return radiance
 
 

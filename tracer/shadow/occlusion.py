@@ -21,6 +21,9 @@ from tracer.view.view import Shape, View, Visible
 
 __all__ = ["occlusion", "shadow_edges"]
 
+# So many packets ask at a time.
+_AT_ONCE = 1 << 14
+
 
 def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
     """Whether other objects than their own keep lights from points.
@@ -127,8 +130,12 @@ def _candidates(
 
 def _found(grid: LightGrid, view: View, packets: Packets) -> Iterator[tuple[Shape, Ints]]:
     """Lights, packets and, of a shape, objects (3, m) that may come between, some at a time."""
-    for pairs in grid.query(packets.middle, packets.radius, packets.owner, packets.lit):
-        for shape in view.shapes:
-            kind = pairs.take(indices((pairs[2] >= view.boxes.first) == shape.flat), axis=1)
-            for batch in batches(packets.length[kind[1]]):
-                yield shape, kind[:, batch]
+    for start in range(0, packets.owner.size, _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        asked = packets.middle[:, some], packets.radius[some], packets.owner[some]
+        for pairs in grid.query(*asked, packets.lit[:, some]):
+            pairs[1] += start
+            for shape in view.shapes:
+                kind = pairs.take(indices((pairs[2] >= view.boxes.first) == shape.flat), axis=1)
+                for batch in batches(packets.length[kind[1]]):
+                    yield shape, kind[:, batch]
