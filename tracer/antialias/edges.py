@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.antialias.margins import Margins, Sheets, rays, span
-from tracer.arrays import Floats, Ints, Triple, dot, each, expand, indices, pick, select
+from tracer.arrays import Floats, Ints, Triple, dot, each, expand, indices, pick
 from tracer.shapes.silhouette import box_margins, silhouette_planes, sphere_margins
 from tracer.view.samples import spans
 from tracer.view.view import View, Visible
@@ -190,5 +190,5 @@ class Seen(NamedTuple):
                 at = indices(near & shown)
                 if at.size:
                     d, inverse = self.rays(group.part.start + at)
-                    value = inverse - view.raster.scene_component(d, k) / select(level, at)
+                    value = inverse - view.raster.scene_component(d, k) / level[at]
                     yield self.cell[group.part][at], value

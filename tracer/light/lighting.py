@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, pick, scaled, select
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, each, indices, pick, scaled
 from tracer.light.shading import highlight
 from tracer.scene.model import Phong, Scene
 from tracer.shadow.occluders import Occluders, occluders_of
@@ -89,7 +89,7 @@ class Incoming(NamedTuple):
             self.n_dot_l[number, group.part][at] / length,
             group.at_samples(group.height)[at] / distance,
             dot(to_light, p) / (-distance * length),
-            select(group.of(self.lighting.exponent), at),
+            group.of(self.lighting.exponent)[at],
             vectors,
         )
 
@@ -160,7 +160,7 @@ def incoming_at(lighting: Lighting, hits: Visible) -> Incoming:
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.owner].any():
                 # Not zero, which would be a terminator: a place where light begins.
-                n_dot_l[np.broadcast_to(group.of(kept_out), n_dot_l.shape)] = -np.inf
+                n_dot_l[group.of(kept_out)] = -np.inf
     return result
 
 

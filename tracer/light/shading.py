@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, each, indices, scaled, select
+from tracer.arrays import Floats, Ints, Triple, dot, each, indices, scaled
 
 # If 1 + l.v is less, too many of its digits have cancelled.
 _CANCELLED = 1e-3
@@ -45,7 +45,7 @@ def highlight(
     ----------
     n_dot_l, n_dot_v, l_dot_v : (n,)
         n.l (more than zero), n.v, and l.v, of unit vectors.
-    exponent : float or (n,)
+    exponent : (n,)
     vectors : callable
         Given the index of some of the points, unit vectors n, l and v there.
     """
@@ -59,7 +59,7 @@ def highlight(
         return power
     n, light, view = vectors(at)
     h = each(np.add, light, view)
-    length2, some = dot(h, h), select(exponent, at)
+    length2, some = dot(h, h), exponent[at]
     e = each(np.subtract, n, scaled(h, 1 / np.sqrt(length2)))
     # With a zero exponent the highlight is 1 everywhere, whatever the logarithm.
     closer = np.where(some == 0, 1.0, np.exp(some * np.log1p(-0.5 * dot(e, e))))

@@ -14,7 +14,6 @@ import numpy as np
 from tracer.arrays import (
     Bools,
     Floats,
-    Index,
     Ints,
     Sides,
     Triple,
@@ -107,7 +106,7 @@ class Boxes:
         return raster.column(low), raster.column(high)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
+        self, raster: Raster, owner: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Sides]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
@@ -144,8 +143,8 @@ class Boxes:
         return np.where(t > 0, t, np.inf), face
 
     def surface(
-        self, raster: Raster, owner: Index, counts: Ints, p: Floats, t: Floats, detail: Sides
-    ) -> tuple[Index, Floats, Floats, Triple, Floats]:
+        self, raster: Raster, owner: Ints, counts: Ints, p: Floats, t: Floats, detail: Sides
+    ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """See `Spheres.surface`."""
         own, detail = owner - self.first, detail.take(counts.cumsum() - counts)
         face, sign = detail.astype(np.intp) >> 1, np.where(detail & 1, 1.0, -1.0)

@@ -20,7 +20,6 @@ import numpy as np
 from tracer.arrays import (
     Bools,
     Floats,
-    Index,
     Ints,
     Sides,
     Triple,
@@ -127,7 +126,7 @@ class Spheres:
         return raster.column(low * hypot), raster.column(high * hypot)
 
     def _discs(
-        self, raster: Raster, owner: Index, radius: Floats, g: Floats
+        self, raster: Raster, owner: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Sections of spheres by the planes of rays (s, g, depth), for all s: discs.
 
@@ -141,7 +140,7 @@ class Spheres:
         return hypot2, u, ahead, (radius - aside) * (radius + aside)
 
     def hit(
-        self, raster: Raster, owner: Index, g: Floats, s: Floats, counts: Ints | None
+        self, raster: Raster, owner: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Floats]:
         """Distance at which rays meet objects, or infinity.
 
@@ -151,8 +150,8 @@ class Spheres:
 
         Parameters
         ----------
-        owner : int or (spans,)
-            One object, or one for each span of rays in a row.
+        owner : (spans,)
+            The object of each span of rays in a row.
         g : (spans,)
         s : (n,)
         counts : (spans,), or None
@@ -185,11 +184,11 @@ class Spheres:
         return np.where(t > 0, t, np.inf), rise
 
     def surface(
-        self, raster: Raster, owner: Index, counts: Ints, p: Floats, t: Floats, detail: Floats
-    ) -> tuple[Index, Floats, Floats, Triple, Floats]:
+        self, raster: Raster, owner: Ints, counts: Ints, p: Floats, t: Floats, detail: Floats
+    ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
 
-        `owner`: one, or one for each run of hits on one face, of which `counts` (runs,) gives the
+        `owner` (runs,): of each run of hits on one face, of which `counts` (runs,) gives the
         lengths.
 
         Returns
@@ -209,7 +208,8 @@ class Spheres:
         if inside.any():
             flip = spread(np.where(inside, -1.0, 1.0), counts)
             x, y, z = flip * x, flip * y, flip * z
-        return NO_FACE, np.ones(()), np.zeros(()), (x, y, z), detail * inverse * t
+        face, sign, level = np.full(owner.size, NO_FACE), np.ones(()), np.zeros(())
+        return face, sign, level, (x, y, z), detail * inverse * t
 
     # What blocks light.
 

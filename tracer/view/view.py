@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Index, Ints, Triple, changes, dot, pick, spread
+from tracer.arrays import Bools, Floats, Ints, Triple, changes, dot, pick, spread
 from tracer.scene.model import Surfaces
 from tracer.shapes.box import Boxes
 from tracer.shapes.sphere import Spheres
@@ -92,9 +92,7 @@ def _repeated(surfaces: Surfaces) -> Bools:
 
 
 class Group(NamedTuple):
-    """Some of the hits: on one large object, or on many small ones, all of one shape.
-
-    What is the same for all of them is a number; the rest are arrays (n,).
+    """The hits on objects of one shape.
 
     Attributes
     ----------
@@ -106,25 +104,25 @@ class Group(NamedTuple):
     counts : (runs,)
         Runs are neighbours in one row that see one object and one face of it: how many samples
         each has.
-    owner : int, or (runs,)
-        Which object they see (spheres first): one, or one for each run.
+    owner : (runs,)
+        Which object each sees (spheres first).
     face, sign, level, n, height
-        See `Spheres.surface`: numbers, (runs,), or, of what curves, n and height (n,).
+        See `Spheres.surface`.
     """
 
     shape: Shape
     part: slice
     sample: Ints
     counts: Ints
-    owner: Index
-    face: Index
+    owner: Ints
+    face: Ints
     sign: Floats
     level: Floats
     n: Triple
     height: Floats
 
     def spread(self, values: Any) -> Any:
-        """Values of runs, repeated for each of their samples; of one object, as they are."""
+        """Values of runs, repeated for each of their samples."""
         return spread(values, self.counts)
 
     def at_samples(self, values: Floats) -> Floats:

@@ -7,15 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Index, Ints, changes, indices, ranges, select, spread
+from tracer.arrays import Bools, Floats, Ints, changes, indices, ranges, spread
 from tracer.view.samples import Samples, Scattered
 from tracer.view.view import Group, Shape, View, Visible
 
 # Pixels along each side of the squares at whose borders runs of scattered samples end.
 _TILE = 4.0
-
-# With this many samples or more, an object is worth arrays of its own, with its data as numbers.
-_LARGE = 16384
 
 
 def visible(view: View, samples: Samples) -> Visible:
@@ -42,7 +39,7 @@ class _Fragments(NamedTuple):
     counts : (spans,), or None
         Spans are samples that follow each other in one row, paired with one object; None if each
         has one sample.
-    owner : int, or (spans,)
+    owner : (spans,)
         An object of that shape.
     g : (spans,)
         The second component of the rays' directions.
@@ -55,7 +52,7 @@ class _Fragments(NamedTuple):
 
     shape: Shape
     counts: Ints | None
-    owner: Index
+    owner: Ints
     g: Floats
     sample: Ints
     s: Floats
@@ -69,7 +66,7 @@ class _Fragments(NamedTuple):
             return self
         shape, counts, owner, g, *pairs = self
         if counts is None:
-            owner, g = select(owner, index), g.take(index)
+            owner, g = owner.take(index), g.take(index)
         else:
             counts = np.diff(index.searchsorted(counts.cumsum()), prepend=0)
         return _Fragments(shape, counts, owner, g, *(values.take(index) for values in pairs))
@@ -83,33 +80,22 @@ class _Fragments(NamedTuple):
         begins = changes(self.detail) if self.shape.flat else np.zeros(ahead.size, dtype=np.bool_)
         if self.counts is None:
             x, y = samples.at(self.sample)
-            owner = np.broadcast_to(self.owner, ahead.shape)
-            begins |= changes(owner, np.floor(y), np.floor(x / _TILE), np.frexp(ahead)[1])
+            begins |= changes(self.owner, np.floor(y), np.floor(x / _TILE), np.frexp(ahead)[1])
         else:
             begins[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
         return indices(begins)
 
 
 def _fragments(view: View, samples: Samples) -> list[_Fragments]:
-    """Find all pairs of samples and objects that spans do not rule out."""
+    """Find all pairs of samples and objects that spans do not rule out, for each shape."""
     raster, found = view.raster, []
     s, down = samples.across(raster), raster.down(samples.y)
     for shape in view.shapes:
-        owners, rows, first, counts = samples.covered(shape, view)
-        size = np.bincount(owners, counts, minlength=len(view.surfaces))
-        parts: list[tuple[Index, Any]] = [
-            (owner, indices(owners == owner)) for owner in indices(size >= _LARGE).tolist()
-        ]
-        small = indices(size[owners] < _LARGE)
-        if small.size:
-            parts.append((owners[small], small))
-        for owner, part in parts:
-            g, sample, lengths = down[rows[part]], first[part], select(counts, part)
-            if lengths is not None:
-                sample = ranges(sample, lengths)
-            across = s.take(sample)
-            t, detail = shape.hit(raster, owner, g, across, lengths)
-            found.append(_Fragments(shape, lengths, owner, g, sample, across, t, detail))
+        owner, row, first, counts = samples.covered(shape, view)
+        sample = first if counts is None else ranges(first, counts)
+        g, across = down.take(row), s.take(sample)
+        t, detail = shape.hit(raster, owner, g, across, counts)
+        found.append(_Fragments(shape, counts, owner, g, sample, across, t, detail))
     return found
 
 
@@ -118,11 +104,7 @@ def _nearest(samples: Samples, groups: list[_Fragments]) -> Floats:
     # Larger than any distance, and less than the infinity of what misses.
     nearest = np.full(samples.size, np.finfo(np.float64).max)
     for group in groups:
-        if isinstance(group.owner, int):
-            # No sample meets the same object twice, so there is no need for minimum.at.
-            nearest[group.sample] = np.minimum(nearest.take(group.sample), group.t)
-        else:
-            np.minimum.at(nearest, group.sample, group.t)
+        np.minimum.at(nearest, group.sample, group.t)
     return nearest
 
 
@@ -133,7 +115,7 @@ def _seen(view: View, groups: list[_Fragments], nearest: Floats) -> list[_Fragme
         return first
     # Of those that share a sample, the first in the file.
     index = view.surfaces.file_index
-    places = [np.broadcast_to(spread(index[g.owner], g.counts), g.t.shape) for g in first]
+    places = [spread(index.take(g.owner), g.counts) for g in first]
     least = np.full(nearest.size, index.size)
     for group, place in zip(first, places, strict=True):
         np.minimum.at(least, group.sample, place)
@@ -152,12 +134,10 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
         np.multiply(part.t, spread(part.g, part.counts), out=here[1])
         np.multiply(part.t, raster.depth, out=here[2])
         first = part.runs(samples, here[2])
-        counts, owner = np.diff(first, append=end - start), spread(part.owner, part.counts)
-        owner = select(owner, first)
+        counts, owner = np.diff(first, append=end - start), spread(part.owner, part.counts)[first]
         surface = part.shape.surface(raster, owner, counts, here, part.t, part.detail)
         groups.append(Group(part.shape, slice(start, end), part.sample, counts, owner, *surface))
     first = np.concatenate([none, [0], *(group.counts for group in groups)]).cumsum()
-    owners = [np.broadcast_to(group.owner, group.counts.shape) for group in groups]
     sample = np.concatenate([none, *(group.sample for group in groups)])
     x, y = samples.at(sample.take(first[:-1]))
     return Visible(
@@ -166,7 +146,7 @@ def _hits(view: View, samples: Samples, fragments: list[_Fragments]) -> Visible:
         groups=groups,
         sample=sample,
         first=first,
-        owner=np.concatenate([none, *owners]),
+        owner=np.concatenate([none, *(group.owner for group in groups)]),
         row=y.astype(np.intp),
         column=x.astype(np.intp),
         scattered=isinstance(samples, Scattered),
