@@ -72,7 +72,6 @@ ONE_SAMPLE = [
             "shapes.box.Boxes.capsules": _certain_of_nothing,
         },
     ),
-    Part("no large objects with numbers for their data", {"view.visibility._LARGE": _ALWAYS}),
     Part("one tile", {"picture.bands._TILE_SAMPLES": _ALWAYS}),
     Part("tiles of 16,384 pixels", {"picture.bands._TILE_SAMPLES": 1 << 14}),
     Part("highlights from vectors, not cosines", {"light.shading._SHOWS": -1.0}),

@@ -30,14 +30,14 @@ CHANGES = {
     },
     # What is seen: ties, spans, hits, the eye inside; and what shades: sides, slabs, capsules
     "tracer/view/visibility.py": {
-        "select(index[g.owner], g.span)": "select(-index[g.owner], g.span)",
+        "spread(index.take(g.owner)": "spread(-index.take(g.owner)",
     },
     "tracer/view/samples.py": {
         "_PAD = 0.5": "_PAD = -0.5",
     },
     "tracer/shapes/sphere.py": {
         "(radius - aside) * (radius + aside)": "radius * radius - aside",
-        "np.where(power > 0, power / root, far)": "power / root",
+        "np.where(power > 0, t, far)": "t",
         "np.where(inside, -1.0, 1.0)": "np.where(inside, 1.0, 1.0)",
         "return self.power <= 0": "return self.power < 0",
         "(b > 0) & (b < length2)": "(b > 0)",
@@ -48,7 +48,7 @@ CHANGES = {
         "np.maximum(distance2, to_end2)": "np.minimum(distance2, to_end2)",
     },
     "tracer/shapes/box.py": {
-        "low, high, d, closed=True": "low, high, d, closed=False",
+        "d, closed=True": "d, closed=False",
         "np.where(enter <= leave, e": "np.where(enter < leave, e",
         "detail & 1, 1.0, -1.0": "detail & 1, -1.0, 1.0",
         "t = np.where(inside, leave, t)": "t = np.where(inside, enter, t)",
@@ -77,8 +77,8 @@ CHANGES = {
     "tracer/light/lighting.py": {
         "lit = incoming.n_dot_l > 0": "lit = incoming.n_dot_l > -np.inf",
         "(occluders.side[number] != INSIDE)": "(occluders.side[number] == INSIDE)",
-        "channel += strength * cosine": "channel += cosine",
-        "channel[at] += strength * power": "channel[at] += power",
+        "channel += strength * weight": "channel += weight",
+        "weights[1, at] = incoming": "weights[1, at] = 0.5 * incoming",
         "take(view.surfaces.shader_index": "take(view.surfaces.shader_index[::-1]",
     },
     "tracer/light/shading.py": {

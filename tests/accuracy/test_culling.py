@@ -27,15 +27,12 @@ from tracer.view.view import view_of
 def assert_same(scene: Scene) -> None:
     """Hold the tracer's picture against that of all pairs.
 
-    Made in all ways that there are: with large packets, single points and short packets; objects
-    one by one, and together; samples in rows, and scattered.
+    Made in all ways that there are: with large packets, single points and short packets; samples
+    in rows, and scattered.
     """
     expected = brute_force(scene)
-    for part, large in ((1e9, 100), (1e-9, 1e9), (0.2, 1e9)):
-        with (
-            patch("tracer.shadow.occluders._PART", part),
-            patch("tracer.view.visibility._LARGE", large),
-        ):
+    for part in (1e9, 1e-9, 0.2):
+        with patch("tracer.shadow.occluders._PART", part):
             np.testing.assert_array_equal(render(scene), expected)
             np.testing.assert_array_equal(scattered(scene), expected)
 
@@ -206,7 +203,7 @@ def odd_sizes() -> Iterator[tuple[str, Scene]]:
     # What shines up from a table is not inside it because 0.3 is less than 0.1 + 0.2.
     table = Box(min_pt=(-1, 0, -1), max_pt=(1, 0.1 + 0.2, 1))
     yield "light on a table", seen(table, Sphere(center=(0, 0.9, 0), radius=0.5), light=(0, 0.3, 0))
-    # Of equal surfaces the first is seen, whether the larger, looked for by itself, or the smaller.
+    # Of equal surfaces the first is seen, whether the larger or the smaller.
     floor, plate = (
         Box(min_pt=(-n, -1, -n), max_pt=(n, 0, n), shader=Lambertian(diffuse=(1, 0, 1 / n)))
         for n in (9, 1)

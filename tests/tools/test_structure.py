@@ -13,10 +13,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 # Lines of a folder at most; these are to come down to 6,400, 1,300, 3,300 and 7,100.
-BUDGET = {"tracer": 6580, "converters": 1300, "reference": 3520, "tests": 7830}
+BUDGET = {"tracer": 6570, "converters": 1300, "reference": 3520, "tests": 7830}
 # Lines of code of the tracer (not blank, no comment, no docstring), lines of each module, and the
 # longest chain of modules that import each other.
-CODE, MODULE, DEPTH = 3950, 450, 12
+CODE, MODULE, DEPTH = 3930, 450, 12
 
 BLANK = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)

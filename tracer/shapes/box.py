@@ -11,18 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    Sides,
-    Triple,
-    each,
-    entries,
-    indices,
-    pick,
-    spread,
-)
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, each, entries, indices, pick, spread
 from tracer.scene.model import Surfaces
 from tracer.shapes.rounding import (
     INSIDE,

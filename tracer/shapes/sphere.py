@@ -17,18 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    Sides,
-    Triple,
-    dot,
-    each,
-    indices,
-    pick,
-    spread,
-)
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, each, indices, pick, spread
 from tracer.scene.model import Surfaces
 from tracer.shapes.rounding import (
     NEARLY_ZERO_POWER,

@@ -147,7 +147,7 @@ class Group(NamedTuple):
 
 
 class Visible(NamedTuple):
-    """The points that samples see, group by group.
+    """The points that samples see, shape by shape.
 
     Attributes
     ----------
