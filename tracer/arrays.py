@@ -93,10 +93,10 @@ def changes(*values: NDArray[Any]) -> Bools:
     return change
 
 
-def equal_runs(values: Ints) -> tuple[Ints, Ints]:
-    """Starts of runs of equal neighbours, and their lengths."""
-    first = indices(changes(values))
-    return first, np.append(first[1:], values.size) - first
+def equal_runs(*values: NDArray[Any]) -> tuple[Ints, Ints]:
+    """Starts of runs of neighbours that are equal in all arrays, and their lengths."""
+    first = indices(changes(*values))
+    return first, np.append(first[1:], values[0].size) - first
 
 
 def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:

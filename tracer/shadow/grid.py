@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, batches, equal_runs, expand, indices
+from tracer.arrays import Bools, Floats, Ints, batches, equal_runs, expand, indices, ranges
 from tracer.scene.model import Surfaces
 
 __all__ = ["SLACK", "LightGrid", "light_grid"]
@@ -48,6 +48,9 @@ _SHARED = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
 
 # If all fields are wider than this, wedges need no more than half of their bytes.
 _NARROW = 1e-4
+
+# More than nothing, and nothing to any distance.
+_TINY = 1e-300
 
 # Directions from a light are rounded, and points snapped to planes, by less than this part of its
 # distance: little enough for suns, which see a whole scene under an angle of 1e-9 and less.
@@ -100,18 +103,18 @@ class LightGrid(NamedTuple):
         lights, count = asked.shape
         to_light = self.light - middle[:, None]
         octant, way, rect, wedge = _octants(to_light - radius, to_light + radius, self.field, asked)
-        wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
-        wedge = wedge.astype(self.wedge.dtype)
-        field = self.field[octant * lights + way // count]
-        rect = _in_fields(rect, self.origin[:, field], self.size[:, field])
+        wedge[7] = -np.inf  # what is listed may reach beyond the ball
+        wedge = wedge.T.astype(self.wedge.dtype, order="C")
+        field = self.field.take(octant * lights + way // count)
+        rect = _in_fields(rect, field, self.origin, self.size)
         ball, cell, corner = _cells(rect, field, self.side)
         # A pair is found in the first of the cells that it shares.
         start, stop = (self.first.take(4 * cell + m.take(corner)).astype(np.intp) for m in _SHARED)
         some = indices(stop > start)
         ball, start, length = ball.take(some), start.take(some), (stop - start).take(some)
         for batch in batches(length, _AT_ONCE):
-            which, place = expand(length[batch], start[batch])
-            which, part = ball[batch].take(which), self.listed.take(place)
+            which = ball[batch].repeat(length[batch])
+            part = self.listed.take(ranges(start[batch], length[batch]))
             meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
             # The eight answers of a row as one integer: much faster than all(axis=1).
             at = indices(meet.view(np.uint64) == 0x0101010101010101)
@@ -150,12 +153,11 @@ def light_grid(
     some = indices((field[octant] >= 0) & shades[owner])
     # Rounding keeps the order, so that no bound fails.
     kind = np.float32 if size.min() > _NARROW else np.float64
-    bounds = np.empty((some.size, 8), dtype=kind)
-    for k in range(8):
-        np.negative(wedge[some, k ^ 1], out=bounds[:, k], casting="same_kind")
-    number, rect, owner = field[octant[some]], rect[:, some], owner[some]
+    bounds = -wedge.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(some, axis=1)
+    bounds = bounds.T.astype(kind, order="C")
+    number, rect, owner = field[octant[some]], rect.take(some, axis=1), owner[some]
     del low, high, octant, way, light_of, wedge  # much memory, with many objects
-    rect = _in_fields(rect, origin[:, number], size[:, number])
+    rect = _in_fields(rect, number, origin, size)
     u0, u1, v0, v1 = rect.clip(0, 1)
     covered = float(((u1 - u0) * (v1 - v0)).sum()) / len(lights)
     finest = min(slack.size, _SIDE_MOST**2, _PAIRS / covered, _CELLS / begin.size)
@@ -166,12 +168,12 @@ def light_grid(
         place, cell, corner = _cells(rect[:, these], number[these], side)
         cell = 4 * cell + _LIST.take(corner)
         np.add.at(first, cell + 1, np.uint32(1))  # of the same type: twenty times as fast
-        filled.append(np.array([start + place, cell], dtype=np.uint32))
-    place, cell = np.concatenate(filled, axis=1)
+        filled.append(cell << 32 | start + place)
+    # Sorting the pairs, as one number each, is faster than finding their order.
+    pairs = np.concatenate(filled)
     del filled, rect, number
+    pairs.sort()
     first.cumsum(out=first)
-    # NumPy sorts numbers of 16 bits by their digits, several times as fast as longer ones.
-    order = np.lexsort((cell.astype(np.uint16), (cell >> 16).astype(np.uint16)))
     return LightGrid(
         light=light,
         field=field,
@@ -179,7 +181,7 @@ def light_grid(
         origin=origin,
         size=size,
         first=first,
-        listed=place.take(order),
+        listed=pairs.astype(np.uint32),
         owner=owner,
         wedge=bounds,
     )
@@ -223,7 +225,7 @@ def _octants(
         Pairs of an octant and a box, light * n + index, which ascend.
     rect : (4, m)
         The part's least and greatest first octahedral coordinate, then second.
-    wedge : (m, 8)
+    wedge : (8, m)
         Least and, with the opposite sign, greatest a / (a + b) for the components (a, b) = (x, y),
         (y, z) and (z, x); last, the opposite of the greatest distance from the light (1-norm), and
         the least.
@@ -236,26 +238,26 @@ def _octants(
     for k in range(3):
         negative = (octant >> k & 1).astype(np.bool_)
         a, b = low[k].take(way), high[k].take(way)
-        ends.append((np.maximum(np.where(negative, -b, a), 0), np.where(negative, -a, b)))
+        # Not 0 / 0, in boxes that only just reach the light: that would bound nothing.
+        ends.append((np.maximum(np.where(negative, -b, a), 0), np.where(negative, -a, b) + _TINY))
     (a0, a1), (b0, b1), (c0, c1) = ends
     rect = np.array(
         [a0 / (a0 + (b1 + c1)), a1 / (a1 + (b0 + c0)), b0 / (b0 + (a1 + c1)), b1 / (b1 + (a0 + c0))]
     )
-    # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
-    whole = np.array([[0.0], [1.0], [0.0], [1.0]])
-    rect = np.where(np.isnan(rect), whole, rect) + _FROM_LIGHT * (2 * whole - 1)
-    wedge = np.empty((way.size, 8))
+    rect[::2] -= _FROM_LIGHT
+    rect[1::2] += _FROM_LIGHT
+    wedge = np.empty((8, way.size))
     for k, (p0, p1, q0, q1) in enumerate(((a0, a1, b0, b1), (b0, b1, c0, c1), (c0, c1, a0, a1))):
-        wedge[:, 2 * k] = p0 / (p0 + q1) - _FROM_LIGHT
-        wedge[:, 2 * k + 1] = -(p1 / (p1 + q0)) - _FROM_LIGHT
-    wedge[:, 6] = -(1 + SLACK) * (a1 + b1 + c1)
-    wedge[:, 7] = (1 - SLACK) * (a0 + b0 + c0)
-    wedge[np.isnan(wedge)] = -1
+        wedge[2 * k] = p0 / (p0 + q1) - _FROM_LIGHT
+        wedge[2 * k + 1] = -(p1 / (p1 + q0)) - _FROM_LIGHT
+    wedge[6] = -(1 + SLACK) * (a1 + b1 + c1)
+    wedge[7] = (1 - SLACK) * (a0 + b0 + c0)
     return octant, way, rect, wedge
 
 
-def _in_fields(rect: Floats, origin: Floats, size: Floats) -> Floats:
-    """Rectangles (4, n) in units of fields, whose corners and extents are given (2, n)."""
+def _in_fields(rect: Floats, field: Ints, origin: Floats, size: Floats) -> Floats:
+    """Rectangles (4, n) in units of their fields (n,), of given corners and extents (2, fields)."""
+    origin, size = origin.take(field, axis=1), size.take(field, axis=1)
     return ((rect.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
 
 
@@ -269,10 +271,8 @@ def _cells(rect: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[np
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.
     strip, column = expand(wide, left)
-    part, cell = expand(
-        tall.take(strip), (field.take(strip) * side + column) * side + top.take(strip)
-    )
-    first = (column == left.take(strip)).take(part)
-    part = strip.take(part)
-    row = cell % side
-    return part, cell, first.view(np.uint8) | (row == top.take(part)).view(np.uint8) << 1
+    begin = (field.take(strip) * side + column) * side + top.take(strip)
+    part, cell = expand(tall.take(strip), begin)
+    corner = (column == left.take(strip)).view(np.uint8).take(part)
+    corner |= (cell == begin.take(part)).view(np.uint8) << 1
+    return strip.take(part), cell, corner

@@ -16,7 +16,7 @@ __all__ = ["Occluders", "occluders_of"]
 
 # Pixels across a packet, as a part of the side of the square of pixels that each object has if all
 # share the picture evenly.
-_PART = 0.5
+_PART = 0.75
 
 
 class Occluders(NamedTuple):

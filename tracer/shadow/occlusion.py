@@ -32,10 +32,9 @@ def occlusion(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
     meaning.
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, shape, pairs, closely in _candidates(occluders, hits, frontlit):
+    for shape, pairs, closely in _candidates(occluders, hits, frontlit, blocked, None):
         block = _blocks(occluders, hits, shape, pairs, closely)
         put(blocked, pairs[0, block], pairs[1, block], True)
-        blocked |= umbra
     return blocked
 
 
@@ -51,7 +50,7 @@ def shadow_edges(
     """
     blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
     table, found = (*frontlit.shape, occluders.slack.size), [np.zeros(0, dtype=np.intp)]
-    for dark, shape, pairs, closely in _candidates(occluders, hits, frontlit, footprint):
+    for shape, pairs, closely in _candidates(occluders, hits, frontlit, umbra, footprint):
         reach = footprint[pairs[1]]
         grown = _blocks(occluders, hits, shape, pairs, closely, reach)
         # An object grown by more than the gap holds the light.  It may then hold the whole of a
@@ -67,7 +66,6 @@ def shadow_edges(
         shrunk &= entries(occluders.side, pairs[0], pairs[2]) != ON
         put(blocked, pairs[0, itself], pairs[1, itself], True)
         put(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
-        umbra |= dark
         edge = ~shrunk & (grown | itself | (np.abs(gap) <= reach))
         edge &= entries(frontlit, pairs[0], pairs[1])
         found.append(np.ravel_multi_index(tuple(pairs[:, edge]), table))
@@ -92,18 +90,17 @@ def _blocks(
 
 
 def _candidates(
-    occluders: Occluders, hits: Visible, frontlit: Bools, footprint: Floats | None = None
-) -> Iterator[tuple[Bools, Shape, Ints, Bools]]:
+    occluders: Occluders, hits: Visible, frontlit: Bools, umbra: Bools, footprint: Floats | None
+) -> Iterator[tuple[Shape, Ints, Bools]]:
     """All that may keep lights from points.
 
-    Yields, again and again, one growing table of points (lights, n) that are certainly in shadow;
-    and, of a shape, more lights, points and occluders (3, m) to be tested, with `closely` (m,) as
-    in `Spheres.occludes`.  With a `footprint` (n,) all are as for anything on a point's own object
-    within this distance of it.
+    Sets `umbra` (lights, n) where points are certainly in shadow, and yields, of a shape, more
+    lights, points and occluders (3, m) to be tested, with `closely` (m,) as in `Spheres.occludes`.
+    With a `footprint` (n,) all are as for anything on a point's own object within this distance of
+    it.
     """
     if occluders.grid is None or not frontlit.any():
         return
-    umbra = np.zeros(frontlit.shape, dtype=np.bool_)
     levels = packets_of(hits, occluders.slack, occluders.across, frontlit, footprint)
     rows = levels[-1]
     for shape, pairs in _found(occluders.grid, occluders.view, levels[0]):
@@ -125,7 +122,7 @@ def _candidates(
         around = rows.radius[row] + occluders.slack[occluder]
         closely = shape.touches(occluder, pick(rows.middle, row), around)
         closely |= entries(occluders.near_light, light, occluder)
-        yield umbra, shape, rows.opened(pairs), closely.repeat(rows.length[row])
+        yield shape, rows.opened(pairs), closely.repeat(rows.length[row])
 
 
 def _found(grid: LightGrid, view: View, packets: Packets) -> Iterator[tuple[Shape, Ints]]:

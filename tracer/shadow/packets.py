@@ -15,8 +15,9 @@ from tracer.view.view import Visible
 
 __all__ = ["Packets", "packets_of"]
 
-# The most points in a row, and the pixels along each side of a square that holds rows.
-_LONGEST, _SIDE = 6, 16
+# The most points in a row, the least and the most pixels along each side of a square of rows, and
+# how many times as deep as wide it may be: towards a horizon neighbouring rows are far apart.
+_LONGEST, _LEAST, _SIDE, _DEEP = 6, 6, 16, 8
 
 
 class Packets(NamedTuple):
@@ -67,16 +68,20 @@ def packets_of(
         radius += np.maximum.reduceat(footprint, start)
     lit = np.logical_or.reduceat(frontlit, start, axis=1)
     rows = Packets(owner, start, length, middle, radius, lit)
-    if across < _SIDE:
+    side = int(min(across, _SIDE))
+    if side < _LEAST:
         return [rows]
     square, column = owner, hits.column[run]
     if not hits.scattered:
         column += place
-    for at in (hits.row[run] // _SIDE, column // _SIDE):
+    for at in (hits.row[run] // side, column // side):
         square = square * (at.max() + 1) + at
     order = square.argsort(kind="stable")
+    # The bits of a number are nearly its logarithm; of twice a number, they are 2^52 more.
+    part = min(_DEEP * side * hits.view.raster.step_u / hits.view.raster.depth, 1.0)
+    depth = hits.p[2].take(start).view(np.int64) // max(1, int(2**52 * part))
     rows = Packets._make(values.take(order, axis=-1) for values in rows)
-    return [_gathered(rows, *equal_runs(square[order])), rows]
+    return [_gathered(rows, *equal_runs(square[order], depth[order])), rows]
 
 
 def _balls(hits: Visible, start: Ints, length: Ints) -> tuple[Floats, Floats]:

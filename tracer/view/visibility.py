@@ -83,6 +83,7 @@ class _Fragments(NamedTuple):
             begins |= changes(self.owner, np.floor(y), np.floor(x / _TILE), np.frexp(ahead)[1])
         else:
             begins[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
+            begins[1:] |= np.diff(self.sample) > 1  # what hides samples in between
         return indices(begins)
 
 
