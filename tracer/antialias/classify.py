@@ -106,7 +106,11 @@ def classify(lighting: Lighting, cells: Cells, samples: Samples, cell: Ints) -> 
     for narrow in narrow_highlights(incoming, facing, footprint):
         unresolved[place[narrow]] = True
     raster, (cell, owner) = lighting.view.raster, (cells.cell, cells.owner)
-    apexes = np.vstack([lighting.positions, raster.eye]), np.vstack([lighting.local, np.zeros(3)])
+    positions, local = lighting.positions, lighting.local
+    if lighting.occluders.grid is not None:  # suns are taken nearer, as there
+        positions = lighting.occluders.grid.light[:, :, 0].T
+        local = np.column_stack(raster.to_camera(positions))
+    apexes = np.vstack([positions, raster.eye]), np.vstack([local, np.zeros(3)])
     d = rays(raster, raster.across(cells.x[cell]), raster.down(cells.y[cell]), cells.size)
     from_eye = np.full(cell.size, len(lighting.local))
     seen = Seen(hits, apexes, Sheets.of(hits), place, footprint, cells.size)

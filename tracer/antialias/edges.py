@@ -153,6 +153,16 @@ class Seen(NamedTuple):
         near = indices(hidden.distance - self.hits.distance[at] <= reach)
         d, inverse = self.rays(at[near])
         yield self.cell[at[near]], inverse - Sheets.of(hidden).take(near).inverse(d)
+        # A hidden box may come forward with another face, whose crease is hidden as well.
+        view, own = hidden.view, hidden.own[near]
+        flat = indices(own >= view.boxes.first)
+        box, some = own[flat] - view.boxes.first, each(lambda m: m[:, flat], d)
+        inside, eye = view.eye_inside[own[flat]], view.raster.eye
+        for k in range(3):
+            across = view.raster.scene_component(some, k)
+            low, high = view.boxes.min_pt[k, box] - eye[k], view.boxes.max_pt[k, box] - eye[k]
+            level = np.where(inside == (across[0] > 0), high, low)
+            yield self.cell[at[near[flat]]], inverse[:, flat] - across / level
 
     def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[Margins]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""

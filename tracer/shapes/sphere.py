@@ -306,5 +306,7 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     half = np.arctan2(np.sqrt(chord2), np.sqrt(surely))
     middle = np.arctan2(along, ahead)
     half[power < 0] = np.inf
-    low, high = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
-    return np.tan(low), np.tan(high)
+    ends = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
+    # The tangent of pi / 2, as rounded, is 1.6e16: windows may be wider.
+    low, high = (np.where(abs(m) < np.pi / 2, np.tan(m), np.copysign(np.inf, m)) for m in ends)
+    return low, high
