@@ -138,7 +138,7 @@ def _refined(
 
 def _chunks(lighting: Lighting, some: Ints, samples: int) -> Iterator[Ints]:
     """Some cells, with so many samples in each, a few at a time."""
-    step = max(1, lighting.view.at_once(_CHUNK) // samples)
+    step = max(1, lighting.at_once(_CHUNK) // samples)
     for begin in range(0, some.size, step):
         yield some[begin : begin + step]
 

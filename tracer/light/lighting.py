@@ -22,6 +22,10 @@ from tracer.view.visibility import visible
 _SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
 
 
+# With more lights than this, fewer samples are taken at a time.
+_LIGHTS = 16
+
+
 class Lighting(NamedTuple):
     """A scene's lights, and what they fall on.
 
@@ -52,6 +56,10 @@ class Lighting(NamedTuple):
     def positions(self) -> Floats:
         """Positions of the lights (lights, 3), in the scene's axes."""
         return self.occluders.lights
+
+    def at_once(self, samples: int) -> int:
+        """`View.at_once`, and fewer with many lights: memory grows with the pairs of both."""
+        return max(1, self.view.at_once(samples) * _LIGHTS // max(_LIGHTS, len(self.local)))
 
 
 class Incoming(NamedTuple):

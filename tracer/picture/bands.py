@@ -278,13 +278,14 @@ class _Picture:
         (tile_rows, tile_columns), (seen, _) = self.tile(number), self.seen(number)
         top, left = tile_rows.start, tile_columns.start
         lattice, lighting = self._lattice, self.prepared[0]
-        at_once = lighting.view.at_once(self._at_once)
+        split = self._per_side > 1
+        at_once = (lighting if split else lighting.view).at_once(self._at_once)
         tall = max(1, at_once // (tile_columns.stop - left))
         for rows, columns in product(_pieces(seen, tall), _pieces(tile_columns, at_once)):
             part = out[
                 rows.start - top : rows.stop - top, columns.start - left : columns.stop - left
             ]
-            if self._per_side > 1:
+            if split:
                 from tracer.antialias.refine import antialiased
 
                 antialiased(lighting, rows, columns, self._per_side, part)
