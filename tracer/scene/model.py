@@ -10,7 +10,6 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, TypeAlias, overload
 
 import numpy as np
@@ -419,6 +418,7 @@ class Scene(Checked):
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""
-        # By its name: pictures are made of scenes, so no module here imports one of theirs.
-        png: bytes = import_module("tracer.picture.render").to_png(self)
-        return png
+        # The one import that goes up: Jupyter asks the scene itself for its picture.
+        from tracer.picture.render import to_png
+
+        return to_png(self)
