@@ -12,11 +12,10 @@ import operator
 import pickle
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from functools import cached_property, lru_cache, partial
 from itertools import product
 from math import isqrt
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,6 +30,9 @@ from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.lighting import radiance_at
 from tracer.world.prepared_scene import PreparedScene
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 # Infinities and NaN are valid results here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
