@@ -125,3 +125,33 @@ def test_at_any_moment(command: Command, moments: int, folder: Path, signals_hee
     rng = random.Random(seed)
     found = [interrupt(command, rng.random() * took, k, folder) for k in range(moments)]
     assert 130 in found
+
+
+def test_watching_ends_when_nobody_reads(folder: Path) -> None:
+    process = start(Command("tracer ball.xml --watch"), folder)
+    assert process.stdout is not None
+    assert "ball.xml.png" in process.stdout.readline()
+    process.stdout.close()
+    (folder / "ball.xml").write_text(SCENE.format(61, 40))
+    assert process.wait(20) == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        ("tracer --pixel 3,3 ball.xml", 1),
+        ("reference.compare hand-ins right.png --json", 3),
+        ("reference.compare hand-ins right.png --csv", 3),
+    ],
+)
+@pytest.mark.parametrize("to", ["/dev/full", "a closed stream"])
+def test_results_that_cannot_be_printed(command: str, status: int, to: str, folder: Path) -> None:
+    module, *arguments = command.split()
+    close = "exec >&-;" if to == "a closed stream" else f"exec > {to};"
+    shell = ["sh", "-c", f'{close} exec "$@"', "sh", sys.executable, "-m", module, *arguments]
+    done = subprocess.run(
+        shell, cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=60
+    )
+    assert done.returncode == status
+    assert done.stderr.count("\n") == 1
+    assert "standard output: cannot be written" in done.stderr
