@@ -128,12 +128,12 @@ def test_at_any_moment(command: Command, moments: int, folder: Path, signals_hee
 
 
 def test_watching_ends_when_nobody_reads(folder: Path) -> None:
-    process = start(Command("tracer ball.xml --watch"), folder)
-    assert process.stdout is not None
-    assert "ball.xml.png" in process.stdout.readline()
-    process.stdout.close()
-    (folder / "ball.xml").write_text(SCENE.format(61, 40))
-    assert process.wait(20) == 0
+    with start(Command("tracer ball.xml --watch"), folder) as process:
+        assert process.stdout is not None
+        assert "ball.xml.png" in process.stdout.readline()
+        process.stdout.close()
+        (folder / "ball.xml").write_text(SCENE.format(61, 40))
+        assert process.wait(20) == 0
 
 
 @pytest.mark.parametrize(
