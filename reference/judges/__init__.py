@@ -1,0 +1,1 @@
+"""What judges pictures: independent tracers, and the parts of the certificate."""
