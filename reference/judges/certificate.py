@@ -342,7 +342,7 @@ def certify(
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
-    picture = _Picture(scene, error, codes)
+    picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
     todo = [root_cells(picture.faces, scene.width, scene.height)]
     roots = todo[0].x.size
     while todo:
