@@ -93,7 +93,7 @@ def bounds_chart(certificate: Certificate) -> bytes:
     shown = axes.imshow(width, cmap="viridis", vmin=low, vmax=max(high, low + 1))
     axes.set_title("Mean radiance differs from the picture by no more than")
     axes.grid(False)
-    bar = figure.colorbar(shown, ax=axes)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.8)
     ticks = sorted({round(t) for t in np.linspace(low, max(high, low + 1), 7).tolist()})
     bar.set_ticks(ticks, labels=[f"1/{2 ** -int(t)}" if t < 0 else f"{2 ** int(t)}" for t in ticks])
     figure.savefig(made := io.BytesIO(), format="png", dpi=120)
