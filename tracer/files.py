@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
 
+unfinished: set[str] = set()
+"""Files to be removed by whoever ends this process early."""
+
 
 @contextmanager
 def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
@@ -33,6 +36,7 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
     folder = os.path.dirname(target)
     # Not the name itself: that may be as long as a name can be.
     part = os.path.join(folder, f".{os.urandom(8).hex()}.part")
+    unfinished.add(part)
     try:
         with _nameless(folder, part) as file:
             yield file
@@ -48,6 +52,8 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
         with suppress(OSError):
             os.unlink(part)
         raise
+    finally:
+        unfinished.discard(part)
 
 
 def _nameless(folder: str, part: str) -> IO[bytes]:
