@@ -33,7 +33,10 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     if input is not None:
         options["stdin"] = subprocess.PIPE
     with started(*arguments, **options) as process:
-        out, err = process.communicate(input)
+        try:
+            out, err = process.communicate(input, timeout=120)
+        finally:
+            process.kill()
     return process.returncode, out, err
 
 

@@ -118,7 +118,7 @@ ROOM, FLAT = Box(min_pt=(-2, -2, -2), max_pt=(2, 2, 5)), Box(min_pt=(0, 0, 0), m
         ({"surfaces": [Sphere(center=(0, 0, -9)), ROOM, ROOM]}, f"{DARK}: .* inside surface 1:"),
         # Named by its first user, in the file's order.
         (
-            {"surfaces": [Sphere(), replace(ROOM, shader=GARISH), Sphere(shader=GARISH)]},
+            {"surfaces": [Sphere(), replace(FLAT, shader=GARISH), Sphere(shader=GARISH)]},
             "diffuseColor 200 100 0 of surface 1 looks",
         ),
         ({"surfaces": [Sphere(shader=GARISH)]}, COLOR),

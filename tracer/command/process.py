@@ -64,7 +64,7 @@ def run(module: str) -> NoReturn:
 
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a notice at once, or not at all if that fails: results matter more."""
-    with suppress(OSError, ValueError):
+    with suppress(OSError):
         print_result(stream, text)
 
 
@@ -76,7 +76,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
     OSError
         If it cannot be printed: the stream is closed, or its disk full.
     """
-    if stream is None:
+    if stream is None or stream.closed:
         raise OSError("it is closed")
     encoding = stream.encoding or "utf-8"
     try:
