@@ -204,14 +204,15 @@ def test_little_memory(scene, size, megabytes, error):
     assert names(scene.parent) == ([] if error else ["ball.xml.png"])
 
 
-@pytest.mark.parametrize("megabytes", [20, 40, 60, 97, 100])
+@pytest.mark.parametrize("megabytes", [20, 40, 97, 100])
 def test_too_little_memory_to_start(scene, megabytes):
-    """It may also be enough: libraries differ."""
+    """It may also be enough: libraries differ.  With 60 to 80 MB OpenBLAS may never end."""
     limit = megabytes << 20
     status, _, err = run(
         scene, "--quiet", preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     )
     assert len(err.splitlines()) == status
+    assert not re.search("ADVICE|source directory", err)  # NumPy guesses before it says why
     assert names(scene.parent) == ([] if status else ["ball.xml.png"])
 
 

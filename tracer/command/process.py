@@ -44,8 +44,11 @@ def run(module: str) -> NoReturn:
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         status = MISUSED  # in some commands 1 says that pictures differ
     except (ImportError, MemoryError, SystemError) as error:
-        # What NumPy says of a library that cannot be loaded is a page.
-        reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
+        # NumPy's own message is a page of advice; what caused it names a library.
+        first: BaseException = error
+        while cause := first.__cause__ or first.__context__:
+            first = cause
+        reason = str(first).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
