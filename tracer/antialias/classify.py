@@ -72,7 +72,7 @@ class Classification(NamedTuple):
     radiance : (3, n)
         Of the sample in each cell's middle.
     id : (n,)
-        Of object, face and lights there, see `ids_of`; -1 where nothing is surfaces.
+        Of object, face and lights there, see `ids_of`; -1 where nothing is seen.
     lines : Lines
         What divides the cells.
     unresolved : (n,)

@@ -149,7 +149,7 @@ def shade(geometry: LightGeometry, lit: Bools) -> Floats:
 
 
 def narrow_highlights(geometry: LightGeometry, facing: Bools, footprint: Floats) -> Iterator[Ints]:
-    """FirstHits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
+    """Hits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
     All lights that they face count: one that does not reach a point may reach other parts of its
     footprint.  Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of the
