@@ -152,7 +152,7 @@ def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None
                 first += 1
     finally:
         if pool:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 def _integer(value: int, name: str) -> int:
