@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from messages import told
-
-ROOT = Path(__file__).resolve().parents[2]
+from messages import run_python, told
 
 
 @pytest.mark.parametrize(
@@ -39,13 +35,6 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, mod
     (tmp_path / "mitsuba.py").write_text(
         "raise ModuleNotFoundError('No module named mitsuba', name='mitsuba')"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", f"reference.{module}"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        check=False,
-    )
+    done = run_python("-m", f"reference.{module}", PYTHONPATH=str(tmp_path))
     missing = "No module named mitsuba; install it with python -m pip install mitsuba\n"
     assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing)
