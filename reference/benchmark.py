@@ -21,11 +21,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+from reference.command import SCENES, built, extras, own_scenes, run
+
+with extras(__name__):
+    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+    from converters.variant import SCALAR, mi, use
+
 from converters.flavours import exact, stock
-from converters.variant import SCALAR, mi, use
 from reference import povray
-from reference.command import SCENES, built, own_scenes, run
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene

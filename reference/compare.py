@@ -31,11 +31,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
-from skimage.metrics import structural_similarity
+
+from reference.command import extras, parser, run, spare_inputs
+
+with extras(__name__):
+    from PIL import Image, ImageDraw, ImageFont
+    from skimage.metrics import structural_similarity
 
 from reference.alignment import Bools, Floats
-from reference.command import parser, run, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer import SceneFileError, load_scene, render, to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable

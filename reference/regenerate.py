@@ -17,10 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from reference.command import HERE, extras, need_scenes, own_scenes, parser, run
+
+with extras(__name__):
+    from converters.rendering import render_mitsuba, write_exr
+    from converters.variant import ensure, mi, use
+
 from converters.camera import Floats
-from converters.rendering import render_mitsuba, write_exr
-from converters.variant import ensure, mi, use
-from reference.command import HERE, need_scenes, own_scenes, parser, run
 from tracer import Scene, load_scene
 
 __all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]

@@ -7,9 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
-from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
+from reference.command import HERE, SCENES, extras, need_scenes, own_scenes, parser, run
+
+with extras(__name__):
+    from PIL import Image, ImageDraw, ImageFont
+
 from tracer import Scene, load_scene, render, to_codes
 
 __all__ = ["main", "sheet"]

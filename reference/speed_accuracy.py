@@ -20,12 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+from reference.command import SCENES, built, extras, run
+
+with extras(__name__):
+    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+    from converters.variant import LLVM, mi, use
+    from reference.charts import LOOKS, headline, make_chart, plt
+
 from converters.flavours import exact
-from converters.variant import LLVM, mi, use
 from reference import povray
-from reference.charts import LOOKS, headline, make_chart, plt
-from reference.command import SCENES, built, run
 from reference.judges import plain
 from reference.measurements import interleaved
 from reference.truth import Truth, supersampled, truth_side

@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-import converters.plugins  # noqa: F401 (registers the light without fall-off)
+from reference.command import extras, run
+
+with extras(__name__):
+    import converters.plugins  # noqa: F401 (registers the light without fall-off)
+    from converters.variant import LLVM, SCALAR, mi, use
+    from reference.charts import LOOKS, headline, make_chart, plt
+
 from converters.camera import window_of
-from converters.variant import LLVM, SCALAR, mi, use
-from reference.charts import LOOKS, headline, make_chart, plt
-from reference.command import run
 from reference.judges import plain
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 

@@ -33,10 +33,18 @@ def test_a_command_without_the_scenes_says_what_it_needs(
 
 
 @pytest.mark.parametrize(
-    "module", ["benchmark", "regenerate", "report", "speed_accuracy", "stability"]
+    ("module", "package"),
+    [
+        *((m, "mitsuba") for m in ("benchmark", "check", "regenerate", "report", "stability")),
+        *((m, "PIL") for m in ("check", "compare", "report", "sheet")),
+        *(("speed_accuracy", package) for package in ("mitsuba", "matplotlib")),
+    ],
 )
-def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, module: str) -> None:
-    (tmp_path / "mitsuba.py").write_text("raise ModuleNotFoundError('No module named mitsuba')")
+def test_a_command_without_its_packages_says_what_to_install(
+    tmp_path: Path, module: str, package: str
+) -> None:
+    missing = f"No module named {package}"
+    (tmp_path / f"{package}.py").write_text(f"raise ModuleNotFoundError({missing!r})")
     done = subprocess.run(
         [sys.executable, "-m", f"reference.{module}"],
         capture_output=True,
@@ -45,5 +53,5 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, mod
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
         check=False,
     )
-    missing = "No module named mitsuba; install it with pip install -e '.[reference]'\n"
-    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing)
+    remedy = "; install it with pip install -e '.[reference]'\n"
+    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing + remedy)
