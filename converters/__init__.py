@@ -1,1 +1,1 @@
-"""Conversion of scenes to Mitsuba 3, and its pictures of them."""
+"""Conversion of scenes to Mitsuba 3."""

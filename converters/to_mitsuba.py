@@ -12,9 +12,14 @@ Each takes --flavour:
 Converting needs no Mitsuba; --render needs it ("pip install .[reference]").
 """
 
-# What imports NumPy or Mitsuba is imported where it is used, so that `run` heeds signals before.
+# Mitsuba is imported where it is used: converting needs none.
 
 from __future__ import annotations
+
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
 
 import argparse
 import os
@@ -22,23 +27,14 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn
 
 from converters.mitsuba_xml import WRITTEN
-from tracer.commands import (
-    allow_interrupts,
-    atomic_file,
-    exit_process,
-    file_name,
-    install_signal_handlers,
-    is_folder,
-    output_paths,
-    print_line,
-    printable,
-    whole_number,
-)
+from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
+from tracer.command.process import print_line
+from tracer.files import atomic_file
+from tracer.messages import printable
 
-__all__ = ["TROUBLE", "describe_error", "main", "print_unwritten", "run", "without_converted"]
+__all__ = ["TROUBLE", "describe_error", "main", "print_unwritten", "without_converted"]
 
 _FLAVOURS = "stock", "exact"
 
@@ -51,8 +47,8 @@ _Work = Callable[[Path, Path, argparse.Namespace], bool]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Returns 0; 1 where a scene could not be read or written, or a tolerance is broken; 130 if
-    interrupted.  Exits with 2 for wrong usage, 1 in a folder that is gone, 0 for ``--help``.
+    Returns 0, or 1 where a scene could not be read or a file not be written.  Exits with 2 for
+    wrong usage, 1 in a folder that is gone, 0 for ``--help``.
     """
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -79,8 +75,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0 if all(done) else 1
 
 
@@ -90,7 +84,6 @@ def _ready(options: argparse.Namespace) -> bool:
         import converters.rendering  # noqa: F401 (and all that it needs)
         from converters.variant import use
 
-        allow_interrupts()
         choice = use(options.variant)
     except (ImportError, OSError) as error:
         missing = isinstance(error, ModuleNotFoundError)
@@ -176,10 +169,7 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
 
 
 def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
-    """What is wrong with the scene file at `path`: a line, or one for each fault in it.
-
-    Raises KeyboardInterrupt where that is behind the error.
-    """
+    """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
     from tracer import SceneFileError
 
     if isinstance(error, SceneFileError):
@@ -187,8 +177,6 @@ def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
     # drjit hides the cause behind a RuntimeError.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__
-    if isinstance(error, KeyboardInterrupt):
-        raise KeyboardInterrupt from error
     if isinstance(error, (ChildProcessError, MemoryError)):  # the system kills who takes too much
         reason = "not enough memory; make the image smaller"
     else:
@@ -205,7 +193,6 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import convert
     from tracer import load_scene
 
-    allow_interrupts()
     text = convert(load_scene(path), options.flavour, options.samples)
     with atomic_file(target, WRITTEN.encode()) as file:
         file.write(text.encode())
@@ -228,13 +215,3 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))
     return True
-
-
-def run() -> NoReturn:
-    """`main` as a process of its own."""
-    install_signal_handlers()
-    exit_process(main())
-
-
-if __name__ == "__main__":
-    run()

@@ -1,1 +1,1 @@
-"""The tracer measured, and held against others; a module with a `main` is a command."""
+"""Tools that hold the tracer against others; a module with a `main` is a command."""

@@ -21,6 +21,11 @@ Mitsuba cannot run, 3 if one is undecided and none is worse.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import argparse
 import sys
 import warnings
@@ -35,27 +40,18 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.command import extras, parser, run
-
-with extras(__name__):
-    from converters.rendering import Rendering, load
-    from converters.variant import LLVM, use
-    from reference.compare import Figures, figures, write_comparison
-
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
+from converters.rendering import Rendering, load
 from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
+from converters.variant import LLVM, use
+from reference.command import parser
+from reference.compare import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.commands import (
-    FAILED,
-    MISUSED,
-    file_name,
-    is_folder,
-    output_paths,
-    print_line,
-    printable,
-)
+from tracer.command.arguments import file_name, is_folder, output_paths
+from tracer.command.process import FAILED, MISUSED, print_line
+from tracer.messages import printable
 
 __all__ = [
     "STATUS",
@@ -414,7 +410,3 @@ def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResu
         print_line(sys.stdout, printable(f"  {target}"))
         return result
     return None
-
-
-if __name__ == "__main__":
-    run(main)

@@ -4,43 +4,24 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NoReturn
 
 from tqdm import tqdm
 
-from tracer.commands import exit_process, no_working_folder, printable
+from tracer.command.arguments import no_working_folder
+from tracer.messages import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "extras", "need_scenes", "need_table", "own_scenes"]
-__all__ += ["parser", "result", "run", "spare_inputs"]
+__all__ = ["BUILD", "HERE", "SCENES", "built", "need_scenes", "need_table", "own_scenes", "parser"]
+__all__ += ["result", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 BUILD = HERE.parent / "build"
 """Folder for files that can be made again; not under version control."""
-
-
-@contextmanager
-def extras(module: str) -> Iterator[None]:
-    """Import packages of the extra `reference`, for a module of this name.
-
-    One that is missing ends a command with a line and status 2: 1 says that pictures differ.
-    """
-    try:
-        yield
-    except ImportError as error:
-        if module != "__main__":  # a library's user sees what is wrong where
-            raise
-        missing = isinstance(error, ModuleNotFoundError)
-        remedy = "; install it with pip install -e '.[reference]'" if missing else ""
-        print(f"{error}{remedy}", file=sys.stderr)
-        raise SystemExit(2) from None
 
 
 def own_scenes() -> list[Path]:
@@ -103,12 +84,3 @@ def spare_inputs(
                 used.error(printable(wrong))
     except OSError as error:
         used.exit(2, no_working_folder(error) + "\n")
-
-
-def run(main: Callable[[], int | None]) -> NoReturn:
-    """`main` as a process of its own; its status, or 130 after an interrupt."""
-    try:
-        status = main()
-    except KeyboardInterrupt:
-        status = 130
-    exit_process(status or 0)

@@ -12,6 +12,11 @@ is tolerated.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import argparse
 import csv
 import io
@@ -31,17 +36,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from reference.command import extras, parser, run, spare_inputs
-
-with extras(__name__):
-    from PIL import Image, ImageDraw, ImageFont
-    from skimage.metrics import structural_similarity
+from PIL import Image, ImageDraw, ImageFont
+from skimage.metrics import structural_similarity
 
 from reference.alignment import Bools, Floats
+from reference.command import parser, spare_inputs
 from reference.diagnosis import GAMMA, diagnose, linear
 from tracer import SceneFileError, load_scene, render, to_codes
-from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
+from tracer.command.arguments import file_name, is_folder
+from tracer.command.process import print_line
+from tracer.files import atomic_file
+from tracer.messages import printable
 
 __all__ = ["Figures", "figures", "main", "write_comparison"]
 
@@ -348,7 +353,3 @@ def _judge(
         return result._replace(error=printable(f"{where}: cannot be {what}: {reason}")), []
     told = told._replace(agrees=same, ssim=found.ssim, max=found.max)
     return told, [str(found), *words, printable(str(output))]
-
-
-if __name__ == "__main__":
-    run(main)

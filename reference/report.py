@@ -4,10 +4,15 @@
 
 The page holds everything it shows, the difference, the figures and the times among it: it opens
 from a file, and asks neither a server nor the network for anything.  Verdicts and exit status are
-those of `python -m reference.check`; after an interrupt an old page stays as it is.
+those of `python -m reference.check`.
 """
 
 from __future__ import annotations
+
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
 
 import base64
 import io
@@ -19,40 +24,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Environment
 from numpy.typing import NDArray
+from PIL import Image
 from tqdm import tqdm
 
-from reference.command import (
-    BUILD,
-    HERE,
-    extras,
-    need_scenes,
-    own_scenes,
-    parser,
-    run,
-    spare_inputs,
-)
-
-with extras(__name__):
-    from jinja2 import Environment
-    from PIL import Image
-
-    from converters.variant import use
-    from reference.check import EXACT, CheckResult, check, worst_status
-    from reference.compare import amplified
-
 from converters.to_mitsuba import TROUBLE, describe_error
+from converters.variant import use
+from reference.check import EXACT, CheckResult, check, worst_status
+from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, spare_inputs
+from reference.compare import amplified
 from reference.measurements import measured_on
 from tracer import to_codes
-from tracer.commands import (
-    FAILED,
-    MISUSED,
-    atomic_file,
-    file_name,
-    is_folder,
-    print_line,
-    printable,
-)
+from tracer.command.arguments import file_name, is_folder
+from tracer.command.process import FAILED, MISUSED, print_line
+from tracer.files import atomic_file
+from tracer.messages import printable
 
 __all__ = ["main", "page"]
 
@@ -164,7 +151,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILED
     print_line(sys.stdout, printable(str(output)))
     return FAILED if unread else worst_status(results)
-
-
-if __name__ == "__main__":
-    run(main)

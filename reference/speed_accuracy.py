@@ -8,6 +8,11 @@ the one before, all methods are timed in turns; those that would take too long s
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import gc
 import re
 from collections import defaultdict
@@ -20,15 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from reference.command import SCENES, built, extras, run
-
-with extras(__name__):
-    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-    from converters.variant import LLVM, mi, use
-    from reference.charts import LOOKS, headline, make_chart, plt
-
+import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
+from converters.variant import LLVM, mi, use
 from reference import povray
+from reference.charts import LOOKS, headline, make_chart, plt
+from reference.command import SCENES, built
 from reference.judges import plain
 from reference.measurements import interleaved
 from reference.truth import Truth, supersampled, truth_side
@@ -201,7 +203,3 @@ def main() -> None:
     """Measure, and draw the chart."""
     columns = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
     make_chart("speed_accuracy", __doc__, "one scene, few samples", columns, _measure_all, _draw)
-
-
-if __name__ == "__main__":
-    run(main)

@@ -8,6 +8,11 @@ radiance, or by the share of pixels that are decided wrongly.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,14 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from reference.command import extras, run
-
-with extras(__name__):
-    import converters.plugins  # noqa: F401 (registers the light without fall-off)
-    from converters.variant import LLVM, SCALAR, mi, use
-    from reference.charts import LOOKS, headline, make_chart, plt
-
+import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.camera import window_of
+from converters.variant import LLVM, SCALAR, mi, use
+from reference.charts import LOOKS, headline, make_chart, plt
 from reference.judges import plain
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 
@@ -277,7 +278,3 @@ def main() -> None:
     """Measure, and draw the chart."""
     columns = ("panel", "axis", "at", "method", "measure", "value")
     make_chart("stability", __doc__, "every third point only", columns, _measure_all, _draw)
-
-
-if __name__ == "__main__":
-    run(main)

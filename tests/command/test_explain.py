@@ -46,7 +46,7 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
             terms = [np.add(light.diffuse, light.specular) for light in pixel.lights]
             np.testing.assert_allclose(sum(terms, np.zeros(3)), image[y, x], rtol=1e-12)
             assert all(any(term) == 0 for term, light in zip(terms, pixel.lights, strict=True)
-                       if light.kept_out_by)  # fmt: skip
+                       if light.occluders)  # fmt: skip
             assert (pixel.surface is None) == np.isinf(pixel.distance)
 
 
@@ -56,15 +56,15 @@ def test_an_explanation_names_what_keeps_a_light_out(path):
     assert pixel.distance == pytest.approx(4)
     np.testing.assert_allclose((pixel.point, pixel.normal), [(0, 0, 1)] * 2, atol=1e-12)
     above, right = pixel.lights
-    assert (above.line, above.kept_out_by) == (3, ())
+    assert (above.line, above.occluders) == (3, ())
     assert above.n_dot_l == pytest.approx(8 / np.hypot(9, 8))
     assert (right.line, right.n_dot_l < 0) == (4, True)
-    assert [str(ref) for ref in right.kept_out_by] == ["Sphere 0 (line 5)"]
+    assert [str(ref) for ref in right.occluders] == ["Sphere 0 (line 5)"]
     # From a little to the right the second light is in front, behind the box.
     camera = Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4))
     (_, right) = tracer.explain(replace(tracer.load_scene(path), camera=camera), 4, 4).lights
     assert right.n_dot_l > 0
-    assert [str(ref) for ref in right.kept_out_by] == ["Box 1 (line 6)"]
+    assert [str(ref) for ref in right.occluders] == ["Box 1 (line 6)"]
 
 
 def test_nothing_is_explained_where_the_ray_meets_nothing(path):
@@ -101,20 +101,33 @@ COLOR = "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, wr
 INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
 
 
+GARISH = Lambertian(diffuse=(200, 100, 0))
+ROOM, FLAT = Box(min_pt=(-2, -2, -2), max_pt=(2, 2, 5)), Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
+
+
 @pytest.mark.parametrize(
     ("change", "warning"),
     [
         ({"camera": Camera(view_point=(0, 0, -4))}, NOTHING),
         ({"surfaces": ()}, NOTHING),
-        ({"lights": ()}, DARK),
-        ({"lights": [PointLight(position=(0, 0, 0))]}, DARK),
-        ({"surfaces": [Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]}, COLOR),
+        ({"lights": ()}, "the scene has no light: the picture is black; add <light>"),
+        ({"lights": (), "surfaces": ()}, "the scene has no light"),
+        ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
+        # The eye inside, of a ball and of the first of two boxes.
+        ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
+        ({"surfaces": [Sphere(center=(0, 0, -9)), ROOM, ROOM]}, f"{DARK}: .* inside surface 1:"),
+        # Named by its first user, in the file's order.
+        (
+            {"surfaces": [Sphere(), replace(ROOM, shader=GARISH), Sphere(shader=GARISH)]},
+            "diffuseColor 200 100 0 of surface 1 looks",
+        ),
+        ({"surfaces": [Sphere(shader=GARISH)]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
 )
 def test_a_scene_hardly_as_meant_warns(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
-        render(replace(BALL, **change), processes=1)
+        render(replace(BALL, **change))
     assert len(caught) == 1
     assert caught[0].filename == __file__
 
@@ -132,7 +145,7 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
     ],
 )  # fmt: skip
 def test_other_scenes_do_not_warn(scene):
-    assert render(scene, processes=1).shape == (scene.height, scene.width, 3)
+    assert render(scene).shape == (scene.height, scene.width, 3)
 
 
 def test_the_command_warns_in_a_line_of_its_own(path):

@@ -123,11 +123,11 @@ def test_where_the_tracer_errs_the_verdict_is_differs(monkeypatch):
     wrong[7, 3] += 2e-4
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
     # Beside pixels on which Mitsuba errs.
-    image[20:, 40:] += 0.01
+    image[50:, 70:] += 0.01
     monkeypatch.setattr(check, "_AT_A_TIME", 5000)
     result = compare(scene, "off", by_mitsuba(image))
     assert (result.verdict, result.wrong, result.first) == ("DIFFERS", 1, (7, 3))
-    assert "against the tracer on 1 of 1601 pixels that it was asked about" in result.report()
+    assert "against the tracer on 1 of 101 pixels that it was asked about" in result.report()
 
 
 @pytest.mark.parametrize("figure", ["SSIM", "median difference"])
@@ -195,8 +195,8 @@ def hostile_scene(seed: int) -> Scene:
 
 
 SEEDS = [
-    pytest.param(range(first, first + 10), marks=[pytest.mark.slow] * (first > 0))
-    for first in range(0, 200, 10)
+    range(4),
+    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 200, 14)),
 ]
 
 
@@ -305,18 +305,6 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(scene_file, monkeypatch, c
     monkeypatch.setattr(check, "check", Mock(side_effect=error))
     assert main([*VARIANT, str(scene_file)]) == 1
     assert capsys.readouterr().err == f"{scene_file}: {line}\n"
-
-
-def test_an_interrupt_while_mitsuba_renders_is_no_fault_of_the_scene(scene_file):
-    code = (
-        "from unittest.mock import patch\nfrom converters.variant import use\nuse('scalar_rgb')\n"
-        "from converters import plugins\nfrom reference import check, command\n"
-        "plugins.BlinnPhong.eval = lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)\n"
-        f"command.run(lambda: check.main(['--variant', 'scalar_rgb', {str(scene_file)!r}]))"
-    )
-    done = run_python("-c", code)
-    assert (done.returncode, done.stderr) == (130, "")
-    assert not scene_file.with_name("small.check.png").exists()
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono", ""])

@@ -16,7 +16,7 @@ import pytest
 from mistakes import no_highlights, no_shadows, radiance
 from probe import Surface
 
-import tracer.view.camera
+import tracer.geometry.camera
 from converters import flavours
 from converters.camera import Window, window_of
 from converters.flavours import exact
@@ -31,34 +31,34 @@ from tracer.arrays import Floats
 
 pytestmark = pytest.mark.cross_validation
 
-Raster = tracer.view.camera.Raster
-RASTER_OF = tracer.view.camera.raster_of
+CameraFrame = tracer.geometry.camera.CameraFrame
+CAMERA_FRAME = tracer.geometry.camera.camera_frame
 
 
-def mirrored(*arguments: object) -> Raster:
+def mirrored(*arguments: object) -> CameraFrame:
     """Right is left."""
-    raster = RASTER_OF(*arguments)
-    return raster._replace(axes=raster.axes * [[-1], [1], [1]], shift_u=-raster.shift_u)
+    frame = CAMERA_FRAME(*arguments)
+    return frame._replace(axes=frame.axes * [[-1], [1], [1]], shift_u=-frame.shift_u)
 
 
-def half_a_pixel_out(*arguments: object) -> Raster:
+def half_a_pixel_out(*arguments: object) -> CameraFrame:
     """Samples lie on the edges of the pixels."""
-    raster = RASTER_OF(*arguments)
-    return raster._replace(shift_u=raster.shift_u + raster.step_u / 2)
+    frame = CAMERA_FRAME(*arguments)
+    return frame._replace(shift_u=frame.shift_u + frame.step_u / 2)
 
 
-def normal_ignored(camera: tracer.Camera, *arguments: object) -> Raster:
+def normal_ignored(camera: tracer.Camera, *arguments: object) -> CameraFrame:
     """The window is perpendicular to the view direction."""
-    return RASTER_OF(replace(camera, proj_normal=None), *arguments)
+    return CAMERA_FRAME(replace(camera, proj_normal=None), *arguments)
 
 
-def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., Raster]) -> None:
+def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFrame]) -> None:
     """Put another camera into the tracer: wherever it has this one."""
     modules = [module for name, module in sys.modules.items() if name.startswith("tracer")]
-    homes = [module for module in modules if vars(module).get("raster_of") is RASTER_OF]
+    homes = [module for module in modules if vars(module).get("camera_frame") is CAMERA_FRAME]
     assert len(homes) > 1
     for module in homes:
-        monkeypatch.setattr(module, "raster_of", camera)
+        monkeypatch.setattr(module, "camera_frame", camera)
 
 
 @pytest.mark.parametrize("compared", [check_scene, check_diffuse])
@@ -158,7 +158,7 @@ def without_a_surface(scene: Scene) -> Scene:
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     lit = render(scene).max(axis=2).ravel() > 0.05
     surface, count = np.unique(first_hits(scene, x, y).surface[lit], return_counts=True)
-    surfaces = scene.surfaces[:]
+    surfaces = [*scene.surfaces]
     del surfaces[surface[count.argmin()]]
     return replace(scene, surfaces=surfaces)
 

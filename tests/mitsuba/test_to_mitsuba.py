@@ -218,7 +218,7 @@ ROWS = r"pixels are square, and .* too many; make viewWidth larger or viewHeight
     [
         ("stock exact", "<position>3 5 4", "<position>1e70 5 4", NUMBERS),
         ("stock exact", "<viewPoint>5 4 3", "<viewPoint>5e69 4e69 1e70", NUMBERS),
-        ("stock exact", ".25 .5 .85", "1e308 .5 .85", NUMBERS),
+        ("stock exact", ".25 .5 .85", "1e70 .5 .85", NUMBERS),
         ("stock exact", "<center>0 0 0", "<center>-1e70 1e70 1e70", NUMBERS),
         ("stock", "<viewWidth>2.5", "<viewWidth>1e-70", ROWS),
     ],

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -222,20 +221,6 @@ def test_the_status_is_that_of_the_check(
     monkeypatch.setattr("reference.check.render", lambda _scene, **_offset: image + ours)
     output = small.with_name("report.html")
     assert report(output, small)[0] == status
-
-
-def test_an_interrupt_leaves_the_old_page(
-    small: Path, report: Report, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    output = small.with_name("report.html")
-    output.write_text("<!doctype html>old")
-    hidden = RuntimeError("drjit")
-    hidden.__cause__ = KeyboardInterrupt()
-    for error in (KeyboardInterrupt(), hidden):
-        monkeypatch.setattr("reference.report.check", Mock(side_effect=error))
-        with pytest.raises(KeyboardInterrupt):
-            report(output, small)
-        assert output.read_text() == "<!doctype html>old"
 
 
 class Browser:

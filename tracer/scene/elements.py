@@ -1,8 +1,7 @@
-"""From a scene file to its elements, which know their lines.
+"""Parse a scene file into elements with line numbers.
 
-The file is parsed as a stream, and only a part of its tree is ever held: each child of the root is
-handed on when it ends.  All that is read is held against the limits below, so that no file can
-exhaust memory or time.
+The file is parsed as a stream, and only a part of its tree is in memory at any time: each child of
+the root is handed on when it ends.  The limits below keep any file from exhausting memory or time.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, short
-from tracer.scene.remedies import SCENE, malformed
+from tracer.scene.hints import SCENE, malformed
 
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""
@@ -21,19 +20,19 @@ MAX_TOKEN = 1 << 20
 MAX_NESTING = 64
 """Deepest nesting, and most children of anything but the scene."""
 
-# Bytes parsed at a time, and what is kept of those before, to find remedies.
-_CHUNK, _TAIL = 1 << 14, 1 << 12
+# Bytes parsed at a time, and how many before them are kept to find the cause of an error.
+_READ_BYTES, _TAIL_BYTES = 1 << 14, 1 << 12
 
 # Elements that hold elements, and no text.
 _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
-class GiveUp(Exception):  # noqa: N818 - it tells a fault, and that no other will be found
-    """A fault after which the rest of the file is not worth reading: the line or 0, and words."""
+class FatalFault(Exception):  # noqa: N818 - a fault of the file, not of the program
+    """A fault that ends the reading of a file: its line, or 0 for none, and the message."""
 
 
 class Element(list["Element"]):
-    """A sequence of its children.  Who makes it sets the slots: faster than a constructor."""
+    """An element, a list of its children.  The parser sets the slots: faster than `__init__`."""
 
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
@@ -43,16 +42,23 @@ class Element(list["Element"]):
 
 
 def parse(
-    file: IO[bytes], take: Callable[[Element], None], note: Callable[[int, str, str], None]
+    file: IO[bytes],
+    read_child: Callable[[Element], None],
+    report_at: Callable[[int, str, str], None],
 ) -> None:
-    """Parse a scene file: `take` its root when it begins, each child of that when it ends.
+    """Parse a scene file: `read_child` gets the root when it begins, each child when it ends.
 
-    Stray text is noted: its line, the tag of what holds it, and what is wrong.  `GiveUp` is raised
-    where the file is no longer XML, or passes a limit; what ended before has been taken.
+    `report_at` gets stray text: its line, the tag around it, and the message.
+
+    Raises
+    ------
+    FatalFault
+        Where the file stops being XML or exceeds a limit; children that end before have been read.
     """
     opened: list[Element] = []
-    # Where stray text since the last tag is noted already: a long one comes in pieces.
+    # Stray text since the last tag is reported already if this holds it: long texts come in pieces.
     strayed: Element | None = None
+    encoding = ""
 
     def start(tag: str, attrib: dict[str, str]) -> None:
         nonlocal strayed
@@ -67,15 +73,15 @@ def parse(
             parent.append(element)
             if len(opened) == MAX_NESTING or len(parent) > MAX_NESTING:
                 wrong = f"{short(parent.tag)}: more than {MAX_NESTING} elements in another"
-                raise GiveUp(element.line, wrong)
+                raise FatalFault(element.line, wrong)
         elif not opened:
-            take(element)
+            read_child(element)
         opened.append(element)
 
     def end(_tag: str) -> None:
         element = opened.pop()
         if len(opened) == 1:
-            take(element)
+            read_child(element)
 
     def text(text: str) -> None:
         nonlocal strayed
@@ -86,12 +92,16 @@ def parse(
             element.text += text
             if len(element.text) > MAX_TOKEN:
                 wrong = f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter"
-                raise GiveUp(element.line, wrong)
+                raise FatalFault(element.line, wrong)
         elif strayed is not element:
             # The event comes where the text ends; the fault is where it begins.
             strayed, text = element, text.lstrip()
             line = parser.CurrentLineNumber - text.count("\n")
-            note(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+            report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+
+    def declaration(_version: str, declared: str | None, _standalone: int) -> None:
+        nonlocal encoding
+        encoding = declared or ""
 
     def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
         # Entities in others grow exponentially; those of another file would be skipped.
@@ -99,24 +109,25 @@ def parse(
             wrong = "are not allowed; write out what entities stand for"
             if not declares:
                 wrong = "in another file are not allowed; remove the DOCTYPE"
-            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
+            raise FatalFault(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
 
     parser: Any = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = text
+    parser.XmlDeclHandler = declaration
     parser.StartDoctypeDeclHandler = doctype
     given, latest, chunk = 0, b"", None
     try:
         while chunk != b"":
-            chunk = file.read(_CHUNK)
+            chunk = file.read(_READ_BYTES)
             if not isinstance(chunk, bytes):
                 raise TypeError("a scene is read from a binary file, not from text")
-            latest = latest[-_TAIL:] + chunk
+            latest = latest[-_TAIL_BYTES:] + chunk
             given += len(chunk)
             if not given:
-                raise GiveUp(0, f"is empty; {SCENE}")
+                raise FatalFault(0, f"is empty; {SCENE}")
             try:
                 parser.Parse(chunk, not chunk)
             except expat.ExpatError as error:
@@ -124,20 +135,20 @@ def parse(
                 if message == expat.errors.XML_ERROR_NO_MEMORY:
                     raise MemoryError from None
                 at = max(0, parser.ErrorByteIndex - given + len(latest))
-                after = (latest + file.read(_CHUNK))[at : at + 256]
-                right = malformed(message, error.lineno, latest[:at], after, opened)
+                after = (latest + file.read(_READ_BYTES))[at : at + 256]
+                right = malformed(message, error.lineno, latest[:at], after, opened, encoding)
                 wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
-                raise GiveUp(error.lineno, wrong) from None
+                raise FatalFault(error.lineno, wrong) from None
             except (LookupError, ValueError, Warning):
                 if opened:
                     raise
-                # Of the codec that the file asks for.
-                raise GiveUp(1, "not XML: unknown encoding; save the file as UTF-8") from None
+                # Raised by the codec that the file names.
+                raise FatalFault(1, "not XML: unknown encoding; save the file as UTF-8") from None
             # Versions of expat before 2.6 take quadratic time over one token.
             if given - parser.CurrentByteIndex > MAX_TOKEN:
                 wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
-                raise GiveUp(parser.CurrentLineNumber, wrong)
+                raise FatalFault(parser.CurrentLineNumber, wrong)
             if given > MAX_BYTES:
-                raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+                raise FatalFault(0, f"has more than {MAX_BYTES} bytes, which are allowed")
     finally:
-        parser = None  # it holds itself by its handlers: a cycle
+        parser = None  # breaks the cycle of the parser and its handlers

@@ -1,8 +1,9 @@
-"""The scene: frozen dataclasses, checked when they are made, and the arrays of its surfaces.
+"""The scene: frozen dataclasses that validate their fields, and the arrays of its surfaces.
 
-Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75 in size, and colours not
-negative; `SceneError` reports all that is wrong, not only the first.  The fields' metadata are the
-table of elements that files are read and written by: see `schema.of`.
+Numbers are finite; all but directions are at most 1e75 in size, and lengths and coordinates other
+than 0 at least 1e-75; colours, intensities and exponents are not negative.  `SceneError` lists
+every fault, not only the first.  The fields' metadata are the table of elements that files are read
+and written by: see `schema.xml_field`.
 """
 
 from __future__ import annotations
@@ -10,21 +11,21 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
+from functools import cached_property
 from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Checked, Floats, of
+from tracer.scene.schema import Checked, Columns, Fault, Floats, number, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
 
 _ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
-# Below this sine or cosine the camera basis has no digit left worth trusting.
+# Below this sine or cosine, too few digits of the camera basis are right.
 _DEGENERATE = 1e-10
 
 
@@ -63,27 +64,34 @@ class Camera(Checked):
         `proj_normal` perpendicular to `view_dir`.
     """
 
-    view_point: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "viewPoint"))
-    view_dir: VectorLike = field(default=(0.0, 0.0, -1.0), metadata=of(schema.DIRECTION, "viewDir"))
-    view_up: VectorLike = field(default=(0.0, 1.0, 0.0), metadata=of(schema.DIRECTION, "viewUp"))
-    proj_normal: VectorLike | None = field(
-        default=None, metadata=of(schema.DIRECTION, "projNormal")
+    view_point: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(
+        default=(0.0, 0.0, -1.0), metadata=xml_field(schema.DIRECTION, "viewDir")
     )
-    proj_distance: float = field(default=1.0, metadata=of(schema.LENGTH, "projDistance"))
-    view_width: float = field(default=1.0, metadata=of(schema.LENGTH, "viewWidth"))
-    view_height: float = field(default=1.0, metadata=of(schema.LENGTH, "viewHeight"))
+    view_up: VectorLike = field(
+        default=(0.0, 1.0, 0.0), metadata=xml_field(schema.DIRECTION, "viewUp")
+    )
+    proj_normal: VectorLike | None = field(
+        default=None, metadata=xml_field(schema.DIRECTION, "projNormal")
+    )
+    proj_distance: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "projDistance"))
+    view_width: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewWidth"))
+    view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
-    @np.errstate(under="ignore")
-    def misfits(self) -> list[str]:
-        """Say which vectors do not go together."""
-        wrong, normal = [], unit(self.normal)
-        if np.linalg.norm(np.cross(unit(self.view_up), normal)) < _DEGENERATE:
-            other = "view_dir" if self.proj_normal is None else "proj_normal"
-            wrong.append(f"view_up: must not be parallel to {other}; choose another view_up")
-        if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-            remedy = "no ray would meet it"
-            wrong.append(f"proj_normal: must not be perpendicular to view_dir: {remedy}")
-        return wrong
+    @classmethod
+    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
+        """Find vectors that do not go together."""
+        vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
+        for i, (up, ahead, given) in enumerate(zip(*vectors, strict=True)):
+            other, normal = ("view_dir", ahead) if np.isnan(given).all() else ("proj_normal", given)
+            with np.errstate(all="ignore"):  # vectors may be zero, or not finite
+                up, ahead, normal = map(unit, (up, ahead, normal))
+                sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
+            if sine < _DEGENERATE:
+                yield i, "view_up", f"must not be parallel to {other}; choose another view_up"
+            if cosine < _DEGENERATE:
+                wrong = "must not be perpendicular to view_dir: no ray would meet it"
+                yield i, "proj_normal", wrong
 
     @property
     def normal(self) -> VectorLike:
@@ -104,9 +112,11 @@ class PointLight(Checked):
         In its file; no part of equality.
     """
 
-    position: VectorLike = field(metadata=of(schema.POINT, "position"))
+    position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
     # The specification says color, the published scenes say intensity.
-    intensity: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "intensity", "color"))
+    intensity: VectorLike = field(
+        default=_ONE, metadata=xml_field(schema.COLOR, "intensity", "color")
+    )
     line: int | None = field(default=None, compare=False, repr=False)
 
 
@@ -122,7 +132,7 @@ class Lambertian(Checked):
         The colour kd: linear RGB, 1 for all of the light.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
+    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,14 +150,14 @@ class Phong(Checked):
         The larger, the smaller the highlight.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
-    specular: VectorLike = field(default=_ZERO, metadata=of(schema.COLOR, "specularColor"))
-    exponent: float = field(default=1.0, metadata=of(schema.EXPONENT, "exponent"))
+    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_ZERO, metadata=xml_field(schema.COLOR, "specularColor"))
+    exponent: float = field(default=1.0, metadata=xml_field(schema.EXPONENT, "exponent"))
 
 
 Shader: TypeAlias = Lambertian | Phong
 
-_SHADER = of(schema.one_of(Lambertian, Phong), "shader")
+_SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,8 +173,8 @@ class Sphere(Checked):
         In its file; no part of equality.
     """
 
-    center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
-    radius: float = field(default=1.0, metadata=of(schema.LENGTH, "radius"))
+    center: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "center"))
+    radius: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "radius"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -187,22 +197,29 @@ class Box(Checked):
         For values of the wrong kind, or `min_pt` beyond `max_pt` along any axis.
     """
 
-    min_pt: VectorLike = field(metadata=of(schema.POINT, "minPt"))
-    max_pt: VectorLike = field(metadata=of(schema.POINT, "maxPt"))
+    min_pt: VectorLike = field(metadata=xml_field(schema.POINT, "minPt"))
+    max_pt: VectorLike = field(metadata=xml_field(schema.POINT, "maxPt"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
-    def misfits(self) -> list[str]:
-        """Say along which axes the corners are in the wrong order."""
-        low, high = np.array([[self.min_pt], [self.max_pt]])
-        return [f"min_pt: {wrong}" for _, wrong in schema.order_faults(low, high)]
+    @classmethod
+    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
+        """Find corners in the wrong order."""
+        low, high = columns["min_pt"], columns["max_pt"]
+        for i in np.flatnonzero((low > high).any(axis=1)).tolist():
+            has = " and ".join(
+                f"{axis} has {number(a)} > {number(b)}"
+                for axis, a, b in zip("xyz", low[i].tolist(), high[i].tolist(), strict=True)
+                if a > b
+            )
+            yield i, "min_pt", f"must not exceed max_pt, but {has}; swap these"
 
 
 class Surfaces(Sequence[Sphere | Box]):
-    """All surfaces of a scene, as arrays, as they come in thousands; also a sequence of them.
+    """All surfaces of a scene in arrays, and a sequence of `Sphere` and `Box` in the file's order.
 
-    The arrays are read-only copies; where all surfaces are numbered together, spheres come first.
-    Two objects are equal if they are equal as sequences.
+    The arrays are read-only copies; in those of all surfaces, spheres come first.  Two objects are
+    equal if they are equal as sequences.
 
     Parameters
     ----------
@@ -213,16 +230,16 @@ class Surfaces(Sequence[Sphere | Box]):
     shader_index : (S + B,)
         Index of each into `shaders`.
     file_index : (S + B,), optional
-        Place of each in the file: a permutation of 0 ... S + B - 1.
-        Of two surfaces at the same distance, the earlier is seen.
+        Position of each in the file: a permutation of 0 ... S + B - 1.
+        Of two surfaces at the same distance, the one that comes first in the file is visible.
     shaders : tuple of Lambertian or Phong
     line : (S + B,), optional
-        Where each stands in its file; 0 if it is from none.
+        Line of each in its file; 0 if it is not from a file.
 
     Raises
     ------
     SceneError
-        For arrays that do not fit together, or numbers that no sphere or box may have.
+        For arrays whose lengths do not match, or invalid numbers.
     """
 
     def __init__(
@@ -247,13 +264,13 @@ class Surfaces(Sequence[Sphere | Box]):
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
         lines = schema.integers(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
-        schema.raise_any(self._misfits())
+        schema.raise_any(self._conflicts())
         faults = sorted(self._faults(), key=lambda fault: fault[0])
         schema.raise_any(f"surface {index}: {wrong}" for index, wrong in faults)
         self.__setstate__(vars(self))
 
-    def _misfits(self) -> Iterator[str]:
-        """Find arrays that do not fit together, and so cannot be checked further."""
+    def _conflicts(self) -> Iterator[str]:
+        """Find arrays whose lengths or indices do not match, so that no more can be validated."""
         every = "one a surface"
         for name, needed, why in (
             ("radius", len(self.center), "as many as center"),
@@ -263,23 +280,20 @@ class Surfaces(Sequence[Sphere | Box]):
             if (count := len(getattr(self, name))) != needed:
                 yield f"{name}: needs {needed}, {why}; has {count}"
         index, count = self.shader_index, len(self.shaders)
-        for place in index[(index < 0) | (index >= count)].tolist()[:1]:
-            yield f"shader_index: must be places among {count} shaders, has {place}"
+        for wrong in index[(index < 0) | (index >= count)].tolist()[:1]:
+            yield f"shader_index: must be indices of {count} shaders, has {wrong}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
             yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
     def _faults(self) -> Iterator[tuple[int, str]]:
-        """Find numbers that no sphere or box may have; tell its place in the file."""
+        """Find invalid numbers; yield the surface's position in the file, and the message."""
         spheres, boxes = np.split(self.file_index, [self.sphere_count])
-        for name, index, faults in (
-            ("radius", spheres, schema.LENGTH.faults(self.radius[:, None])),
-            ("center", spheres, schema.POINT.faults(self.center)),
-            ("min_pt", boxes, schema.POINT.faults(self.min_pt)),
-            ("max_pt", boxes, schema.POINT.faults(self.max_pt)),
-            ("min_pt", boxes, schema.order_faults(self.min_pt, self.max_pt)),
-        ):
-            yield from ((index.item(i), f"{name}: {message}") for i, message in faults)
+        balls = {"center": self.center, "radius": self.radius[:, None]}
+        corners = {"min_pt": self.min_pt, "max_pt": self.max_pt}
+        for made, index, columns in ((Sphere, spheres, balls), (Box, boxes, corners)):
+            for i, name, wrong in schema.faults(made, columns):
+                yield index.item(i), f"{name}: {wrong}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
@@ -318,29 +332,40 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @property
     def sphere_count(self) -> int:
-        """How many are spheres."""
+        """Number of spheres."""
         return len(self.radius)
+
+    @cached_property
+    def file_order(self) -> NDArray[np.intp]:
+        """Indices (S + B,) into the arrays, in the file's order: the inverse of `file_index`."""
+        order = np.argsort(self.file_index)
+        order.setflags(write=False)
+        return order
 
     @overload
     def __getitem__(self, index: int) -> Sphere | Box: ...
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
-        at = np.argsort(self.file_index)[index].tolist()
-        return tuple(map(self._surface, at)) if isinstance(index, slice) else self._surface(at)
+        found = self.file_order[index].tolist()
+        if isinstance(index, slice):
+            return tuple(map(self._surface, found))
+        return self._surface(found)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
         return iter(self[:])
 
-    def _surface(self, at: int) -> Sphere | Box:
-        """One by its place in the arrays."""
-        shader, line = self.shaders[self.shader_index[at]], self.line.item(at) or None
-        if at < self.sphere_count:
-            center, radius = tuple(self.center[at].tolist()), self.radius.item(at)
-            return schema.unchecked(Sphere, center=center, radius=radius, shader=shader, line=line)
-        low, high = (each[at - self.sphere_count].tolist() for each in (self.min_pt, self.max_pt))
+    def _surface(self, i: int) -> Sphere | Box:
+        """The surface at index `i` of the arrays."""
+        shader, line = self.shaders[self.shader_index[i]], self.line.item(i) or None
+        if i < self.sphere_count:
+            center, radius = tuple(self.center[i].tolist()), self.radius.item(i)
+            return schema.construct_unchecked(
+                Sphere, center=center, radius=radius, shader=shader, line=line
+            )
+        low, high = (a[i - self.sphere_count].tolist() for a in (self.min_pt, self.max_pt))
         corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
-        return schema.unchecked(Box, **corners, shader=shader, line=line)
+        return schema.construct_unchecked(Box, **corners, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -348,7 +373,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return len(self) == len(other) and all(map(operator.eq, self, other))
 
     def __hash__(self) -> int:
-        # Length and first surface are enough for a hash: all the arrays would take long.
+        # Of the length and the first surface: hashing all the arrays would take long.
         return hash((len(self), self[0] if len(self) else None))
 
     def __repr__(self) -> str:
@@ -360,7 +385,7 @@ _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 @dataclass(frozen=True, slots=True, init=False)
 class Scene(Checked):
-    """What is seen (`surfaces`), by what light, through which camera.
+    """Surfaces, lights, a camera, and the size of the picture.
 
     Parameters
     ----------
@@ -373,16 +398,16 @@ class Scene(Checked):
     Raises
     ------
     SceneError
-        For a picture of no pixels or too many, or parts of the wrong type.
+        For a picture of no pixels or too many, or values of the wrong type.
     """
 
-    camera: Camera = field(metadata=of(schema.one_of(Camera)))
-    lights: tuple[PointLight, ...] = field(metadata=of(schema.list_of(PointLight)))
-    surfaces: Surfaces = field(metadata=of(lambda value, _: Surfaces.of(value)))
-    width: int = field(metadata=of(schema.size))
-    height: int = field(metadata=of(schema.size))
+    camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_of(PointLight)))
+    surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.of(value)))
+    width: int = field(metadata=xml_field(schema.size))
+    height: int = field(metadata=xml_field(schema.size))
 
-    # Written out, as it takes more types than the fields keep.
+    # Written out, as its parameters accept more types than the fields hold.
     def __init__(
         self,
         *,
@@ -396,16 +421,15 @@ class Scene(Checked):
         for name, value in (sized | {"lights": lights, "surfaces": surfaces}).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
-
-    def misfits(self) -> Iterator[str]:
-        """Say whether the picture would be too large."""
         if (count := self.width * self.height) > schema.MAX_PIXELS:
             wrong = f"{self.width} x {self.height} pixels are too many: the picture would take"
             memory = f"{count * 24 / 2**30:.3g} GiB of memory"
-            yield f"width, height: {wrong} {memory}; at most {schema.MAX_PIXELS} are allowed"
+            most = f"at most {schema.MAX_PIXELS} are allowed"
+            raise schema.SceneError([f"width, height: {wrong} {memory}; {most}"])
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""
-        # By its name: pictures are made of scenes, so no module here imports one of theirs.
-        png: bytes = import_module("tracer.picture.bands").to_png(self)
-        return png
+        # The one import that goes up: Jupyter asks the scene itself for its picture.
+        from tracer.picture.render import to_png
+
+        return to_png(self)

@@ -1,0 +1,221 @@
+"""Pixels explained: the numbers that go into one, found by the code that renders pictures."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tracer.antialias.lattice import CENTRES
+from tracer.arrays import Ints, Vector, take3
+from tracer.geometry.camera import camera_frame
+from tracer.picture.png import to_codes
+from tracer.scene.model import Scene, unit
+from tracer.trace.first_hits import FirstHits, first_hits
+from tracer.trace.hits import Hits
+from tracer.trace.lighting import light_geometry, radiance_at
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
+
+__all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
+
+
+@dataclass(frozen=True)
+class SurfaceRef:
+    """A surface of the scene.
+
+    Attributes
+    ----------
+    index : int
+        Its place among the scene's surfaces, in the file's order.
+    kind : str
+        Sphere or Box.
+    line : int or None
+        Where it stands in its file, if it is from one.
+    """
+
+    index: int
+    kind: str
+    line: int | None
+
+    @classmethod
+    def of(cls, scene: Scene, index: int) -> SurfaceRef:
+        """A surface by its index."""
+        surface = scene.surfaces[index]
+        return cls(index, type(surface).__name__, surface.line)
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.index}{_line(self.line)}"
+
+
+@dataclass(frozen=True)
+class LightPart:
+    """One light's part in a pixel.
+
+    Attributes
+    ----------
+    line : int or None
+        Where the light stands in its file, if it is from one.
+    n_dot_l : float
+        Cosine between the normal and the direction to the light.
+    occluders : tuple of SurfaceRef
+        What keeps the light from the point: other surfaces, or its own where that faces away, or
+        is seen from inside and holds no light.
+    diffuse, specular : (3,)
+        Radiance that it adds: intensity kd n.l, and intensity ks (n.h)^exponent.
+    """
+
+    line: int | None
+    n_dot_l: float
+    occluders: tuple[SurfaceRef, ...]
+    diffuse: Vector
+    specular: Vector
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What goes into a pixel; as text, a line for each number.
+
+    Attributes
+    ----------
+    x, y : int
+        Column and row of the pixel; 0, 0 is the top left.
+    eye, direction : (3,)
+        The ray through the pixel's centre, its direction of unit length.
+    surface : SurfaceRef or None
+        What it meets first; None for nothing.
+    distance : float
+        From the eye; infinite where it meets nothing.
+    point, normal : (3,)
+        Where it meets the surface, and the unit normal there, towards the eye; NaN for nothing.
+    lights : tuple of LightPart
+        A part for each light of the scene; none where it meets nothing.
+    radiance : (3,)
+        Of the pixel in a picture of one sample a pixel, linear RGB.
+    codes : (3,)
+        The same in 8 bits.
+    """
+
+    x: int
+    y: int
+    eye: Vector
+    direction: Vector
+    surface: SurfaceRef | None
+    distance: float
+    point: Vector
+    normal: Vector
+    lights: tuple[LightPart, ...]
+    radiance: Vector
+    codes: tuple[int, int, int]
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        yield f"pixel     {self.x},{self.y}"
+        yield f"ray       from {_text(self.eye)} towards {_text(self.direction)}"
+        yield f"surface   {self.surface or 'none: the ray meets nothing'}"
+        if self.surface:
+            yield f"distance  {self.distance:.9g}"
+            yield f"point     {_text(self.point)}"
+            yield f"normal    {_text(self.normal)}"
+        for number, light in enumerate(self.lights):
+            names = [str(ref) for ref in light.occluders if ref != self.surface]
+            names = names or ["the surface itself"] * len(light.occluders)
+            how = f"kept out by {', '.join(names)}" if names else "reaches the point"
+            yield f"light {number}{_line(light.line)}: n.l = {light.n_dot_l:.9g}, {how}"
+            if not names:
+                yield f"  diffuse   {_text(light.diffuse)}"
+                yield f"  specular  {_text(light.specular)}"
+        yield f"radiance  {_text(self.radiance)}"
+        yield f"codes     {' '.join(map(str, self.codes))}"
+
+
+def _line(line: int | None) -> str:
+    return "" if line is None else f" (line {line})"
+
+
+def _text(vector: Vector) -> str:
+    return " ".join(f"{value + 0.0:.9g}" for value in vector)
+
+
+@np.errstate(all="ignore")
+def explain(scene: Scene, x: int, y: int) -> Explanation:
+    """Explain a pixel of a picture of one sample a pixel.
+
+    Parameters
+    ----------
+    scene : Scene
+    x, y : int
+        Column and row; 0, 0 is the top left.
+
+    Raises
+    ------
+    TypeError
+        If `x` or `y` is no integer.
+    ValueError
+        If the pixel is outside the picture.
+    """
+    x, y = operator.index(x), operator.index(y)
+    width, height = scene.width, scene.height
+    if not (0 <= x < width and 0 <= y < height):
+        raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
+    frame = camera_frame(scene.camera, width, height)
+    prepared = PreparedScene(scene, frame)
+    samples = CENTRES.samples(slice(y, y + 1), slice(x, x + 1))
+    radiance, hit = radiance_at(prepared, samples)[:, 0], first_hits(scene, [x + 0.5], [y + 0.5])
+    across, down = frame.across(np.array(x + 0.5)), frame.down(np.array(y + 0.5))
+    direction = np.array(frame.vector_to_scene((across, down, np.array(frame.depth))))
+    index = hit.surface.item()
+    return Explanation(
+        x=x,
+        y=y,
+        eye=tuple(frame.eye.tolist()),
+        direction=tuple(unit(direction).tolist()),
+        surface=SurfaceRef.of(scene, index) if index >= 0 else None,
+        distance=hit.distance.item(),
+        point=tuple(hit.point[0].tolist()),
+        normal=tuple(hit.normal[0].tolist()),
+        lights=tuple(_parts(scene, prepared, nearest_hits(prepared, samples), hit)),
+        radiance=tuple(radiance.tolist()),
+        codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
+    )
+
+
+def _parts(
+    scene: Scene, prepared: PreparedScene, hits: Hits, hit: FirstHits
+) -> Iterator[LightPart]:
+    """Each light's part at the one point that is hit, if any is."""
+    geometry, own = light_geometry(hits), hits.hit_object
+    for number, light in enumerate(scene.lights if hits.groups else ()):
+        cosine = geometry.n_dot_l[number] / np.sqrt(geometry.length2[number])
+        occluders = _occluders(prepared, hits, number) if cosine > 0 else own
+        diffuse, specular = np.zeros((2, 3, 1))
+        if not occluders.size:
+            strength = prepared.intensities[number][:, None]
+            diffuse = strength * prepared.diffuse[:, own] * cosine
+            power = geometry.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
+            specular = strength * prepared.specular[:, own] * power
+        towards = unit(np.subtract(light.position, hit.point[0]))
+        refs = scene.surfaces.file_index[occluders].tolist()
+        yield LightPart(
+            line=light.line,
+            n_dot_l=float(hit.normal[0] @ towards),
+            occluders=tuple(SurfaceRef.of(scene, index) for index in refs),
+            diffuse=tuple(diffuse[:, 0].tolist()),
+            specular=tuple(specular[:, 0].tolist()),
+        )
+
+
+def _occluders(prepared: PreparedScene, hits: Hits, light: int) -> Ints:
+    """All objects, spheres first, that keep a light from the one point that is hit."""
+    found = []
+    for shape in prepared.shapes:
+        others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.hit_object)
+        point = hits.points(np.zeros_like(others))
+        end = take3(prepared.lights.T, np.full_like(others, light))
+        blocks = shape.occludes(prepared.frame.eye, others, point, end, np.ones_like(others) > 0)
+        found.append(others[blocks])
+    return np.concatenate(found)

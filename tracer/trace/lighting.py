@@ -1,0 +1,186 @@
+"""Radiance of hits: shadows, then shading, light by light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scaled, take3
+from tracer.geometry.rounding import INSIDE
+from tracer.trace.hits import Hits, ShapeHits
+from tracer.trace.occlusion import occlusion
+from tracer.trace.samples import Samples
+from tracer.trace.shading import highlight
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
+
+# On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
+# the bell is as good as zero, and the x where it underflows.
+_SMOOTH, _FAINT, _DARK = 0.7, 3.0, 27.0
+
+
+class LightGeometry(NamedTuple):
+    """Light as it comes in at hits, whatever lies between.
+
+    Attributes
+    ----------
+    hits : Hits
+    n_dot_l : (lights, n)
+        n . l, with the unit normal n and the vector l to the light, not of unit length; minus
+        infinity where the object is seen from inside and the light is not inside it.
+    length2 : (lights, n)
+        l . l
+    """
+
+    hits: Hits
+    n_dot_l: Floats
+    length2: Floats
+
+    def highlight(self, number: int, group: ShapeHits, at: Ints) -> Floats:
+        """(n.h)^exponent of a light at some points of a group."""
+        p, light = take3(self.hits.p[:, group.part], at), self.hits.prepared.local[number].tolist()
+        to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
+        length = np.sqrt(self.length2[number, group.part][at])
+        distance = np.sqrt(dot(p, p))
+
+        def vectors(some: Ints) -> tuple[Triple, Triple, Triple]:
+            wi = scaled(take3(to_light, some), 1 / length[some])
+            wo = scaled(take3(p, some), -1 / distance[some])
+            return take3(map3(group.at_samples, group.n), at[some]), wi, wo
+
+        return highlight(
+            self.n_dot_l[number, group.part][at] / length,
+            group.at_samples(group.height)[at] / distance,
+            dot(to_light, p) / (-distance * length),
+            group.of(self.hits.prepared.exponent)[at],
+            vectors,
+        )
+
+
+class Shading:
+    """Radiance of hits towards the eye, summed up over lights.
+
+    Attributes
+    ----------
+    ids : (n,)
+        A number for the object, its face, and the lights that reach it; only `with_ids`.
+    """
+
+    def __init__(self, hits: Hits, *, with_ids: bool) -> None:
+        self._hits, self._with_ids = hits, with_ids
+        self._glossy = [group.of(hits.prepared.glossy) for group in hits.groups]
+        # Sums over lights of intensity times cosine, and highlight, without the shaders' colours.
+        self._sums = [
+            (np.zeros((3, glossy.size)), np.zeros((3, glossy.size if np.any(glossy) else 0)))
+            for glossy in self._glossy
+        ]
+        ids = [group.repeat_runs(4 * group.obj + group.face) for group in hits.groups if with_ids]
+        self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *ids])
+
+    def add(self, geometry: LightGeometry, lit: Bools) -> None:
+        """Add some lights; `lit` (lights, n): whether they reach hits."""
+        for bit in lit if self._with_ids else ():
+            # An odd factor: with more lights than bits, the first are not shifted out.
+            self.ids = self.ids * 3 + bit
+        parts = zip(self._hits.groups, self._glossy, self._sums, strict=True)
+        for group, glossy, (diffuse, specular) in parts:
+            for number, reached in enumerate(lit[:, group.part]):
+                if not reached.any():
+                    continue
+                intensity = geometry.hits.prepared.intensities[number]
+                n_dot_l, length2 = (
+                    m[number, group.part] for m in (geometry.n_dot_l, geometry.length2)
+                )
+                weight = np.zeros(reached.size)
+                np.divide(n_dot_l, np.sqrt(length2), out=weight, where=reached)
+                _add(diffuse, intensity, weight)
+                if specular.size:
+                    weight, at = np.zeros(reached.size), indices(reached & glossy)
+                    weight[at] = geometry.highlight(number, group, at)
+                    _add(specular, intensity, weight)
+
+    def at_samples(self, out: Floats) -> Floats:
+        """Put the radiance into `out` (3, samples); `add` nothing afterwards."""
+        prepared = self._hits.prepared
+        for group, (diffuse, specular) in zip(self._hits.groups, self._sums, strict=True):
+            for k, channel in enumerate(out):
+                value = diffuse[k] * group.of(prepared.diffuse[k])
+                if specular.size:
+                    value += specular[k] * group.of(prepared.specular[k])
+                channel[group.sample] = value
+        return out
+
+
+def _add(sums: Floats, intensity: Floats, weight: Floats) -> None:
+    for channel, strength in zip(sums, intensity, strict=True):
+        channel += strength * weight
+
+
+def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
+    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
+    shading = _shading(nearest_hits(prepared, samples), with_ids=False)
+    return shading.at_samples(np.zeros((3, samples.size)) if out is None else out)
+
+
+def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
+    """`radiance_at` and `Shading.ids` of samples; -1 where nothing is seen."""
+    hits = nearest_hits(prepared, samples)
+    shading, ids = _shading(hits, with_ids=True), np.full(samples.size, -1)
+    ids[hits.sample] = shading.ids
+    return shading.at_samples(np.zeros((3, samples.size))), ids
+
+
+def _shading(hits: Hits, *, with_ids: bool) -> Shading:
+    shading = Shading(hits, with_ids=with_ids)
+    for some in hits.by_lights:
+        geometry = light_geometry(some)
+        lit = geometry.n_dot_l > 0
+        lit &= ~occlusion(some, lit)
+        shading.add(geometry, lit)
+    return shading
+
+
+def light_geometry(hits: Hits) -> LightGeometry:
+    """The light that comes in at all hits."""
+    prepared = hits.prepared
+    result = LightGeometry(hits, *np.empty((2, len(prepared.local), hits.p.shape[1])))
+    for number, light in enumerate(prepared.local.tolist()):
+        kept_out = prepared.eye_inside & (prepared.side[number] != INSIDE)
+        for group in hits.groups:
+            n_dot_l, length2 = (m[number, group.part] for m in (result.n_dot_l, result.length2))
+            p = hits.p[:, group.part]
+            to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
+            group.height_of(prepared.lights[number], to_light, n_dot_l)
+            dot(to_light, to_light, length2)
+            # Seen from inside, an object keeps out all light that is not inside as well.
+            if kept_out[group.obj].any():
+                # Not zero, which would be a terminator: a place where light begins.
+                n_dot_l[group.of(kept_out)] = -np.inf
+    return result
+
+
+def narrow_highlights(geometry: LightGeometry, facing: Bools, footprint: Floats) -> Iterator[Ints]:
+    """Hits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
+
+    All lights that they face count: one that does not reach a point may reach other parts of its
+    footprint.  Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of the
+    angle a between normal and half vector.  That changes as the surface curves, and as the
+    directions to light and eye turn.
+    """
+    prepared, distance = geometry.hits.prepared, geometry.hits.distance
+    for group in geometry.hits.groups:
+        glossy, part = group.of(prepared.glossy), group.part
+        if not np.any(glossy):
+            continue
+        bending = 1 / distance[part] + group.of(prepared.curvature)
+        scale = np.where(glossy, np.sqrt(group.of(prepared.exponent) / 2), 0)
+        for number, faces in enumerate(facing[:, part]):
+            turn = bending + 1 / np.sqrt(geometry.length2[number, part])
+            change = footprint[part] * turn * scale
+            at = indices((change > _SMOOTH) & faces)
+            if at.size:
+                power = geometry.highlight(number, group, at)
+                shows = np.minimum(np.sqrt(-np.log(power)), _DARK) - change[at] < _FAINT
+                yield part.start + at[shows]
