@@ -163,11 +163,27 @@ def without_a_surface(scene: Scene) -> Scene:
     return replace(scene, surfaces=surfaces)
 
 
-def shiny(surface: Surface, **changes: float) -> Surface:
+def with_surfaces(change: Callable[[Surface], Surface]) -> Callable[[Scene], Scene]:
+    return lambda scene: replace(scene, surfaces=[change(surface) for surface in scene.surfaces])
+
+
+def larger(surface: Surface) -> Surface:
+    is_sphere = isinstance(surface, Sphere)
+    return replace(surface, radius=surface.radius * 1.01) if is_sphere else surface
+
+
+def shiny(strength: float, exponent: float) -> Callable[[Surface], Surface]:
     """A surface with another highlight, if it has one."""
-    if not isinstance(surface.shader, Phong):
-        return surface
-    return replace(surface, shader=replace(surface.shader, **changes))
+
+    def change(surface: Surface) -> Surface:
+        if not isinstance(old := surface.shader, Phong):
+            return surface
+        specular = tuple(strength * k for k in old.specular)
+        return replace(
+            surface, shader=replace(old, specular=specular, exponent=exponent * old.exponent)
+        )
+
+    return change
 
 
 def lights_swapped(scene: Scene) -> Scene:
@@ -182,22 +198,9 @@ WRONG_SCENES: dict[str, Callable[[Scene], Scene]] = {
     "no light": lambda scene: replace(scene, lights=scene.lights[1:]),
     "lights swapped": lights_swapped,
     "no surface": without_a_surface,
-    "radius": lambda scene: replace(
-        scene,
-        surfaces=[
-            replace(s, radius=s.radius * 1.01) if isinstance(s, Sphere) else s
-            for s in scene.surfaces
-        ],
-    ),
-    "no highlight": lambda scene: replace(
-        scene, surfaces=[shiny(s, specular=(0, 0, 0)) for s in scene.surfaces]
-    ),
-    "exponent": lambda scene: replace(
-        scene,
-        surfaces=[
-            shiny(s, exponent=1.01 * getattr(s.shader, "exponent", 0)) for s in scene.surfaces
-        ],
-    ),
+    "radius": with_surfaces(larger),
+    "no highlight": with_surfaces(shiny(0, 1)),
+    "exponent": with_surfaces(shiny(1, 1.01)),
 }
 
 
@@ -235,9 +238,3 @@ def test_a_broken_converter_is_caught(monkeypatch, mistake, name, variant):
     use()
     assert result.verdict == "undecided"
     assert "Mitsuba or the converter is wrong" in result.report()
-
-
-def test_a_converter_that_is_not_broken_is_not_caught():
-    for name in ("sticks-perspective", "four-spheres", "many-objects"):
-        scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
-        assert check_scene(scene, name).verdict == "agrees"

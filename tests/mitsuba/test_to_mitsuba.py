@@ -2,9 +2,6 @@
 
 import os
 import re
-import signal
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -16,7 +13,7 @@ from scene_files import ONE_SPHERE, codes, small_one
 
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
-from reference.command import HERE, own_scenes
+from reference.command import own_scenes
 
 RENDER = ["--render", "--variant", SCALAR]
 COMMAND = ["-m", "converters.to_mitsuba"]
@@ -73,35 +70,6 @@ def test_no_one_reads_the_output(small, unread, what):
     # Dr.Jit says there if it has found no libLLVM.
     assert (done.returncode, told(done.stderr)) == (0, "")
     assert target.exists()
-
-
-@pytest.mark.usefixtures("signals_heeded")
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(getattr(signal, name), id=name, marks=[pytest.mark.slow] * (name != "SIGINT"))
-        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-    ],
-)
-@pytest.mark.parametrize(
-    ("about", "sign"), [("maps", "_multiarray_umath"), ("task/{}/children", "")]
-)
-def test_an_interrupt(small, kind, about, sign):
-    # While NumPy is imported, and while the variant is probed.
-    process = subprocess.Popen(
-        [sys.executable, *COMMAND, "--render", str(small)],
-        cwd=HERE.parent,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    status = Path(f"/proc/{process.pid}") / about.format(process.pid)
-    while not (text := status.read_text()) or sign not in text:
-        assert process.poll() is None
-    process.send_signal(kind)
-    out, err = process.communicate(timeout=30)
-    assert (process.returncode, out, told(err)) == (130, "", "")
-    assert list(small.parent.iterdir()) == [small]
 
 
 @pytest.mark.parametrize("what", [[], RENDER])
@@ -201,12 +169,6 @@ def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
     assert radiance.shape == shown.shape == (30 if flavour == "exact" else 40, 40, 3)
     np.testing.assert_array_equal(shown, codes(radiance))
     use()
-
-
-def test_a_variant_without_rgb_is_refused(small, capsys):
-    assert main(["--render", "--variant", "llvm_ad_mono", str(small)]) == 1
-    wrong = "Mitsuba cannot run: llvm_ad_mono is no RGB variant; choose one of "
-    assert capsys.readouterr().err.startswith(wrong)
 
 
 NUMBERS = r"numbers end at 3\.4e\+38; keep the numbers of the scene closer to 1"
