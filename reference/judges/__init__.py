@@ -1,1 +1,1 @@
-"""What judges pictures: independent tracers, and the parts of the certificate."""
+"""What is true of a picture: renderers and proofs that the tracer is held against."""
