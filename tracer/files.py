@@ -40,7 +40,6 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
     try:
         with _nameless(folder, part) as file:
             yield file
-            file.flush()
             if mode is not None:
                 os.fchmod(file.fileno(), stat.S_IMODE(mode))
             if not os.fstat(file.fileno()).st_nlink:

@@ -97,12 +97,13 @@ BALL = Scene(
 
 
 NOTHING, DARK = "no object is in view", "no light reaches anything in view"
-COLOR = "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, write 0.784"
+COLOR = "diffuseColor 200 100 0 of surface 1 looks like 0 to 255; for 0 to 1, write 0.784"
 INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
 
 
 GARISH = Lambertian(diffuse=(200, 100, 0))
-ROOM, FLAT = Box(min_pt=(-2, -2, -2), max_pt=(2, 2, 5)), Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
+CUBE, FLAT = (Box(min_pt=(-1, -1, -z), max_pt=(1, 1, z)) for z in (1, 0))
+WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
 
 
 @pytest.mark.parametrize(
@@ -113,18 +114,18 @@ ROOM, FLAT = Box(min_pt=(-2, -2, -2), max_pt=(2, 2, 5)), Box(min_pt=(0, 0, 0), m
         ({"lights": ()}, "the scene has no light: the picture is black; add <light>"),
         ({"lights": (), "surfaces": ()}, "the scene has no light"),
         ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
+        ({"lights": [PointLight(position=(0, 0, 0))], "surfaces": [CUBE]}, "see the lights'"),
+        # In large pictures not every pixel is looked at, but all parts of them are.
+        ({"width": 600, "height": 400, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.4)],
+          "lights": [PointLight(position=(1.5, 0, 0))]}, DARK),
         # The eye inside, of a ball and of the first of two boxes.
         ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
-        ({"surfaces": [Sphere(center=(0, 0, -9)), ROOM, ROOM]}, f"{DARK}: .* inside surface 1:"),
+        ({"surfaces": [Sphere(center=(0, 0, -9)), WIDE, TALL]}, f"{DARK}: .* inside surface 1:"),
         # Named by its first user, in the file's order.
-        (
-            {"surfaces": [Sphere(), replace(ROOM, shader=GARISH), Sphere(shader=GARISH)]},
-            "diffuseColor 200 100 0 of surface 1 looks",
-        ),
-        ({"surfaces": [Sphere(shader=GARISH)]}, COLOR),
+        ({"surfaces": [FLAT, *2 * [Sphere(shader=GARISH)]]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
-)
+)  # fmt: skip
 def test_a_scene_hardly_as_meant_warns(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
         render(replace(BALL, **change))
@@ -139,8 +140,8 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         BALL,
         # Brighter than white, as lights may be; and black surfaces, which no light makes brighter.
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
-        replace(BALL, surfaces=[Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1),
-                                    shader=Lambertian(diffuse=(0, 0, 0)))]),
+        replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
+                                Sphere(center=(99, 0, 0))]),
         small("room"),
     ],
 )  # fmt: skip

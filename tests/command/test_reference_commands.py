@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from messages import told
-
-ROOT = Path(__file__).resolve().parents[2]
+from messages import run_python, told
 
 
 @pytest.mark.parametrize(
@@ -47,14 +43,7 @@ def test_a_command_without_its_packages_says_what_to_install(
     (tmp_path / f"{package}.py").write_text(
         f"raise ModuleNotFoundError({missing!r}, name={package!r})"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", f"reference.{module}"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        check=False,
-    )
+    done = run_python("-m", f"reference.{module}", PYTHONPATH=str(tmp_path))
     name = {"PIL": "pillow"}.get(package, package)
     remedy = f"; install it with python -m pip install {name}\n"
     assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing + remedy)

@@ -44,9 +44,6 @@ exit status:
 # A bar is shown once a picture turns out to take longer than this, in seconds.
 _SLOW = 1.0
 
-# What makedirs and realpath raise where a file, or a link to nothing, is in place of a folder.
-_NOT_A_FOLDER = FileExistsError, NotADirectoryError
-
 # Seconds between two looks at the scene files, with --watch.
 _PAUSE = 0.1
 
@@ -174,7 +171,11 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
             remedy += " or take fewer samples"
         progress = _Progress(os.path.basename(name), scene.width * scene.height, show=not quiet)
         if arguments.output is not None and is_folder(arguments.output):
-            os.makedirs(arguments.output, exist_ok=True)
+            try:
+                os.makedirs(arguments.output, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):  # it is a file, or a link to nothing
+                name = printable(arguments.output)
+                raise OSError("it is not a folder") from None
         standard = output == "-"
         with open(1, "wb", closefd=False) if standard else atomic_file(output, PNG) as file:
             tiles = render_tiles(scene, arguments.samples, processes=arguments.processes)
@@ -189,14 +190,13 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
     except MemoryError:
         fault = f"{printable(path)}: not enough memory {size}; {remedy}"
     except OSError as error:
-        reason = "is not a folder" if isinstance(error, _NOT_A_FOLDER) else ""
         remedy = "" if arguments.pixel is not None else "; choose another with -o"
-        fault = f"{name}: cannot be written: {reason or error.strerror or error}{remedy}"
+        fault = f"{name}: cannot be written: {error.strerror or error}{remedy}"
     except ValueError as error:
         if arguments.pixel is not None:
             fault = f"{printable(path)}: {error}; columns and rows count from 0"
         else:
-            remedy = "keep the numbers of the scene further from 1e308"
+            remedy = "this is a fault of the tracer; please report it with the scene"
             fault = f"{name}: cannot be written: {error}; {remedy}"
     else:
         if not quiet:
@@ -234,7 +234,8 @@ class _Progress:
 
     def __init__(self, name: str, pixels: int, *, show: bool) -> None:
         self.name, self.pixels, self.black = name, pixels, True
-        self.show = show and sys.stderr is not None and sys.stderr.isatty()
+        lost = sys.stderr is None or sys.stderr.closed
+        self.show = show and not lost and sys.stderr.isatty()
 
     def watch(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
         """The same tiles."""

@@ -44,8 +44,11 @@ def run(module: str) -> NoReturn:
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         status = MISUSED  # in some commands 1 says that pictures differ
     except (ImportError, MemoryError, SystemError) as error:
-        # What NumPy says of a library that cannot be loaded is a page.
-        reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
+        # NumPy's own message is a page of advice; what caused it names a library.
+        first: BaseException = error
+        while cause := first.__cause__ or first.__context__:
+            first = cause
+        reason = str(first).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
@@ -64,7 +67,7 @@ def run(module: str) -> NoReturn:
 
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a notice at once, or not at all if that fails: results matter more."""
-    with suppress(OSError, ValueError):
+    with suppress(OSError):
         print_result(stream, text)
 
 
@@ -76,7 +79,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
     OSError
         If it cannot be printed: the stream is closed, or its disk full.
     """
-    if stream is None:
+    if stream is None or stream.closed:
         raise OSError("it is closed")
     encoding = stream.encoding or "utf-8"
     try:
