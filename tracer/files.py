@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import IO
 
 unfinished: set[str] = set()
-"""Files and folders to be removed by whoever ends this process early."""
+"""Files to be removed by whoever ends this process early."""
 
 
 @contextmanager
