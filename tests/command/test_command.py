@@ -262,9 +262,12 @@ def test_an_interrupt_leaves_nothing_half_written(scene, kind):
     picture = scene.with_name("ball.xml.png")
     picture.write_bytes(PNG + b"precious")
     process = started(scene)
-    files = Path(f"/proc/{process.pid}/fd")
-    while not any(str(scene.parent) in str(file.readlink()) for file in files.iterdir()):
+    begun = False
+    while not begun:
         assert process.poll() is None
+        for file in Path(f"/proc/{process.pid}/fd").iterdir():
+            with suppress(FileNotFoundError):  # it is closed meanwhile
+                begun |= file.readlink().parent == scene.parent and file.readlink() != scene
         time.sleep(0.02)
     for _ in range(5):
         process.send_signal(signal.Signals[kind])
