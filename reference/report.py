@@ -3,8 +3,8 @@
     python -m reference.report [SCENE.xml ...]
 
 The page holds everything it shows, the difference, the figures and the times among it: it opens
-from a file, and asks neither a server nor the network for anything.  Exit status: 0 if all agree,
-1 if not, 2 for wrong usage.
+from a file, and asks neither a server nor the network for anything.  Verdicts and exit status are
+those of `python -m reference.check`.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
-from converters.to_mitsuba import TROUBLE, told
+from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
-from reference.check import MAX_DIFFERENCE, CheckResult, check
+from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, spare_inputs
 from reference.compare import amplified
 from reference.measurements import measured_on
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
-from tracer.command.process import print_line
+from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
@@ -50,7 +50,7 @@ CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
-_MASKED = 0.3
+_LEFT_OUT = 0.3
 
 
 def page(
@@ -68,14 +68,15 @@ def page(
     environment.filters |= {"png": _png, "time": _time}
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     found = {"results": results, "comments": comments, "charts": charts, "unread": unread}
-    return template.render(found, tolerance=f"{MAX_DIFFERENCE:g}", machine=measured_on())
+    return template.render(found, tolerance=f"{EXACT.difference:g}", machine=measured_on())
 
 
 def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], str]:
-    """The difference as 8-bit codes, masked pixels in grey; and how it is amplified."""
-    kept = np.where(result.mask[:, :, None], result.tracer, result.reference)
+    """The difference as 8-bit codes, grey where pixels are left out; and how it is amplified."""
+    left_out = result.left_out
+    kept = np.where(left_out[:, :, None], result.tracer, result.mitsuba)
     image, gain = amplified(result.tracer, kept)
-    image[result.mask] = _MASKED
+    image[left_out] = _LEFT_OUT
     shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return np.round(255 * image).astype(np.uint8), shown
 
@@ -104,7 +105,7 @@ def _comment(path: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 1 where a scene cannot be read or a tolerance is broken."""
+    """Run the command line; returns the exit status."""
     used = parser("reference.report", __doc__)
     used.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
     used.add_argument(
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         use(options.variant)
     except ImportError as error:
         print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
-        return 1
+        return MISUSED
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
     results, comments, unread = [], {}, []
@@ -136,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.append(replace(check(path, options.variant), name=name))
             comments[name] = _comment(path)
         except (*TROUBLE, OSError) as error:
-            unread.append(told(path, error))
+            unread.append(describe_error(path, error))
             print_line(sys.stderr, unread[-1])
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
     text = page(results, comments, charts, unread)
@@ -147,6 +148,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         reason = error.strerror or error
         print_line(sys.stderr, printable(f"{output}: cannot be written: {reason}"))
-        return 1
+        return FAILED
     print_line(sys.stdout, printable(str(output)))
-    return int(bool(unread) or any(result.faults for result in results))
+    return FAILED if unread else worst_status(results)

@@ -28,9 +28,10 @@ from tqdm import tqdm
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
-from reference import plain, povray
+from reference import povray
 from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import SCENES, built
+from reference.judges import plain
 from reference.measurements import interleaved
 from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized

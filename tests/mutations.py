@@ -152,11 +152,7 @@ CHANGES = {
         "atan(window.width": "atan(window.height",
         "float(below /": "float(-below /",
         "(np.pi * strength * distance2)": "(strength * distance2)",
-        "brightest * place.scale**2": "brightest * place.scale",
         "* 8 / (shader.exponent + 2)": "* 4 / (shader.exponent + 2)",
-    },
-    "converters/projectors.py": {
-        "distance**2 / secant**3": "distance**2 / secant",
     },
     "converters/plugins.py": {
         "0.5 * self.exponent": "1.0 * self.exponent",

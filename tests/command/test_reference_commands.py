@@ -29,12 +29,21 @@ def test_a_command_without_the_scenes_says_what_it_needs(
 
 
 @pytest.mark.parametrize(
-    "module", ["benchmark", "regenerate", "report", "speed_accuracy", "stability"]
+    ("module", "package"),
+    [
+        *((m, "mitsuba") for m in ("benchmark", "check", "regenerate", "report", "stability")),
+        *((m, "PIL") for m in ("check", "compare", "report", "sheet")),
+        *(("speed_accuracy", package) for package in ("mitsuba", "matplotlib")),
+    ],
 )
-def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, module: str) -> None:
-    (tmp_path / "mitsuba.py").write_text(
-        "raise ModuleNotFoundError('No module named mitsuba', name='mitsuba')"
+def test_a_command_without_its_packages_says_what_to_install(
+    tmp_path: Path, module: str, package: str
+) -> None:
+    missing = f"No module named {package}"
+    (tmp_path / f"{package}.py").write_text(
+        f"raise ModuleNotFoundError({missing!r}, name={package!r})"
     )
     done = run_python("-m", f"reference.{module}", PYTHONPATH=str(tmp_path))
-    missing = "No module named mitsuba; install it with python -m pip install mitsuba\n"
-    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing)
+    name = {"PIL": "pillow"}.get(package, package)
+    remedy = f"; install it with python -m pip install {name}\n"
+    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing + remedy)

@@ -182,12 +182,6 @@ def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, black:
     assert run(black, black, PYTHONPATH=str(tmp_path)) == (2, "", told)
 
 
-@pytest.mark.parametrize("module", ["reference.charts", "converters.flavours"])
-def test_a_module_that_is_no_command_says_so(module: str) -> None:
-    told = f"{module} is no command; it is only imported by others\n"
-    assert run(module=module) == (2, "", told)
-
-
 @pytest.mark.parametrize(
     ("name", "note"),
     [

@@ -23,10 +23,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from scene_files import overflowing, small_one
 
+from converters.rendering import Rendering
 from reference.check import CheckResult
 from reference.compare import figures
 from reference.diagnosis import linear
 from reference.report import main, page
+from tracer import load_scene, render
 
 ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 8, 6
@@ -47,10 +49,12 @@ def result(name: str = "pair") -> CheckResult:
     a, b = linear(TRACER), linear(MITSUBA)
     mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
     mask[5, 7] = True
-    pictures = {"tracer": a, "mitsuba": b, "reference": b, "mask": mask}
+    none = np.zeros_like(mask)
+    pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
+    asked = {"asked": 30, "wrong": 30, "first": (0, 0)}
     times = {"tracer_seconds": 0.0123, "mitsuba_seconds": 4.5}
     found = figures(a, b, mask)
-    return CheckResult(name=name, figures=found, variant="scalar_rgb", **pictures, **times)
+    return CheckResult(name=name, figures=found, variant="scalar_rgb", **pictures, **times, **asked)
 
 
 CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle r="4"/></svg>'
@@ -58,15 +62,18 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 def test_page_holds_everything() -> None:
     """Whatever it refers to is in it; names and comments are escaped once, and ids unique."""
-    results = [result("<b>&"), replace(result("two"), differing=30, asked=30, agreed=30)]
+    results = [result("<b>&"), replace(result("two"), wrong=0)]
     text = page(results, {"<b>&": "Shows <one> & more."}, [("Chart", CHART)])
     for told in (
         "12.3 ms",
         "4.50 s",
         "Shows &lt;one&gt; &amp; more.",
         'alt="&lt;b&gt;&amp; by the tracer"',
-        "Mitsuba errs on 30 pixels, says exact arithmetic",
-        "<dt>masked pixels</dt><dd>1</dd>",
+        "✗ differs",
+        "? undecided",
+        "against the tracer on 30 of 30 pixels that it was asked about",
+        "Mitsuba or the converter is wrong on 47 pixels, the first at column 0, row 0",
+        "<dt>edge pixels left out</dt><dd>1</dd>",
         base64.b64encode(CHART).decode(),
         "0 agree.",
     ):
@@ -196,7 +203,24 @@ def test_a_variant_that_cannot_run_is_told_once(small: Path, report: Report) -> 
     output = small.with_name("report.html")
     status, error, text = report(output, small, "--variant", "scalar_spectral")
     assert error.startswith("Mitsuba cannot run: scalar_spectral is no RGB variant; choose one of ")
-    assert (status, error.count("\n"), text) == (1, 1, "")
+    assert (status, error.count("\n"), text) == (2, 1, "")
+
+
+@pytest.mark.parametrize(("ours", "theirs", "status"), [(0.01, 0, 1), (0, 0.01, 3)])
+def test_the_status_is_that_of_the_check(
+    small: Path,
+    report: Report,
+    monkeypatch: pytest.MonkeyPatch,
+    ours: float,
+    theirs: float,
+    status: int,
+) -> None:
+    image = render(load_scene(small))
+    seen = Rendering(image + theirs, "scalar_rgb", 0.0)
+    monkeypatch.setattr("reference.check.load", lambda *_: lambda: seen)
+    monkeypatch.setattr("reference.check.render", lambda _scene, **_offset: image + ours)
+    output = small.with_name("report.html")
+    assert report(output, small)[0] == status
 
 
 class Browser:
