@@ -310,6 +310,7 @@ def test_no_one_reads_the_output_or_the_errors(scene, unread):
     assert run("none.xml", scene, stderr=unread)[0] == 1
     with Path("/dev/full").open("w") as full:
         assert run(other, stdout=full) == (0, None, "")
+        assert run("--version", stdout=full, env={"PYTHONUNBUFFERED": ""})[0] == 1
         error = "-: cannot be written: No space left on device; choose another with -o\n"
         assert run(other, "-o", "-", stdout=full) == (1, None, error)
         error = "standard output: cannot be written: "
