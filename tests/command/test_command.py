@@ -254,14 +254,24 @@ def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, erro
     assert names(scene.parent) == []
 
 
+# As on systems whose files have a name from the first.
+NAMED = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
+
+
 @pytest.mark.usefixtures("signals_heeded")
-@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"])
-def test_an_interrupt_leaves_nothing_half_written(scene, kind):
+@pytest.mark.parametrize(
+    ("kind", "python"),
+    [
+        *((kind, ("-m", "tracer")) for kind in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")),
+        *(("SIGXCPU", ("-m", "tracer")), ("SIGTERM", ("-c", NAMED))),
+    ],
+)
+def test_an_interrupt_leaves_nothing_half_written(scene, kind, python):
     """Nor do several, as of a user who is impatient."""
     scene.write_text(SLOW)
     picture = scene.with_name("ball.xml.png")
     picture.write_bytes(PNG + b"precious")
-    process = started(scene)
+    process = started(scene, python=python)
     begun = False
     while not begun:
         assert process.poll() is None
