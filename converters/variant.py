@@ -8,12 +8,16 @@ process tries a small kernel first, once for each process that asks.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
+
+from tracer.files import unfinished
 
 try:
     import mitsuba as mi
@@ -47,17 +51,22 @@ class Choice(NamedTuple):
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
     # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
-    with tempfile.TemporaryDirectory() as home:
-        try:
-            child = subprocess.run(
-                [sys.executable, "-c", kernel],
-                env=os.environ | {"HOME": home},
-                capture_output=True,
-                text=True,
-                timeout=timeout,
-            )
-        except subprocess.TimeoutExpired:
-            return Choice(SCALAR, "the libLLVM found here hangs")
+    home = Path(tempfile.gettempdir(), f"mitsuba-{os.urandom(8).hex()}")
+    unfinished.add(str(home))
+    try:
+        home.mkdir(0o700)
+        child = subprocess.run(
+            [sys.executable, "-c", kernel],
+            env=os.environ | {"HOME": str(home)},
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
+    except subprocess.TimeoutExpired:
+        return Choice(SCALAR, "the libLLVM found here hangs")
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
+        unfinished.discard(str(home))
     if child.returncode == 0:
         return Choice(LLVM, "libLLVM works")
     if child.returncode < 0:

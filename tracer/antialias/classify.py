@@ -7,13 +7,14 @@ keep lights from any part of it.  A cell that may hold more than such lines is *
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import InverseDepth, Lines, fit_lines, rays
-from tracer.antialias.edges import Apexes, CellSurfaces, footprints_of, silhouettes
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, fit_lines, rays
+from tracer.antialias.edges import Apexes, CellSurfaces, footprints_of, pieces, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.trace.lighting import Shading, light_geometry, narrow_highlights
@@ -77,12 +78,15 @@ class Classification(NamedTuple):
         What divides the cells.
     unresolved : (n,)
         Whether a cell may hold more than straight lines.
+    crowded : (n,)
+        Whether it may hold more edges than were worth finding.
     """
 
     radiance: Floats
     id: Ints
     lines: Lines
     unresolved: Bools
+    crowded: Bools
 
 
 def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints) -> Classification:
@@ -95,32 +99,38 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
     hits, hidden = nearest_and_hidden(prepared, samples)
     hit_cell, footprint = cell[hits.sample], footprints_of(hits, cells.size)
     surfaces = CellSurfaces(hits, InverseDepth.of(hits), hit_cell, footprint, cells.size)
-    frame, at_eye = prepared.frame, (prepared.frame.eye[None], np.zeros((1, 3)))
-    s, g = frame.across(cells.x[cells.cell]), frame.down(cells.y[cells.cell])
-    pairs = np.zeros_like(cells.cell), cells.cell, cells.obj, rays(frame, s, g, cells.size)
-    seen = silhouettes(prepared, at_eye, *pairs), surfaces.intersections(hidden), surfaces.creases()
+    seen = _outlines(prepared, cells), surfaces.intersections(hidden), surfaces.creases()
     lines, curved = fit_lines(chain(*seen), cells.tolerance)
-    unresolved[curved] = True
+    unresolved[curved], crowded = True, np.zeros_like(unresolved)
     shading, found = Shading(hits, with_ids=True), [lines]
     for some in hits.by_lights:
         geometry = light_geometry(some)
         facing = geometry.n_dot_l > 0
         # Cells that see so much of a surface are split anyway: shadows' edges are not sought.
         wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
-        blocked, edges = shadow_edges(some, facing, np.where(wide, 0, footprint))
+        blocked, edges, many = shadow_edges(some, facing, np.where(wide, 0, footprint))
         shading.add(geometry, facing & ~blocked)
         apexes = _apexes(some.prepared)
         lit = surfaces.shadows(apexes, *edges), surfaces.terminators(apexes, geometry)
         lines, curved = fit_lines(chain(*lit), cells.tolerance)
         found.append(lines)
-        for split in (hit_cell[wide], curved):
+        for split in (hit_cell[wide | many], curved):
             unresolved[split] = True
+        crowded[hit_cell[many]] = True
         for narrow in narrow_highlights(geometry, facing, footprint):
             unresolved[hit_cell[narrow]] = True
     radiance[:, cell] = shading.at_samples(np.zeros((3, samples.size)))
     ids[hit_cell] = shading.ids
-    lines = Lines._make(map(np.concatenate, zip(*found, strict=True)))
-    return Classification(radiance, ids, lines, unresolved)
+    return Classification(radiance, ids, Lines.joined(found), unresolved, crowded)
+
+
+def _outlines(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+    """Silhouettes that the eye sees."""
+    frame, apexes = prepared.frame, (prepared.frame.eye[None], np.zeros((1, 3)))
+    for pair in pieces(np.arange(cells.cell.size)):
+        cell, obj = cells.cell[pair], cells.obj[pair]
+        d = rays(frame, frame.across(cells.x[cell]), frame.down(cells.y[cell]), cells.size)
+        yield from silhouettes(prepared, apexes, np.zeros_like(cell), cell, obj, d)
 
 
 def _apexes(prepared: PreparedScene) -> Apexes:

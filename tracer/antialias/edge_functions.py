@@ -17,7 +17,7 @@ All vectors are in the camera's axes, seen from the eye.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,6 +25,9 @@ import numpy as np
 from tracer.arrays import Floats, Ints, Triple, changes, dot, indices, map3, scaled, take3
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
+
+EDGES_AT_ONCE = 1 << 16
+"""Edge functions are found for so many pairs of a cell and an edge at a time, and fitted."""
 
 EdgeValues: TypeAlias = tuple[Ints, Floats]
 """Cells (n,), and edge functions at the six points of each (6, n); NaN where unknown."""
@@ -53,6 +56,11 @@ class Lines(NamedTuple):
     a: Floats
     b: Floats
     c: Floats
+
+    @classmethod
+    def joined(cls, lines: Iterable[Lines]) -> Lines:
+        """All lines of some."""
+        return cls._make(map(np.concatenate, zip(*lines, strict=True)))
 
     def take(self, index: Ints | slice) -> Lines:
         """Some of them."""
@@ -98,9 +106,22 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     -1/2 < u < 1/2, by t . H t / 24 on average, which is added to the line's c.  The zero's
     curvature, and so its turn over that length, is |t . H t| / |g|.
     """
-    none: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    cells, values = zip(none, *edges, strict=True)
-    cell, value = np.concatenate(cells), np.concatenate(values, axis=1)
+    lines, curved = zip(*(_fit(*some, tolerance) for some in _gathered(edges)), strict=True)
+    return Lines.joined(lines), np.concatenate(curved)
+
+
+def _gathered(edges: Iterable[EdgeValues]) -> Iterator[EdgeValues]:
+    """Edges in few arrays, none of which is much longer than those given."""
+    cells, values, count = [np.zeros(0, dtype=np.intp)], [np.zeros((6, 0))], 0
+    for cell, value in edges:
+        cells, values, count = [*cells, cell], [*values, value], count + cell.size
+        if count >= EDGES_AT_ONCE:
+            yield np.concatenate(cells), np.concatenate(values, axis=1)
+            cells, values, count = cells[:1], values[:1], 0
+    yield np.concatenate(cells), np.concatenate(values, axis=1)
+
+
+def _fit(cell: Ints, value: Floats, tolerance: float) -> tuple[Lines, Ints]:
     # Whatever the unit of lengths, squares of squares stay within the range of numbers.
     value /= span(value)
     middle, right, left, below, above, corner = value

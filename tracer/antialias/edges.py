@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, span
-from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, segment_indices, take3
+from tracer.antialias.edge_functions import EDGES_AT_ONCE, EdgeValues, InverseDepth, rays, span
+from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, scaled, segment_indices, take3
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import LightGeometry
@@ -29,6 +29,12 @@ _NEARLY = 1e-3
 
 # A line so near to the top or bottom of an object, in pixels, may touch it and no more.
 _TOUCHING = 1e-6
+
+
+def pieces(index: Ints) -> Iterator[Ints]:
+    """Some of an index at a time: edge functions are six numbers for each."""
+    for start in range(0, index.size, EDGES_AT_ONCE):
+        yield index[start : start + EDGES_AT_ONCE]
 
 
 def footprints_of(hits: Hits, size: float) -> Floats:
@@ -152,43 +158,43 @@ class CellSurfaces(NamedTuple):
         at = hit[hidden.sample]
         # What a cell sees of two surfaces that meet there is as near as both footprints reach.
         reach = self.footprint[at] + footprints_of(hidden, self.size)
-        near = indices(hidden.distance - self.hits.distance[at] <= reach)
-        d, inverse = self.rays(at[near])
-        yield self.cell[at[near]], inverse - InverseDepth.of(hidden).take(near).inverse(d)
-        # A hidden box may come forward with another face, whose crease is hidden as well.
-        prepared, obj = hidden.prepared, hidden.hit_object[near]
-        flat = indices(obj >= prepared.boxes.first)
-        box, some = obj[flat] - prepared.boxes.first, map3(lambda m: m[:, flat], d)
-        inside, eye = prepared.eye_inside[obj[flat]], prepared.frame.eye
-        for k in range(3):
-            across = prepared.frame.scene_component(some, k)
-            low, high = (
-                prepared.boxes.min_pt[k, box] - eye[k],
-                prepared.boxes.max_pt[k, box] - eye[k],
-            )
-            level = np.where(inside == (across[0] > 0), high, low)
-            yield self.cell[at[near[flat]]], inverse[:, flat] - across / level
+        prepared, behind, owner = hidden.prepared, InverseDepth.of(hidden), hidden.hit_object
+        boxes, eye = prepared.boxes, prepared.frame.eye
+        for near in pieces(indices(hidden.distance - self.hits.distance[at] <= reach)):
+            d, inverse = self.rays(at[near])
+            yield self.cell[at[near]], inverse - behind.take(near).inverse(d)
+            # A hidden box may come forward with another face, whose crease is hidden as well.
+            flat = indices(owner[near] >= boxes.first)
+            obj, some = owner[near[flat]], (d[0][:, flat], d[1][:, flat], d[2][:, flat])
+            for k in range(3):
+                across = prepared.frame.scene_component(some, k)
+                low, high = (m[k, obj - boxes.first] - eye[k] for m in (boxes.min_pt, boxes.max_pt))
+                level = np.where(prepared.eye_inside[obj] == (across[0] > 0), high, low)
+                yield self.cell[at[near[flat]]], inverse[:, flat] - across / level
 
     def shadows(
         self, apexes: Apexes, light: Ints, point: Ints, occluder: Ints
     ) -> Iterator[EdgeValues]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""
-        d, inverse = self.rays(point)
-        q = map3(lambda d, light: d - light * inverse, d, take3(apexes[1].T, light))
-        cell = self.cell[point]
-        yield from silhouettes(self.hits.prepared, apexes, light, cell, occluder, q)
+        for pair in pieces(np.arange(light.size)):
+            at, number = point[pair], light[pair]
+            d, inverse = self.rays(at)
+            q = map3(np.subtract, d, scaled(take3(apexes[1].T, number), inverse))
+            pairs = number, self.cell[at], occluder[pair]
+            yield from silhouettes(self.hits.prepared, apexes, *pairs, q)
 
     def terminators(self, apexes: Apexes, geometry: LightGeometry) -> Iterator[EdgeValues]:
         """Lines at which lights, and their highlights, begin on spheres."""
         prepared, obj = self.hits.prepared, self.hits.hit_object
         turn = self.footprint * prepared.curvature[obj]
-        light, at = np.nonzero(geometry.n_dot_l**2 < turn * turn * geometry.length2)
-        d, inverse = self.rays(at)
-        center, apex = take3(prepared.spheres.local, obj[at]), take3(apexes[1].T, light)
-        # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
-        n = map3(lambda d, c: d - c * inverse, d, center)
-        to_light = map3(lambda d, c: c * inverse - d, d, apex)
-        yield self.cell[at], dot(n, to_light) / np.sqrt(dot(n, n) * dot(to_light, to_light))
+        for pair in pieces(indices(geometry.n_dot_l**2 < turn * turn * geometry.length2)):
+            light, at = np.divmod(pair, turn.size)
+            d, inverse = self.rays(at)
+            center, apex = take3(prepared.spheres.local, obj[at]), take3(apexes[1].T, light)
+            # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
+            n = map3(np.subtract, d, scaled(center, inverse))
+            to_light = map3(np.subtract, scaled(apex, inverse), d)
+            yield self.cell[at], dot(n, to_light) / np.sqrt(dot(n, n) * dot(to_light, to_light))
 
     def creases(self) -> Iterator[EdgeValues]:
         """Edges between faces of boxes that are both seen."""
@@ -204,8 +210,7 @@ class CellSurfaces(NamedTuple):
                 shown = prepared.eye_inside[group.obj] | (sign * level < 0)
                 level, shown = group.repeat_runs(level), group.repeat_runs(shown & across_face)
                 near = np.abs(height - level) < self.footprint[group.part]
-                at = indices(near & shown)
-                if at.size:
+                for at in pieces(indices(near & shown)):
                     d, inverse = self.rays(group.part.start + at)
                     value = inverse - prepared.frame.scene_component(d, k) / level[at]
                     yield self.cell[group.part][at], value

@@ -43,14 +43,14 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def of(cls, per_side: int) -> Lattice:
+    def of(cls, per_side: int, more: float = _MORE) -> Lattice:
         """A lattice that mostly errs less than an upright grid of per_side x per_side points.
 
-        For the mean error of most pictures it need not have more points: these are for the largest
-        error, and for edges along its own directions.
+        For the mean error of most pictures it need not have `more` points: these are for the
+        largest error, and for edges along its own directions.
         """
-        repeated = (cls(columns, 5 * columns) for columns in range(2, per_side + 1))
-        lattices = (m for m in (cls(1, 13), cls(1, 25), *repeated) if m.size >= _MORE * per_side**2)
+        repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
+        lattices = (m for m in (cls(1, 13), cls(1, 25), *repeated) if m.size >= more * per_side**2)
         return min(lattices, key=lambda m: m.size)
 
     @property

@@ -49,6 +49,10 @@ _SUPERSAMPLE = 0.006
 # Of the lines in a cell, this many divide it into regions; the others are left to its samples.
 _LINES = 4
 
+# A pixel with more lines than this is sampled and not split, which would cost more than it gains.
+# With more lights than this no one of them matters much: more than `_LINES` are enough.
+_CROWDED = 16
+
 
 def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     """Whether samples everywhere cost less than classification, in a view full of silhouettes.
@@ -76,11 +80,14 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     found = classify(prepared, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
     inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    found = found._replace(
-        lines=found.lines.take(indices(inside[found.lines.cell])),
-        unresolved=found.unresolved & inside,
-    )
-    mean = _refined(prepared, pixels, found, smooth, np.where(inside, error, 0), per_side)
+    lines = found.lines.distinct()
+    most = _LINES if len(prepared.lights) > _CROWDED else _CROWDED
+    crowded = found.crowded | (np.bincount(lines.cell, minlength=inside.size) > most)
+    split, some = inside & ~crowded, indices(inside & crowded)
+    lines = lines.take(indices(split[lines.cell]))
+    found = found._replace(lines=lines, unresolved=found.unresolved & split)
+    mean = _refined(prepared, pixels, found, smooth, np.where(split, error, 0), per_side)
+    mean[:, some], _ = _sampled(prepared, pixels, lines, some, Lattice.of(per_side, more=1))
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2)
 
 

@@ -99,5 +99,10 @@ def _interrupted(_number: int, _frame: object) -> NoReturn:
     """
     for path in unfinished:
         with suppress(OSError):
-            os.unlink(path)
+            if os.path.isdir(path):
+                import shutil  # takes as long to import as the rest of this module
+
+                shutil.rmtree(path)
+            else:
+                os.unlink(path)
     os._exit(INTERRUPTED)

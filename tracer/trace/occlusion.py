@@ -19,6 +19,7 @@ from tracer.arrays import (
     batches,
     indices,
     put_2d,
+    run_lengths,
     take3,
     take_2d,
 )
@@ -28,8 +29,12 @@ from tracer.trace.packets import Packets, packets_of
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene, Shape
 
-# So many packets ask at a time.
-_PACKETS_AT_ONCE = 1 << 14
+# So many packets ask at a time, for each light; and so many edges of shadows are found before those
+# found twice are left out.
+_PACKETS_AT_ONCE, _EDGES_AT_ONCE = 1 << 14, 1 << 19
+
+# A point with more edges of one light's shadows around it than this is crowded.
+_CROWDED = 64
 
 
 def occlusion(hits: Hits, frontlit: Bools) -> Bools:
@@ -48,19 +53,18 @@ def occlusion(hits: Hits, frontlit: Bools) -> Bools:
 
 def shadow_edges(
     hits: Hits, frontlit: Bools, footprint: Floats
-) -> tuple[Bools, tuple[Ints, Ints, Ints]]:
+) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
     """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
 
     Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
     near as that, each on the point's own object.  These block as they are, or when grown by the
     footprint, or have the light within it of their surface; and they do not block when shrunk by
-    it.  Where any object does even then, nothing near is lit.
+    it.  Where any object does even then, nothing near is lit.  Last is which points (n,) are
+    crowded: of so many edges, none are listed.
     """
-    blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    table, found = (
-        (*frontlit.shape, hits.prepared.position_error.size),
-        [np.zeros(0, dtype=np.intp)],
-    )
+    blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
+    objects = hits.prepared.position_error.size
+    found, more, waiting = np.zeros(0, dtype=np.intp), list[Ints](), 0
     for dark, shape, pairs, near_surface in _candidates(hits, frontlit, footprint):
         put_2d(umbra, dark[0], dark[1], True)
         reach = footprint[pairs[1]]
@@ -80,11 +84,32 @@ def shadow_edges(
         put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
         edge = ~shrunk & (blocks_grown | itself | (np.abs(distance) <= reach))
         edge &= take_2d(frontlit, pairs[0], pairs[1])
-        found.append(np.ravel_multi_index(tuple(pairs[:, edge]), table))
-    # A pair may have been found in several octants of the grid.
-    light, point, occluder = np.unravel_index(np.unique(np.concatenate(found)), table)
-    kept = indices(~take_2d(umbra, light, point))
-    return blocked | umbra, (light[kept], point[kept], occluder[kept])
+        edge &= ~take_2d(crowded, pairs[0], pairs[1])
+        light, point, occluder = pairs[:, edge]
+        more.append((light * frontlit.shape[1] + point) * objects + occluder)
+        waiting += more[-1].size
+        if waiting > _EDGES_AT_ONCE:
+            found, many = _few_around([found, *more], objects)
+            crowded.ravel()[many], more, waiting = True, [], 0
+    found, many = _few_around([found, *more], objects)
+    crowded.ravel()[many] = True
+    found, occluder = np.divmod(found, objects)
+    kept = indices(~umbra.ravel()[found])
+    light, point = np.divmod(found[kept], frontlit.shape[1])
+    return blocked | umbra, (light, point, occluder[kept]), np.any(crowded & ~umbra, axis=0)
+
+
+def _few_around(edges: list[Ints], objects: int) -> tuple[Ints, Ints]:
+    """Distinct edges, as numbers (light * n + point) * objects + occluder, without crowds.
+
+    Also returns the pairs, light * n + point, that have crowds.
+    """
+    # An edge may have been found in several octants of the grid.
+    found = np.unique(np.concatenate(edges))
+    pair = found // objects
+    begin, count = run_lengths(pair)
+    many = count > _CROWDED
+    return found[~many.repeat(count)], pair[begin[many]]
 
 
 def _blocks(
