@@ -241,7 +241,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
 
 def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from reference.check import check
-    from reference.compare import write_comparison
+    from reference.figures import write_comparison
     from tracer import SceneWarning
 
     # Of a black picture the comparison says enough.

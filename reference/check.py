@@ -27,7 +27,7 @@ from converters.rendering import Rendering, load, render_mitsuba
 from converters.variant import LLVM, use
 from reference import plain
 from reference.command import need_scenes, own_scenes, parser, run
-from reference.compare import Figures, figures
+from reference.figures import Figures, figures
 from reference.regenerate import load_small
 from tracer import Lambertian, Scene, Surfaces, load_scene, render
 from tracer.commands import printable

@@ -28,7 +28,7 @@ from converters.to_mitsuba import TROUBLE, told
 from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
 from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, run, spare_inputs
-from reference.compare import amplified
+from reference.figures import amplified
 from reference.measurements import measured_on
 from tracer import to_codes
 from tracer.commands import atomic_file, file_name, is_folder, print_line, printable

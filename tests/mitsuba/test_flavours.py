@@ -18,7 +18,7 @@ from converters.flavours import SAMPLES, convert, exact, normalisation, squared,
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.command import SCENES, own_scenes
-from reference.compare import figures
+from reference.figures import figures
 from reference.regenerate import load_small
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
 

@@ -128,7 +128,7 @@ _ORDERS = np.array(list(permutations(range(3))))
 _TURNS: tuple[tuple[str, str, Callable[[Codes], Codes]], ...] = (
     ("mirrored", "A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
     ("flipped", "A is upside down: row 0 should be the top.", lambda a: a[::-1]),
-    ("turned", "A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
+    ("turned-180", "A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
     ("transposed", "A is transposed: x and y are swapped.", lambda a: a.swapaxes(0, 1)),
 )
 
@@ -156,8 +156,9 @@ def _rearranged(a: Codes, b: Codes) -> tuple[Codes, list[Diagnosis]]:
     best = int(unlike.argmin())
     if unlike[best] < 0.5 * unlike[0] - 1e-3:
         order = _ORDERS[best].tolist()
-        names = ", ".join(("red", "green", "blue")[order.index(channel)] for channel in range(3))
-        found.append(Diagnosis("channels", f"A's channels are in another order: {names}."))
+        names = [("red", "green", "blue")[order.index(channel)] for channel in range(3)]
+        kind = "channels-" + "".join(name[0] for name in names).upper()
+        found.append(Diagnosis(kind, f"A's channels are in another order: {', '.join(names)}."))
         a = a[:, :, order]
     return a, found
 
@@ -204,7 +205,7 @@ def _slid(a: Codes, b: Codes, still: Pair) -> _Motion | None:
             f"A is a pixel {'smaller' if stretch.sum() < 0 else 'larger'} than it should be, about"
             " its centre: pixel centres lie at (column + 1/2) / width, not at column / (width - 1)."
         )
-        return _Motion("stretched", text, np.diag(1 - stretch / (width, height)))
+        return _Motion("size-minus-1", text, np.diag(1 - stretch / (width, height)))
     return None
 
 
@@ -248,6 +249,16 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     return min(found, key=lambda one: one[0])[1] if found else None
 
 
+# Shifts (right, down) that the table of mistakes has as well.
+_SHIFTS = {
+    (0.5, 0): "pixel-left", (0, 0.5): "pixel-upper", (-0.5, 0): "pixel-right",
+    (0, -0.5): "pixel-lower", (0.5, 0.5): "pixel-upper-left", (0.5, -0.5): "pixel-lower-left",
+    (-0.5, 0.5): "pixel-upper-right", (-0.5, -0.5): "pixel-lower-right", (1, 0): "shift-right",
+    (-1, 0): "shift-left", (0, -1): "shift-up", (0, 1): "shift-down", (-1, -1): "shift-left-up",
+    (-1, 1): "shift-left-down", (1, -1): "shift-right-up", (1, 1): "shift-right-down",
+}  # fmt: skip
+
+
 def _shift(*by: float, slack: float = 1) -> _Motion:
     shift = np.round(by) if slack else np.array(by)
     why = "samples belong at the pixels' centres" if (shift % 1).any() else "check viewDir"
@@ -255,7 +266,7 @@ def _shift(*by: float, slack: float = 1) -> _Motion:
     names = {0.5: "half a pixel", 1: "one pixel"}
     parts = [f"{names.get(abs(s), f'{abs(s):g} pixels')} {way[int(s < 0)]}" for s, way in ways if s]
     text = f"A is shifted by {' and '.join(parts)}: {why}."
-    return _Motion("shifted", text, shift=shift, slack=slack)
+    return _Motion(_SHIFTS.get(tuple(shift.tolist()), "shift"), text, shift=shift, slack=slack)
 
 
 def _zoom(*powers: float) -> _Motion:
@@ -266,14 +277,14 @@ def _zoom(*powers: float) -> _Motion:
     size = " and ".join(f"{by:.3g} times as {word}" for by, word, _ in changed)
     check = changed[0][2] if len(changed) == 1 else "the window's size and distance"
     text = f"A shows everything {size} as B, about its centre: check {check}."
-    return _Motion("zoomed", text, np.diag([1 / across, 1 / down]), slack=0.5)
+    return _Motion("zoom", text, np.diag([1 / across, 1 / down]), slack=0.5)
 
 
 def _roll(angle: float) -> _Motion:
     c, s = np.cos(angle), np.sin(angle)
     way = "clockwise" if angle < 0 else "anticlockwise"
     text = f"A is turned by {abs(np.degrees(angle)):.0f} degrees {way}: check viewUp."
-    return _Motion("rolled", text, np.array([[c, -s], [s, c]]), slack=0.5)
+    return _Motion("roll", text, np.array([[c, -s], [s, c]]), slack=0.5)
 
 
 def _grey(image: Codes, size: int) -> Floats:
