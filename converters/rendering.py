@@ -16,7 +16,7 @@ from converters.camera import Floats
 from converters.flavours import SAMPLES, convert
 from converters.variant import ensure, mi, use
 from tracer import Scene
-from tracer.commands import atomic_file
+from tracer.files import atomic_file
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 

@@ -21,6 +21,11 @@ Converting needs no Mitsuba. --render and --check need it ("pip install .[refere
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import argparse
 import os
 import sys
@@ -30,23 +35,14 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import NoReturn
 
 from converters.mitsuba_xml import WRITTEN
-from tracer.commands import (
-    allow_interrupts,
-    atomic_file,
-    exit_process,
-    file_name,
-    install_signal_handlers,
-    is_folder,
-    output_paths,
-    print_line,
-    printable,
-    whole_number,
-)
+from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
+from tracer.command.process import print_line
+from tracer.files import atomic_file
+from tracer.messages import printable
 
-__all__ = ["TROUBLE", "main", "run", "told"]
+__all__ = ["TROUBLE", "main", "told"]
 
 _FLAVOURS = "stock", "stock-lights", "exact"
 
@@ -101,7 +97,6 @@ def _ready(options: argparse.Namespace) -> bool:
         import_module("reference.check" if options.check else "converters.rendering")
         from converters.variant import use
 
-        allow_interrupts()
         choice = use(options.variant)
     except (ImportError, OSError) as error:
         missing = isinstance(error, ModuleNotFoundError)
@@ -208,7 +203,6 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import convert
     from tracer import load_scene
 
-    allow_interrupts()
     xml, pfm = _xml_and_pfm(str(target))
     text, shown = convert(load_scene(path), options.flavour, options.samples, pfm.name)
     also = ""
@@ -253,13 +247,3 @@ def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {target}"))
     return not result.faults
-
-
-def run() -> NoReturn:
-    """`main` as a process of its own."""
-    install_signal_handlers()
-    exit_process(main())
-
-
-if __name__ == "__main__":
-    run()

@@ -6,6 +6,11 @@ turns; Mitsuba's kernels are compiled, and its scene is built, before the clock 
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import gc
 import re
 import subprocess
@@ -25,7 +30,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray
-from reference.command import SCENES, built, own_scenes, run
+from reference.command import SCENES, built, own_scenes
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene
@@ -261,7 +266,3 @@ def main() -> None:
         " slower."
     )
     measure_page("benchmark", __doc__, "small sizes, two rounds", head, _tables)
-
-
-if __name__ == "__main__":
-    run(main)

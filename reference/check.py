@@ -12,6 +12,11 @@ says which of the two errs.  Limits are in units of the brightest pixel where th
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from itertools import product
@@ -26,11 +31,11 @@ from converters.flavours import exact, gain, squared, stock
 from converters.rendering import Rendering, load, render_mitsuba
 from converters.variant import LLVM, use
 from reference import plain
-from reference.command import need_scenes, own_scenes, parser, run
+from reference.command import need_scenes, own_scenes, parser
 from reference.figures import Figures, figures
 from reference.regenerate import load_small
 from tracer import Lambertian, Scene, Surfaces, load_scene, render
-from tracer.commands import printable
+from tracer.messages import printable
 
 __all__ = [
     "CheckResult",
@@ -253,7 +258,3 @@ def main() -> None:
         scene = load_small(path)
         found = (resemblance(scene, "", None, name) for name in ("stock", "stock-lights"))
         print(f"| {path.stem} |", " | ".join(f"{f.figures.ssim:.3f}" for f in found), "|")
-
-
-if __name__ == "__main__":
-    run(main)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NoReturn
 
 from tqdm import tqdm
 
-from tracer.commands import exit_process, no_working_folder, printable
+from tracer.command.arguments import no_working_folder
+from tracer.messages import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
 __all__ = ["BUILD", "HERE", "SCENES", "built", "need_scenes", "need_table", "own_scenes", "parser"]
-__all__ += ["result", "run", "spare_inputs"]
+__all__ += ["result", "spare_inputs"]
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
@@ -84,12 +84,3 @@ def spare_inputs(
                 used.error(printable(wrong))
     except OSError as error:
         used.exit(2, no_working_folder(error) + "\n")
-
-
-def run(main: Callable[[], int | None]) -> NoReturn:
-    """`main` as a process of its own; its status, or 130 after an interrupt."""
-    try:
-        status = main()
-    except KeyboardInterrupt:
-        status = 130
-    exit_process(status or 0)

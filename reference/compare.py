@@ -13,6 +13,11 @@ some cannot be compared.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import argparse
 import csv
 import io
@@ -28,7 +33,7 @@ from typing import NamedTuple
 
 from tqdm import tqdm
 
-from reference.command import parser, run, spare_inputs
+from reference.command import parser, spare_inputs
 from reference.figures import figures, linear, write_comparison
 from reference.handins.alignment import Codes, Diagnosis
 from reference.handins.diagnosis import SceneDiagnosis
@@ -44,7 +49,9 @@ from reference.handins.reading import (
 )
 from reference.handins.workers import shared
 from tracer import SceneFileError, load_scene
-from tracer.commands import file_name, is_folder, print_line, printable
+from tracer.command.arguments import file_name, is_folder
+from tracer.command.process import print_line, print_result
+from tracer.messages import printable
 
 __all__ = ["main"]
 
@@ -162,11 +169,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = [result.line() for result in results]
         text = "\n".join([*lines, f"{len(pictures)} pictures: {', '.join(summary)}"])
     else:
-        text = "\n".join(results[0].lines())
+        text = results[0].error or "\n".join(results[0].lines())
     if counts["unread"] and not many and not (options.json or options.csv):
-        print_line(sys.stderr, str(results[0].error))
+        print_line(sys.stderr, text)
     else:
-        print_line(sys.stdout, text)
+        try:
+            print_result(sys.stdout, text)
+        except OSError as error:
+            print_line(sys.stderr, f"<stdout>: cannot be written: {error.strerror or error}")
+            return 3
     return 3 if counts["unread"] else int(counts["agrees"] < len(results))
 
 
@@ -259,7 +270,3 @@ def judge(job: Job) -> Result:
         reason = getattr(fault, "strerror", None) or memory
         return result._replace(error=printable(f"{where}: cannot be {what}: {reason}"))
     return result
-
-
-if __name__ == "__main__":
-    run(main)

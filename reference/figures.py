@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from skimage.metrics import structural_similarity
 
 from tracer import to_codes
-from tracer.commands import atomic_file
+from tracer.files import atomic_file
 
 __all__ = ["GAMMA", "Bools", "Figures", "Floats", "amplified", "figures", "linear"]
 __all__ += ["write_comparison"]

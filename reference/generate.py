@@ -5,6 +5,11 @@ They come out the same every time, and on every machine.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import colorsys
 import io
 import math
@@ -13,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from reference.command import SCENES, need_scenes, parser, run
+from reference.command import SCENES, need_scenes, parser
 from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, save_scene
 
 __all__ = ["main", "many_objects", "sunflower", "write"]
@@ -101,7 +106,3 @@ def main() -> None:
     used.parse_args()
     need_scenes(used)
     print(*write(SCENES), sep="\n")
-
-
-if __name__ == "__main__":
-    run(main)

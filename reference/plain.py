@@ -11,6 +11,11 @@ inside an object, or on it, that is the far root, and the normal points inwards.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import decimal
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -21,9 +26,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reference.command import parser, run
+from reference.command import parser
 from tracer import Phong, Scene, SceneFileError, Sphere, load_scene, write_png
-from tracer.commands import printable
+from tracer.messages import printable
 
 __all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "Seen", "render", "trace"]
 
@@ -302,7 +307,3 @@ def main() -> None:
     except (OSError, SceneFileError) as error:
         used.exit(1, printable(f"{used.prog}: {error}") + "\n")
     print(printable(str(output)))
-
-
-if __name__ == "__main__":
-    run(main)

@@ -6,6 +6,11 @@ exact flavour of the converter, and a manifest that tells how they were made.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import hashlib
 import json
 import platform
@@ -20,7 +25,7 @@ import numpy as np
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure, mi, use
-from reference.command import HERE, need_scenes, own_scenes, parser, run
+from reference.command import HERE, need_scenes, own_scenes, parser
 from tracer import Scene, load_scene
 
 __all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
@@ -83,7 +88,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
     return 0
-
-
-if __name__ == "__main__":
-    run(main)

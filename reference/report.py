@@ -9,6 +9,11 @@ from a file, and asks neither a server nor the network for anything.  Exit statu
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import base64
 import io
 import itertools
@@ -27,11 +32,14 @@ from tqdm import tqdm
 from converters.to_mitsuba import TROUBLE, told
 from converters.variant import use
 from reference.check import MAX_DIFFERENCE, CheckResult, check
-from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, run, spare_inputs
+from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, spare_inputs
 from reference.figures import amplified
 from reference.measurements import measured_on
 from tracer import to_codes
-from tracer.commands import atomic_file, file_name, is_folder, print_line, printable
+from tracer.command.arguments import file_name, is_folder
+from tracer.command.process import print_line
+from tracer.files import atomic_file
+from tracer.messages import printable
 
 __all__ = ["main", "page"]
 
@@ -142,7 +150,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     print_line(sys.stdout, printable(str(output)))
     return int(bool(unread) or any(result.faults for result in results))
-
-
-if __name__ == "__main__":
-    run(main)

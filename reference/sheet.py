@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from reference.command import HERE, SCENES, need_scenes, own_scenes, parser, run
+from reference.command import HERE, SCENES, need_scenes, own_scenes, parser
 from tracer import Scene, load_scene, render, to_codes
 
 __all__ = ["main", "sheet"]
@@ -55,7 +60,3 @@ def main() -> None:
     for name, image in (("sheet.png", sheet(own_scenes())), ("sunflower.png", sunflower)):
         image.save(HERE / name, optimize=True)
         print(HERE / name)
-
-
-if __name__ == "__main__":
-    run(main)

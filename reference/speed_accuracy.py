@@ -8,6 +8,11 @@ the one before, all methods are timed in turns; those that would take too long s
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 import gc
 import re
 from collections import defaultdict
@@ -25,7 +30,7 @@ from converters.flavours import exact
 from converters.variant import LLVM, mi, use
 from reference import plain, povray
 from reference.charts import LOOKS, headline, make_chart, plt
-from reference.command import SCENES, built, run
+from reference.command import SCENES, built
 from reference.measurements import interleaved
 from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized
@@ -197,7 +202,3 @@ def main() -> None:
     """Measure, and draw the chart."""
     columns = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
     make_chart("speed_accuracy", __doc__, "one scene, few samples", columns, _measure_all, _draw)
-
-
-if __name__ == "__main__":
-    run(main)

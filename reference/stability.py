@@ -8,6 +8,11 @@ by the share of pixels that are decided wrongly.
 
 from __future__ import annotations
 
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,7 +28,6 @@ from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
 from reference import plain
 from reference.charts import LOOKS, headline, make_chart, plt
-from reference.command import run
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 
 __all__ = ["METHODS", "PANELS", "Panel", "measure"]
@@ -274,7 +278,3 @@ def main() -> None:
     """Measure, and draw the chart."""
     columns = ("panel", "axis", "at", "method", "measure", "value")
     make_chart("stability", __doc__, "every third point only", columns, _measure_all, _draw)
-
-
-if __name__ == "__main__":
-    run(main)

@@ -30,7 +30,7 @@ def truth_side(quick: bool) -> int:
 
 
 def supersampled(
-    scene: Scene, side: int, row: int = 0, count: int | None = None, *, processes: int | None = None
+    scene: Scene, side: int, row: int = 0, count: int | None = None
 ) -> NDArray[np.float64]:
     """Average `side` x `side` samples spread evenly over every pixel, by brute force.
 
@@ -46,7 +46,7 @@ def supersampled(
         below = (top + height / 2 - scene.height / 2) * side
         with warnings.catch_warnings():  # a strip may well be black
             warnings.simplefilter("ignore", SceneWarning)
-            image = render(large, processes=processes, offset=(0, below))
+            image = render(large, offset=(0, below))
         strips.append(image.reshape(height, side, scene.width, side, 3).mean(axis=(1, 3)))
     return np.concatenate(strips)
 

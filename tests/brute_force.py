@@ -10,38 +10,38 @@ import numpy as np
 
 from tracer import Scene, render
 from tracer.arrays import Bools, Floats, Ints
-from tracer.shadow.occluders import Occluders
-from tracer.view.view import Shape, View, Visible
+from tracer.trace.hits import Hits
+from tracer.world.prepared_scene import PreparedScene, Shape
 
 
 def brute_force(scene: Scene) -> Floats:
     """The picture (height, width, 3) of a scene, by all pairs."""
     with (
-        patch("tracer.view.samples.spans", _all_rows),
-        patch("tracer.light.lighting.occlusion", _all_occluders),
+        patch("tracer.trace.samples.spans", _all_rows),
+        patch("tracer.trace.lighting.occlusion", _all_occluders),
     ):
-        return render(scene, processes=1)
+        return render(scene)
 
 
 def _all_rows(
-    shape: Shape, view: View, rows: Floats, columns: tuple[float, float], **_: float
+    shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Every object covers every row."""
-    row, owner = np.indices((rows.size, shape.count)).reshape(2, -1)
+    row, obj = np.indices((rows.size, shape.count)).reshape(2, -1)
     left, right = np.full((row.size, 2), columns).T
-    return owner + shape.first, row, left, right
+    return obj + shape.first, row, left, right
 
 
 @np.errstate(all="ignore")
-def _all_occluders(occluders: Occluders, hits: Visible, frontlit: Bools) -> Bools:
+def _all_occluders(hits: Hits, frontlit: Bools) -> Bools:
     """See `occlusion`: every object may come between."""
-    blocked, own = np.zeros_like(frontlit), hits.own
-    for light, lit, dark in zip(occluders.lights, frontlit, blocked, strict=True):
-        for shape in occluders.view.shapes:
-            for owner in range(shape.first, shape.first + shape.count):
-                at = np.flatnonzero(lit & ~dark & (own != owner))
+    blocked, own, prepared = np.zeros_like(frontlit), hits.hit_object, hits.prepared
+    for light, lit, dark in zip(prepared.lights, frontlit, blocked, strict=True):
+        for shape in prepared.shapes:
+            for obj in range(shape.first, shape.first + shape.count):
+                at = np.flatnonzero(lit & ~dark & (own != obj))
                 end = tuple(np.full((3, at.size), light[:, None]))
-                every, closely = np.full(at.size, owner), np.ones(at.size, dtype=bool)
-                eye, p = occluders.view.raster.eye, hits.points(at)
-                dark[at] = shape.occludes(eye, every, p, end, closely)
+                every, near_surface = np.full(at.size, obj), np.ones(at.size, dtype=bool)
+                eye, p = prepared.frame.eye, hits.points(at)
+                dark[at] = shape.occludes(eye, every, p, end, near_surface)
     return blocked

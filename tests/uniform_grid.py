@@ -16,7 +16,7 @@ def uniform(scene: Scene, per_side: int) -> Floats:
 
     Kept for the next test: nothing that antialiasing does, or leaves out there, changes it.
     """
-    return supersampled(scene, per_side, processes=1)
+    return supersampled(scene, per_side)
 
 
 def rmse(image: Floats, truth: Floats) -> float:
@@ -29,6 +29,6 @@ def no_worse_than_the_uniform_grid(
     """RMSE no larger, and the largest error no more than so many times as large."""
     truth = uniform(scene, 41)
     for samples in numbers:
-        image, grid = render(scene, samples, processes=1), uniform(scene, math.isqrt(samples))
+        image, grid = render(scene, samples), uniform(scene, math.isqrt(samples))
         assert rmse(image, truth) <= rmse(grid, truth) + 1e-12, samples
         assert np.abs(image - truth).max() <= times * np.abs(grid - truth).max() + 1e-12, samples

@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING
 from tracer.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from tracer.explanation import Explanation, explain
-    from tracer.picture.bands import render
+    from tracer.picture.explanation import Explanation, explain
+    from tracer.picture.lint import SceneWarning
     from tracer.picture.png import to_codes, write_png
+    from tracer.picture.render import render
     from tracer.scene.model import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
     from tracer.scene.model import Surfaces as Surfaces
     from tracer.scene.reader import SceneFileError, load_scene
     from tracer.scene.schema import SceneError
     from tracer.scene.writer import save_scene
-    from tracer.suspicions import SceneWarning
-    from tracer.view.first_hits import Hits, first_hits
+    from tracer.trace.first_hits import FirstHits, first_hits
 
 __all__ = [
     "Box",
     "Camera",
     "Explanation",
-    "Hits",
+    "FirstHits",
     "Lambertian",
     "Phong",
     "PointLight",
@@ -51,7 +51,13 @@ if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
     _MODULES = (
         *("scene.model", "scene.reader", "scene.schema", "scene.writer"),
-        *("picture.bands", "picture.png", "suspicions", "view.first_hits", "explanation"),
+        *(
+            "picture.render",
+            "picture.png",
+            "picture.lint",
+            "trace.first_hits",
+            "picture.explanation",
+        ),
     )
 
     def __getattr__(name: str) -> object:

@@ -19,10 +19,10 @@ Triple: TypeAlias = tuple[Floats, Floats, Floats]
 Vector: TypeAlias = tuple[float, float, float]
 
 # How many pairs are worked on at a time, so that their arrays stay in cache.
-_BATCH = 1 << 15
+_PAIRS_IN_CACHE = 1 << 15
 
 
-def each(function: Callable[..., Floats], *vectors: Triple) -> Triple:
+def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     """Apply a function to the first components, the second and the third."""
     x, y, z = map(function, *vectors)
     return x, y, z
@@ -42,7 +42,7 @@ def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def spread(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
+def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
     """Values of runs (m,), repeated for each sample of these.
 
     `counts` (m,): how many samples each run has; None if it is one in each.
@@ -51,7 +51,7 @@ def spread(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
     return values if counts is None else values.repeat(counts)
 
 
-def pick(vector: Triple | Floats, index: Ints | slice) -> Triple:
+def take3(vector: Triple | Floats, index: Ints | slice) -> Triple:
     """Some elements of each component; of points (3, n) as of a triple."""
     # `take` needs two thirds of the time that indexing by an array takes.
     x, y, z = (m[index] if isinstance(index, slice) else m.take(index) for m in vector)
@@ -64,13 +64,13 @@ def scaled(vector: Triple, factor: Floats) -> Triple:
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Places at which a mask holds, or numbers are not zero; of any array as if it were flat."""
+    """Points2D at which a mask holds, or numbers are not zero; of any array as if it were flat."""
     # The same as np.flatnonzero, in a fifth of the time where there are few.
     found: Ints = mask.ravel().nonzero()[0]
     return found
 
 
-def expand(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
+def segment_indices(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
     """For each i, counts[i] pairs of i and a place: start[i], start[i] + 1, ..."""
     return np.arange(counts.size).repeat(counts), ranges(start, counts)
 
@@ -93,13 +93,13 @@ def changes(*values: NDArray[Any]) -> Bools:
     return change
 
 
-def equal_runs(values: Ints) -> tuple[Ints, Ints]:
-    """Starts of runs of equal neighbours, and their lengths."""
-    first = indices(changes(values))
-    return first, np.append(first[1:], values.size) - first
+def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
+    """Starts of runs of neighbours that are equal in all arrays, and their lengths."""
+    first = indices(changes(*values))
+    return first, np.append(first[1:], values[0].size) - first
 
 
-def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:
+def batches(sizes: Ints, most: int = _PAIRS_IN_CACHE) -> Iterator[slice]:
     """Slices of consecutive elements, few enough for all their pairs to stay in cache.
 
     Element i has sizes[i] pairs; a slice has at most `most`, or is a single element.
@@ -113,12 +113,12 @@ def batches(sizes: Ints, most: int = _BATCH) -> Iterator[slice]:
         start = stop
 
 
-def entries(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
+def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
     """Some entries of a table (m, n), one for each pair of row and column."""
     some: NDArray[Any] = table.reshape(-1).take(row * table.shape[1] + column)
     return some
 
 
-def put(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
+def put_2d(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
     """Set some entries of a contiguous table (m, n), one for each pair of row and column."""
     table.reshape(-1)[row * table.shape[1] + column] = value

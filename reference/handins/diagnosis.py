@@ -16,7 +16,7 @@ from reference.handins.mistakes import UNKNOWN
 from reference.handins.pictures import agreement, featureless, worst_pixel
 from reference.handins.search import Finding, SceneDrawings, Search
 from tracer import Scene
-from tracer.explanation import SurfaceRef
+from tracer.picture.explanation import SurfaceRef
 
 __all__ = ["SceneDiagnosis"]
 

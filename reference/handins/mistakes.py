@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from reference.handins.formulas import Formulas, formula
 from tracer import Scene
-from tracer.explanation import SurfaceRef
+from tracer.picture.explanation import SurfaceRef
 
 __all__ = ["BACKGROUND", "FITTED", "OVEREXPOSED", "OWN_SURFACE", "RIGHT", "ROUNDINGS", "SPECKLED"]
 __all__ += ["SPECKLED_TEXT", "UNKNOWN", "Mistake", "mistakes_of", "offset"]

@@ -48,7 +48,7 @@ def test_pictures_full_of_outlines_are_lattices():
     # Every other row of pixels has the mirror image.
     for first, sign in ((0, 1), (1, -1)):
         offsets = zip(sign * points.real, points.imag, strict=True)
-        mean = np.mean([render(scene, offset=offset, processes=1) for offset in offsets], axis=0)
+        mean = np.mean([render(scene, offset=offset) for offset in offsets], axis=0)
         assert np.abs(image - mean)[first::2].max() <= 1e-12
 
 

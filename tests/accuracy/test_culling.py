@@ -17,11 +17,12 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Box, Camera, Lambertian, Scene, Sphere, render
 from tracer.arrays import Floats
-from tracer.light import lighting
-from tracer.picture import bands
-from tracer.view.camera import raster_of
-from tracer.view.samples import Scattered
-from tracer.view.view import view_of
+from tracer.geometry.camera import camera_frame
+from tracer.picture import render as render_module
+from tracer.trace import lighting
+from tracer.trace.lighting import radiance_at
+from tracer.trace.samples import Scattered
+from tracer.world.prepared_scene import PreparedScene
 
 
 def assert_same(scene: Scene) -> None:
@@ -32,7 +33,7 @@ def assert_same(scene: Scene) -> None:
     """
     expected = brute_force(scene)
     for part in (1e9, 1e-9, 0.2):
-        with patch("tracer.shadow.occluders._PART", part):
+        with patch("tracer.world.prepared_scene._PART", part):
             np.testing.assert_array_equal(render(scene), expected)
             np.testing.assert_array_equal(scattered(scene), expected)
 
@@ -44,11 +45,11 @@ def scattered(scene: Scene) -> Floats:
     times = math.gcd(scene.width, scene.height, 8)
     width, height = scene.width // times, scene.height // times
     coarse = replace(scene, width=width, height=height)
-    view = view_of(raster_of(coarse.camera, width, height), coarse.surfaces)
+    prepared = PreparedScene(coarse, camera_frame(coarse.camera, width, height))
     x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
     samples, order = Scattered.of(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
-    radiance[:, order] = lighting.radiance_at(lighting.lighting_of(coarse, view), samples)
+    radiance[:, order] = radiance_at(prepared, samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
@@ -85,12 +86,12 @@ def test_any_scene(kind, seed, width, height, zooms):
         # shadow, in the end 10^6 times as large.
         jumps = np.abs(np.diff(render(scene).sum(axis=2), axis=1))
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
-        raster = raster_of(scene.camera, scene.width, scene.height)
+        frame = camera_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        local = np.array([raster.across(x)[0], raster.down(y)[0], raster.depth])
+        local = np.array([frame.across(x)[0], frame.down(y)[0], frame.depth])
         camera = replace(
             scene.camera,
-            view_dir=local @ raster.axes,
+            view_dir=local @ frame.axes,
             proj_normal=scene.camera.normal,
             proj_distance=math.hypot(*local),
             view_width=scene.camera.view_width / 16,
@@ -263,15 +264,15 @@ def test_many_plates_behind_each_other(monkeypatch):
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
-    sizes, visible = [], lighting.visible
+    sizes, nearest_hits = [], lighting.nearest_hits
 
-    def counted(view, samples):
+    def counted(prepared, samples):
         sizes.append(samples.size)
-        return visible(view, samples)
+        return nearest_hits(prepared, samples)
 
-    monkeypatch.setattr(lighting, "visible", counted)
-    monkeypatch.setattr(bands, "_TILE_SAMPLES", 40 * 30)
-    assert np.array_equal(render(scene, processes=1), brute_force(scene))
+    monkeypatch.setattr(lighting, "nearest_hits", counted)
+    monkeypatch.setattr(render_module, "_TILE_SAMPLES", 40 * 30)
+    assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
 
 
@@ -280,7 +281,7 @@ def test_a_hundred_equal_surfaces_take_no_longer_than_one():
     images, seconds = [], []
     for some in (seen(FLOOR, red), seen(FLOOR, red, *[ball, FLOOR] * 100)):
         begin = process_time()
-        images.append(render(some, 16, processes=1))
+        images.append(render(some, 16))
         seconds.append(process_time() - begin)
     assert np.array_equal(*images)
     assert seconds[1] < 5 * seconds[0] + 0.5

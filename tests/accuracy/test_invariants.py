@@ -10,7 +10,7 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Lambertian, Scene, render
 from tracer.antialias import refine as antialias
-from tracer.picture import bands
+from tracer.picture import render as render_module
 
 ONE_OR_MORE = pytest.mark.parametrize("samples", [1, 16])
 
@@ -56,16 +56,15 @@ def test_objects_in_another_order_and_pictures_in_parts(kind, samples, monkeypat
     assert scenes
     for scene in scenes:
         surfaces = [replace(surface, shader=shader) for surface in scene.surfaces]
-        image = render(replace(scene, surfaces=surfaces), samples, processes=1)
+        image = render(replace(scene, surfaces=surfaces), samples)
         order = rng.permutation(len(surfaces)).tolist()
         shuffled = replace(scene, surfaces=[surfaces[i] for i in order])
-        assert np.array_equal(render(shuffled, samples, processes=1), image)
+        assert np.array_equal(render(shuffled, samples), image)
         with monkeypatch.context() as parts:
-            parts.setattr(bands, "processors", lambda: 3)
-            for tile, chunk, processes in ((25, 200, 1), (100, antialias._CHUNK, 3)):
-                parts.setattr(bands, "_TILE_SAMPLES", tile)
-                parts.setattr(antialias, "_CHUNK", chunk)
-                assert np.array_equal(render(shuffled, samples, processes=processes), image)
+            for tile, chunk in ((25, 200), (100, antialias._SAMPLES_AT_ONCE)):
+                parts.setattr(render_module, "_TILE_SAMPLES", tile)
+                parts.setattr(antialias, "_SAMPLES_AT_ONCE", chunk)
+                assert np.array_equal(render(shuffled, samples), image)
 
 
 @pytest.mark.parametrize("kind", ["scattered", "rooms", "enormous", "far"])

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 import tracer.commands
+
 from tracer import write_png
-from tracer.commands import atomic_file
+from tracer.files import atomic_file
 
 BEGINS = b"begins"
 PRECIOUS = BEGINS + b": precious"
@@ -134,7 +134,7 @@ def test_what_cannot_be_written(tmp_path, target, reason):
 
 WRITER = """if True:
     import sys, time
-    from tracer.commands import atomic_file
+    from tracer.files import atomic_file
     with atomic_file(sys.argv[1], b"") as file:
         file.write(b"half")
         file.flush()

@@ -189,7 +189,7 @@ def test_little_memory(scene, size, megabytes, error):
     """So much more than is in use once all modules are loaded."""
     scene.write_text(SCENE.format(*size))
     script = f"""if True:
-        import resource, sys, tracer.picture.bands, tracer.scene.reader
+        import resource, sys, tracer.picture.render, tracer.scene.reader
         from tracer.__main__ import main
         used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)
@@ -243,7 +243,7 @@ def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, erro
             raise MemoryError
         out[:] = number
 
-    monkeypatch.setattr("tracer.picture.bands._Picture.draw", draw)
+    monkeypatch.setattr("tracer.picture.render._Picture.draw", draw)
     assert command_line.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
     assert names(scene.parent) == []
@@ -461,6 +461,6 @@ def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene):
         f"main([{str(scene)!r}])\nprint(*set(sys.modules) - before)"
     )
     loaded = set(run(python=("-c", script))[1].split())
-    assert "tracer.picture.bands" in loaded
+    assert "tracer.picture.render" in loaded
     assert not loaded & {"tqdm", "PIL", "difflib", "pathlib", "shutil", "tempfile"}
     assert "tracer.antialias.refine" not in loaded

@@ -46,7 +46,7 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
             terms = [np.add(light.diffuse, light.specular) for light in pixel.lights]
             np.testing.assert_allclose(sum(terms, np.zeros(3)), image[y, x], rtol=1e-12)
             assert all(any(term) == 0 for term, light in zip(terms, pixel.lights, strict=True)
-                       if light.kept_out_by)  # fmt: skip
+                       if light.occluders)  # fmt: skip
             assert (pixel.surface is None) == np.isinf(pixel.distance)
 
 
@@ -56,15 +56,15 @@ def test_an_explanation_names_what_keeps_a_light_out(path):
     assert pixel.distance == pytest.approx(4)
     np.testing.assert_allclose((pixel.point, pixel.normal), [(0, 0, 1)] * 2, atol=1e-12)
     above, right = pixel.lights
-    assert (above.line, above.kept_out_by) == (3, ())
+    assert (above.line, above.occluders) == (3, ())
     assert above.n_dot_l == pytest.approx(8 / np.hypot(9, 8))
     assert (right.line, right.n_dot_l < 0) == (4, True)
-    assert [str(ref) for ref in right.kept_out_by] == ["Sphere 0 (line 5)"]
+    assert [str(ref) for ref in right.occluders] == ["Sphere 0 (line 5)"]
     # From a little to the right the second light is in front, behind the box.
     camera = Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4))
     (_, right) = tracer.explain(replace(tracer.load_scene(path), camera=camera), 4, 4).lights
     assert right.n_dot_l > 0
-    assert [str(ref) for ref in right.kept_out_by] == ["Box 1 (line 6)"]
+    assert [str(ref) for ref in right.occluders] == ["Box 1 (line 6)"]
 
 
 def test_nothing_is_explained_where_the_ray_meets_nothing(path):
@@ -114,7 +114,7 @@ INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, w
 )
 def test_a_scene_hardly_as_meant_warns(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
-        render(replace(BALL, **change), processes=1)
+        render(replace(BALL, **change))
     assert len(caught) == 1
     assert caught[0].filename == __file__
 
@@ -132,7 +132,7 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
     ],
 )  # fmt: skip
 def test_other_scenes_do_not_warn(scene):
-    assert render(scene, processes=1).shape == (scene.height, scene.width, 3)
+    assert render(scene).shape == (scene.height, scene.width, 3)
 
 
 def test_the_command_warns_in_a_line_of_its_own(path):

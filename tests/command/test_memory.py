@@ -20,9 +20,9 @@ def test_a_second_picture_needs_no_fresh_pages(samples):
     camera = Camera(view_point=(0, 2, 6), view_dir=(0, -0.6, -1), view_width=0.4, view_height=0.2)
     scene = scene_of(ball, floor, camera=camera, size=(1024, 768), lights=(3, 5, 4))
     for _ in range(2):
-        render(scene, samples=samples, processes=1)
+        render(scene, samples=samples)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    image = render(scene, samples=samples, processes=1)
+    image = render(scene, samples=samples)
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
     # Memory for the picture itself may be fresh, whether in large pages or in small ones.
     assert faults * resource.getpagesize() < 2 * image.nbytes

@@ -91,9 +91,9 @@ OTHERS = [
     *(
         (f"<scene>\n<light><position>{text}</position></light></scene>", 2, f"position: {fault}")
         for text, fault in (
-            ("\u0663 0 0", "'\u0663' is no decimal number"),
-            ("1\u20032 3 4", r"'1\\u20032' is no decimal number"),
-            ("1\u00a02 3", r"'1\\xa02' is no decimal number"),
+            ("\u0663 0 0", "'\u0663' is not a decimal number"),
+            ("1\u20032 3 4", r"'1\\u20032' is not a decimal number"),
+            ("1\u00a02 3", r"'1\\xa02' is not a decimal number"),
         )
     ),
     # More digits than int() reads.

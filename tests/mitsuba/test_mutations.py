@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 import tracer.view.camera
+
 from reference.check import MAX_DIFFERENCE, check_diffuse, check_scene, edge_mask, faults
 from reference.command import SCENES
 from reference.figures import figures

@@ -81,17 +81,17 @@ def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
 def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
     for scene in (small("highlights", 96, 54), crowd(300, width=96, height=54)):
         with ablation.without(part):
-            picture = render(scene, processes=1)
+            picture = render(scene)
         # Highlights from vectors round differently.
-        assert np.abs(picture - render(scene, processes=1)).max() <= 1e-12
+        assert np.abs(picture - render(scene)).max() <= 1e-12
 
 
 @pytest.mark.parametrize("part", ablation.ANTIALIASING, ids=lambda part: part.name)
 def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.Part) -> None:
     scene = small("room", 96, 54)
     with ablation.without(part):
-        other = render(scene, samples=16, processes=1)
-    picture = render(scene, samples=16, processes=1)
+        other = render(scene, samples=16)
+    picture = render(scene, samples=16)
     error = np.abs(other - picture)
     assert 0 < error.max() < 0.25  # of the contrast of an edge that is not found
     assert np.sqrt((error**2).mean()) < 0.012

@@ -1,4 +1,4 @@
-"""Classification of cells: what the sample in a cell's middle tells of all of the cell.
+"""Classify cells: can the centre sample stand for the whole cell?
 
 A cell is a square of the picture: a pixel, or a part of one.  Besides what the sample in its middle
 sees, `classify` finds the straight lines that edges draw across the cell, and which objects may
@@ -12,14 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edges import Seen, footprints_of, silhouettes
-from tracer.antialias.lattice import Lattice, Places
-from tracer.antialias.margins import Lines, Sheets, fitted, rays
+from tracer.antialias.edge_functions import InverseDepth, Lines, fit_lines, rays
+from tracer.antialias.edges import CellSurfaces, footprints_of, silhouettes
+from tracer.antialias.lattice import Lattice, Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
-from tracer.light.lighting import Lighting, ids_of, incoming_at, narrow_highlights, shade
-from tracer.shadow.occlusion import shadow_edges
-from tracer.view.samples import Samples
-from tracer.view.visibility import visible_and_hidden
+from tracer.trace.lighting import ids_of, light_geometry, narrow_highlights, shade
+from tracer.trace.occlusion import shadow_edges
+from tracer.trace.samples import Samples
+from tracer.trace.visibility import nearest_and_hidden
+from tracer.world.prepared_scene import PreparedScene
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
@@ -36,7 +37,7 @@ class Cells(NamedTuple):
         By how much a cell's mean may be off, in radiance.
     x, y : (n,)
         Their middles, in pixels.
-    cell, owner : (m,)
+    cell, obj : (m,)
         Pairs of a cell and an object whose silhouette may cross it.
     """
 
@@ -45,22 +46,22 @@ class Cells(NamedTuple):
     x: Floats
     y: Floats
     cell: Ints
-    owner: Ints
+    obj: Ints
 
-    def at(self, cell: Ints, place: Places) -> tuple[Floats, Floats]:
+    def at(self, cell: Ints, point: Points2D) -> tuple[Floats, Floats]:
         """One point, x + iy from -1/2 to 1/2, in each of some cells."""
-        return self.x[cell] + self.size * place.real, self.y[cell] + self.size * place.imag
+        return self.x[cell] + self.size * point.real, self.y[cell] + self.size * point.imag
 
     def quarters(self, index: Ints) -> Cells:
         """Quarters of some cells, four after four."""
         count = index.size
         x, y = self.at(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
-        place = np.full(self.x.size, -1)
-        place[index] = np.arange(count)
-        cell = place[self.cell]
+        rank = np.full(self.x.size, -1)
+        rank[index] = np.arange(count)
+        cell = rank[self.cell]
         kept = indices(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
-        return Cells(self.size / 2, self.tolerance, x, y, quarters, self.owner[kept].repeat(4))
+        return Cells(self.size / 2, self.tolerance, x, y, quarters, self.obj[kept].repeat(4))
 
 
 class Classification(NamedTuple):
@@ -71,7 +72,7 @@ class Classification(NamedTuple):
     radiance : (3, n)
         Of the sample in each cell's middle.
     id : (n,)
-        Of object, face and lights there, see `ids_of`; -1 where nothing is seen.
+        Of object, face and lights there, see `ids_of`; -1 where nothing is surfaces.
     lines : Lines
         What divides the cells.
     unresolved : (n,)
@@ -84,40 +85,44 @@ class Classification(NamedTuple):
     unresolved: Bools
 
 
-def classify(lighting: Lighting, cells: Cells, samples: Samples, cell: Ints) -> Classification:
+def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints) -> Classification:
     """Classify cells by the samples in their middles.
 
     `cell` (n,): the cell of each sample.
     """
     radiance, ids = np.zeros((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
-    hits, hidden = visible_and_hidden(lighting.view, samples)
-    incoming, place = incoming_at(lighting, hits), cell[hits.sample]
-    facing = incoming.n_dot_l > 0
+    hits, hidden = nearest_and_hidden(prepared, samples)
+    geometry, hit_cell = light_geometry(hits), cell[hits.sample]
+    facing = geometry.n_dot_l > 0
     footprint = footprints_of(hits, cells.size)
     # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
-    wide = np.any(incoming.length2 < (footprint / _WIDE) ** 2, axis=0)
-    unresolved[place[wide]] = True
-    blocked, found = shadow_edges(lighting.occluders, hits, facing, np.where(wide, 0, footprint))
+    wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
+    unresolved[hit_cell[wide]] = True
+    blocked, found = shadow_edges(hits, facing, np.where(wide, 0, footprint))
     lit = facing & ~blocked
-    for channel, values in zip(radiance, shade(incoming, lit), strict=True):
-        channel[place] = values
-    ids[place] = ids_of(hits, lit)
-    for narrow in narrow_highlights(incoming, facing, footprint):
-        unresolved[place[narrow]] = True
-    raster, (cell, owner) = lighting.view.raster, (cells.cell, cells.owner)
-    apexes = np.vstack([lighting.positions, raster.eye]), np.vstack([lighting.local, np.zeros(3)])
-    d = rays(raster, raster.across(cells.x[cell]), raster.down(cells.y[cell]), cells.size)
-    from_eye = np.full(cell.size, len(lighting.local))
-    seen = Seen(hits, apexes, Sheets.of(hits), place, footprint, cells.size)
-    margins = chain(
-        silhouettes(lighting.view, apexes, from_eye, cell, owner, d),
-        seen.intersections(hidden),
-        seen.shadows(*found),
-        seen.terminators(incoming.n_dot_l, incoming.length2),
-        seen.creases(),
+    for channel, values in zip(radiance, shade(geometry, lit), strict=True):
+        channel[hit_cell] = values
+    ids[hit_cell] = ids_of(hits, lit)
+    for narrow in narrow_highlights(geometry, facing, footprint):
+        unresolved[hit_cell[narrow]] = True
+    frame, (cell, obj) = prepared.frame, (cells.cell, cells.obj)
+    lights, local = prepared.lights, prepared.local
+    if prepared.grid is not None:  # suns are taken nearer, as there
+        lights = prepared.grid.light[:, :, 0].T
+        local = np.column_stack(frame.to_camera(lights))
+    apexes = np.vstack([lights, frame.eye]), np.vstack([local, np.zeros(3)])
+    d = rays(frame, frame.across(cells.x[cell]), frame.down(cells.y[cell]), cells.size)
+    from_eye = np.full(cell.size, len(prepared.local))
+    surfaces = CellSurfaces(hits, apexes, InverseDepth.of(hits), hit_cell, footprint, cells.size)
+    edges = chain(
+        silhouettes(prepared, apexes, from_eye, cell, obj, d),
+        surfaces.intersections(hidden),
+        surfaces.shadows(*found),
+        surfaces.terminators(geometry.n_dot_l, geometry.length2),
+        surfaces.creases(),
     )
-    lines, curved = fitted(margins, cells.tolerance)
+    lines, curved = fit_lines(edges, cells.tolerance)
     unresolved[curved] = True
     return Classification(radiance, ids, lines, unresolved)
 
@@ -130,7 +135,7 @@ def curvature(radiance: Floats, ids: Ints, width: int) -> tuple[Floats, Floats]:
     The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
     are differences between a pixel and its neighbours, where both of these see the same as it
     does; where only one does, the difference counts as error; where neither does, that is NaN.
-    Results for pixels on the rim are meaningless.
+    Results for pixels on the border are meaningless.
     """
     total, error = np.zeros(radiance.shape), np.zeros(ids.size)
     for stride in (1, width):

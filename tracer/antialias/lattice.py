@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints
-from tracer.view.samples import Rows
+from tracer.trace.samples import Rows
 
-Places: TypeAlias = NDArray[np.complex128]
+Points2D: TypeAlias = NDArray[np.complex128]
 """Positions x + iy in cells."""
 
 # Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
@@ -59,35 +59,35 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
-        """The points in a rectangle of pixels, in units of the lattice's rows and columns."""
+        """The points in a rectangle of pixels."""
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
-        y, x = (each.astype(np.float64) + 0.5 for each in (row, column))
-        return Rows(y, x, self._shift(row))
+        y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
+        return Rows(y, x, self._shift(row) / self.columns, (self.columns, self.rows))
 
-    def points(self) -> Places:
+    def points(self) -> Points2D:
         """The points x + iy, row by row, from -1/2 to 1/2 across the pixel."""
         row, column = np.arange(self.rows), np.arange(self.columns)
         x = np.add.outer(self._shift(row), column + 0.5) / self.columns - 0.5
         y = (row + 0.5) / self.rows - 0.5
-        points: Places = (x + 1j * y[:, None]).ravel()
+        points: Points2D = (x + 1j * y[:, None]).ravel()
         return points
 
     def mean(self, radiance: Floats, width: int) -> Floats:
         """Mean (height, width, 3) over pixels of radiance (3, n) at all their `samples`."""
-        each = radiance.reshape(3, -1, self.rows, width, self.columns)
+        points = radiance.reshape(3, -1, self.rows, width, self.columns)
         # Row by row: how NumPy adds along an axis depends on the width.
-        total = each[:, :, 0].copy()
+        total = points[:, :, 0].copy()
         for row in range(1, self.rows):
-            total += each[:, :, row]
+            total += points[:, :, row]
         return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
         """How far each row is moved, in columns, so that its middle row and column cross."""
         points = self.rows // self.columns
         middle = points // 2
-        place = (_GENERATORS.get(points, 0) * (row - middle) + middle) % points
-        shift: Floats = (place - middle) / points
+        column = (_GENERATORS.get(points, 0) * (row - middle) + middle) % points
+        shift: Floats = (column - middle) / points
         return np.where(row // self.rows % 2, -shift, shift)
 
 

@@ -17,17 +17,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify, curvature, extrapolated
-from tracer.antialias.edges import crossed
+from tracer.antialias.edge_functions import Lines
+from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
-from tracer.antialias.margins import Lines
 from tracer.antialias.regions import mixed, stratified
-from tracer.arrays import Bools, Floats, Ints, equal_runs, indices, ranges
-from tracer.light.lighting import Lighting, radiance_at
-from tracer.view.samples import Scattered
-from tracer.view.view import View
+from tracer.arrays import Bools, Floats, Ints, indices, ranges, run_lengths
+from tracer.trace.lighting import radiance_and_ids
+from tracer.trace.samples import Scattered
+from tracer.world.prepared_scene import PreparedScene
 
 # Samples that are taken at a time in cells that are not smooth.
-_CHUNK = 1 << 16
+_SAMPLES_AT_ONCE = 1 << 16
 
 # A cell is split where its correction for curvature may err by more than this, in radiance, over
 # the power 3/2 of the samples along each side: so fast the error of grids falls.
@@ -44,57 +44,48 @@ _IN_PIXELS, _IN_PARTS, _IN_CELLS, _FINER = 5, 13, 25, 5
 
 # With more pairs of silhouettes in a pixel than this, for each sample that is asked for, samples
 # everywhere cost less than classification.
-_DENSE = 0.006
-
-# Lines in a cell that differ by no more than this, times the tolerance, count as one.
-_SAME = 8.0
+_SUPERSAMPLE = 0.006
 
 # Of the lines in a cell, this many divide it into regions; the others are left to its samples.
 _LINES = 4
 
 
-def dense(view: View, per_side: int) -> bool:
+def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     """Whether samples everywhere cost less than classification, in a view full of silhouettes.
 
     Either way they are to be as accurate as per_side x per_side samples in every pixel.
     """
-    return view.frames.pairs_in_pixel(view.raster) > _DENSE * per_side**2
+    density = prepared.bounds.silhouette_density(prepared.frame)
+    return density > _SUPERSAMPLE * per_side**2
 
 
-def antialiased(
-    lighting: Lighting, rows: slice, columns: slice, per_side: int, out: Floats
-) -> None:
-    """Write radiance, averaged over each pixel of a rectangle, into zeros `out` (rows, columns, 3).
+def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
+    """Radiance (rows, columns, 3), averaged over each pixel of a rectangle that is not empty.
 
     Its RMSE is to be no larger than that of per_side x per_side samples in every pixel.
     """
-    view = lighting.view
-    # Nothing is seen to the left and to the right of all objects.
-    _, seen_in = view.frames.window(view.raster)
-    begin, end = max(columns.start, seen_in.start), min(columns.stop, seen_in.stop)
-    if begin >= end:
-        return
-    out = out[:, begin - columns.start : end - columns.start]
     # One pixel more on every side: curvature is found from neighbours.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
-    left, width = begin - 1, end + 2 - begin
+    left, width = columns.start - 1, columns.stop + 2 - columns.start
     centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
-    row, column, owner = crossed(view, rows, slice(begin, end))
+    row, column, obj = silhouette_pixels(prepared, rows, columns)
     pixel = (row - top) * width + column - left
     every = np.arange(centres.size)
     # The finer the grid that is asked for, the less a mean may be off.
-    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.at(every), pixel, owner)
-    found = classify(lighting, pixels, centres, every)
+    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.at(every), pixel, obj)
+    found = classify(prepared, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
-    rim = np.pad(np.zeros((height - 2, width - 2), dtype=np.bool_), 1, constant_values=True).ravel()
-    error[rim], found.unresolved[rim] = 0, False
-    found = found._replace(lines=found.lines.take(indices(~rim[found.lines.cell])))
-    mean = _refined(lighting, pixels, found, smooth, error, per_side)
-    np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2, out=out)
+    inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
+    found = found._replace(
+        lines=found.lines.take(indices(inside[found.lines.cell])),
+        unresolved=found.unresolved & inside,
+    )
+    mean = _refined(prepared, pixels, found, smooth, np.where(inside, error, 0), per_side)
+    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2)
 
 
 def _refined(
-    lighting: Lighting,
+    prepared: PreparedScene,
     cells: Cells,
     found: Classification,
     smooth: Floats,
@@ -105,7 +96,7 @@ def _refined(
 
     Parameters
     ----------
-    lighting, cells, found
+    prepared, cells, found
     smooth : (3, n)
         The mean of a cell that sees one smooth surface.
     error : (n,)
@@ -113,8 +104,8 @@ def _refined(
     per_side : int
         Samples along a cell's side in the grid asked for.
     """
-    lines = found.lines.distinct(_SAME * cells.tolerance)
-    lines = lines.take(indices(ranges(0, equal_runs(lines.cell)[1]) < _LINES))
+    lines = found.lines.distinct()
+    lines = lines.take(indices(ranges(0, run_lengths(lines.cell)[1]) < _LINES))
     divided = np.zeros(error.size, dtype=np.bool_)
     divided[lines.cell] = True
     last, whole, mean = per_side <= _LAST, cells.size == 1, smooth
@@ -123,42 +114,42 @@ def _refined(
         straight = divided & ~(found.unresolved | (error > cells.tolerance))
         some = indices(rest if last and not whole else straight)
         lattice = Lattice(1, _IN_CELLS if not last else _IN_PIXELS if whole else _IN_PARTS)
-        means, coarse = _sampled(lighting, cells, lines, some, lattice)
+        means, coarse = _sampled(prepared, cells, lines, some, lattice)
         some = some[~coarse]
         mean[:, some], rest[some] = means[:, ~coarse], False
     some = indices(rest)
     if last:
         lattice = Lattice.of(per_side if whole else _FINER)
-        mean[:, some], _ = _sampled(lighting, cells, lines, some, lattice)
+        mean[:, some], _ = _sampled(prepared, cells, lines, some, lattice)
         return mean
-    for part in _chunks(lighting, some, 4):
-        mean[:, part] = _split(lighting, cells, found, error, per_side, part)
+    for part in _chunks(prepared, some, 4):
+        mean[:, part] = _split(prepared, cells, found, error, per_side, part)
     return mean
 
 
-def _chunks(lighting: Lighting, some: Ints, samples: int) -> Iterator[Ints]:
+def _chunks(prepared: PreparedScene, some: Ints, samples: int) -> Iterator[Ints]:
     """Some cells, with so many samples in each, a few at a time."""
-    step = max(1, lighting.view.at_once(_CHUNK) // samples)
+    step = max(1, prepared.at_once(_SAMPLES_AT_ONCE) // samples)
     for begin in range(0, some.size, step):
         yield some[begin : begin + step]
 
 
 def _sampled(
-    lighting: Lighting, cells: Cells, lines: Lines, some: Ints, lattice: Lattice
+    prepared: PreparedScene, cells: Cells, lines: Lines, some: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Mean radiance (3, n) of some cells by a lattice of samples, and where that is too coarse.
 
     `lines`: of all cells, sorted.
     """
     means, coarse = np.empty((3, some.size)), np.zeros(some.size, dtype=np.bool_)
-    for part in _chunks(lighting, np.arange(some.size), lattice.size):
-        place = np.full(cells.x.size, -1)
-        place[some[part]] = np.arange(part.size)
-        here = lines.take(indices(place[lines.cell] >= 0))
-        points = stratified(here._replace(cell=place[here.cell]), part.size, lattice.points())
-        samples, order = Scattered.of(*cells.at(some[part][points.cell], points.place))
-        cell, region, ids = points.cell[order], points.region[order], np.full(order.size, -1)
-        radiance = radiance_at(lighting, samples, ids=ids)
+    for part in _chunks(prepared, np.arange(some.size), lattice.size):
+        rank = np.full(cells.x.size, -1)
+        rank[some[part]] = np.arange(part.size)
+        here = lines.take(indices(rank[lines.cell] >= 0))
+        points = stratified(here._replace(cell=rank[here.cell]), part.size, lattice.points())
+        samples, order = Scattered.of(*cells.at(some[part][points.cell], points.point))
+        cell, region = points.cell[order], points.region[order]
+        radiance, ids = radiance_and_ids(prepared, samples)
         for channel, values in zip(means, radiance, strict=True):
             channel[part] = np.bincount(cell, points.weight[order] * values, part.size)
         # What differs between the same lines shows that an edge has not been found.
@@ -167,7 +158,7 @@ def _sampled(
 
 
 def _split(
-    lighting: Lighting,
+    prepared: PreparedScene,
     cells: Cells,
     found: Classification,
     error: Floats,
@@ -176,7 +167,7 @@ def _split(
 ) -> Floats:
     """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
     quarters, inside = cells.quarters(some), some.repeat(4)
-    closer = classify(lighting, quarters, *Scattered.of(quarters.x, quarters.y))
+    closer = classify(prepared, quarters, *Scattered.of(quarters.x, quarters.y))
     smooth, finer = extrapolated(found.radiance[:, some], found.id[some], closer)
     # The error falls as the square of the size; or next to an edge, towards which light may fall
     # off as a square root does, more slowly.
@@ -186,6 +177,6 @@ def _split(
     error[elsewhere & (error <= cells.tolerance)] = np.nan
     # What was not known of the whole (NaN), the quarters tell.
     error = np.fmax(error, finer)
-    mean = _refined(lighting, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
+    mean = _refined(prepared, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
     quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
     return quartered

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.lattice import Places
-from tracer.antialias.margins import Lines
+from tracer.antialias.edge_functions import Lines
+from tracer.antialias.lattice import Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
 
 # Areas no larger than this part of a cell are left out.
@@ -31,7 +31,7 @@ class Points(NamedTuple):
     Attributes
     ----------
     cell : (n,)
-    place : (n,)
+    point : (n,)
         Where they are in their cells, from -1/2 to 1/2.
     weight : (n,)
         The part of the cell's area that each stands for; less than zero for a few.
@@ -40,12 +40,12 @@ class Points(NamedTuple):
     """
 
     cell: Ints
-    place: Places
+    point: Points2D
     weight: Floats
     region: Ints
 
 
-def stratified(lines: Lines, count: int, points: Places) -> Points:
+def stratified(lines: Lines, count: int, points: Points2D) -> Points:
     """The same points in so many cells, cell after cell, given lines sorted by cell.
 
     A region that holds too few of them has the centroids of its triangles instead: these come last.
@@ -53,16 +53,16 @@ def stratified(lines: Lines, count: int, points: Places) -> Points:
     cell, first = np.arange(count), lines.cell.searchsorted(np.arange(count + 1))
     bits = int(np.diff(first).max(initial=0))
     # A region's number has a bit for each line of its cell, set where that is above zero.
-    place: Places = np.repeat(points[:, None], count, axis=1)
+    point: Points2D = np.repeat(points[:, None], count, axis=1)
     region = np.repeat(cell[None] << bits, points.size, axis=0)
     for bit in range(bits):
-        some, z = _values(lines, first, bit, cell, place)
+        some, z = _values(lines, first, bit, cell, point)
         region[:, some] |= (z > 0) << bit
-    place, region = place.T.ravel(), region.T.ravel()
+    point, region = point.T.ravel(), region.T.ravel()
     triangles = _triangles(lines, first, bits)
-    weight, enough = _weights(place, region, triangles, count << bits)
+    weight, enough = _weights(point, region, triangles, count << bits)
     lone = indices(~enough[triangles.region] & (triangles.weight > _NOTHING))
-    spread = Points(cell.repeat(points.size), place, weight, region)
+    spread = Points(cell.repeat(points.size), point, weight, region)
     return Points(*(np.append(m, n[lone]) for m, n in zip(spread, triangles, strict=True)))
 
 
@@ -73,14 +73,16 @@ def mixed(region: Ints, ids: Ints) -> Ints:
     return indices(any_id[region] != ids)
 
 
-def _values(lines: Lines, first: Ints, bit: int, cell: Ints, place: Places) -> tuple[Ints, Floats]:
+def _values(
+    lines: Lines, first: Ints, bit: int, cell: Ints, point: Points2D
+) -> tuple[Ints, Floats]:
     """Which of some cells (n,) have a line of that number, and its values at places (m, n) there.
 
     `first` (cells + 1,): where the lines of each cell begin.
     """
     line = first[cell] + bit
     some = indices(line < first[cell + 1])
-    here, at = lines.take(line[some]), place[:, some]
+    here, at = lines.take(line[some]), point[:, some]
     return some, here.a * at.real + here.b * at.imag + here.c
 
 
@@ -89,7 +91,7 @@ def _triangles(lines: Lines, first: Ints, bits: int) -> Points:
     cell = np.arange(first.size - 1).repeat(2)
     region = cell << bits
     square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
-    corner: Places = np.tile(square[[[0, 0], [1, 2], [2, 3]]], first.size - 1)
+    corner: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], first.size - 1)
     for bit in range(bits):
         some, z = _values(lines, first, bit, cell, corner)
         above = z > 0
@@ -113,7 +115,7 @@ def _triangles(lines: Lines, first: Ints, bits: int) -> Points:
     return Points(cell, corner.sum(axis=0) / 3, area, region)
 
 
-def _weights(place: Places, region: Ints, triangles: Points, count: int) -> tuple[Floats, Bools]:
+def _weights(point: Points2D, region: Ints, triangles: Points, count: int) -> tuple[Floats, Bools]:
     """Weights (n,) of points in regions (n,), and which regions (count,) they are enough for.
 
     A weight is w (1 + t . (p - q)), with w = area / points, the point p and their mean q.  With
@@ -125,13 +127,13 @@ def _weights(place: Places, region: Ints, triangles: Points, count: int) -> tupl
 
     points = np.maximum(np.bincount(region, minlength=count), 1)
     area = total(triangles.region, triangles.weight)
-    q_x, q_y = total(region, place.real) / points, total(region, place.imag) / points
-    x, y = place.real - q_x[region], place.imag - q_y[region]
+    q_x, q_y = total(region, point.real) / points, total(region, point.imag) / points
+    x, y = point.real - q_x[region], point.imag - q_y[region]
     xx, xy, yy = (total(region, m) / points for m in (x * x, x * y, y * y))
     determinant = xx * yy - xy * xy
     enough: Bools = determinant > _SPREAD
-    off_x = total(triangles.region, triangles.weight * triangles.place.real) - area * q_x
-    off_y = total(triangles.region, triangles.weight * triangles.place.imag) - area * q_y
+    off_x = total(triangles.region, triangles.weight * triangles.point.real) - area * q_x
+    off_y = total(triangles.region, triangles.weight * triangles.point.imag) - area * q_y
     divisor = np.where(enough, points * determinant, np.inf)
     t_x, t_y = (yy * off_x - xy * off_y) / divisor, (xx * off_y - xy * off_x) / divisor
     weights = np.where(enough, area / points, 0)[region] + t_x[region] * x + t_y[region] * y

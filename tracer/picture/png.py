@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats
-from tracer.commands import atomic_file
-
-__all__ = ["PNG", "Compressed", "compressed", "to_codes", "write_png", "write_tiles"]
+from tracer.files import atomic_file
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file (5.2)."""
 
 # Values worked on at a time: they stay in a core's cache.
-_BLOCK = 1 << 15
+_VALUES_AT_ONCE = 1 << 15
 
 # The largest prime below 2^16.
 _ADLER = 65521
@@ -50,7 +48,7 @@ def write_png(file: str | os.PathLike[str] | IO[bytes], image: ArrayLike) -> Non
     """
     radiance = _checked(image)
     height, width, _ = radiance.shape
-    rows = max(1, _BLOCK // (3 * max(1, width)))
+    rows = max(1, _VALUES_AT_ONCE // (3 * max(1, width)))
     tiles = (compressed(radiance[row : row + rows]) for row in range(0, height, rows))
     if isinstance(file, (str, os.PathLike)):
         with atomic_file(file, PNG) as stream:
@@ -68,14 +66,11 @@ class Compressed(NamedTuple):
         Deflate blocks (RFC 1951) that end on a byte, none of them the last.
     size, check : int
         Number of bytes before compression, and their Adler-32 (RFC 1950).
-    black : bool
-        Whether all pixels are.
     """
 
     data: bytes
     size: int
     check: int
-    black: bool
 
 
 def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
@@ -91,11 +86,11 @@ def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
     # Level 3 takes no longer than 1.
     stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
     data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
-    return Compressed(data, lines.size, zlib.adler32(lines.data), not codes.any())
+    return Compressed(data, lines.size, zlib.adler32(lines.data))
 
 
-def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> bool:
-    """Write a PNG file of all its pixels, compressed, in order; return whether all are black.
+def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> None:
+    """Write a PNG file of all its pixels, compressed, in order.
 
     Raises
     ------
@@ -114,16 +109,15 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     # 8 bits a channel, RGB, the only compression and filter methods there are, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     # A zlib stream (RFC 1950): window of 32 KB, fast; its blocks; an empty last one; a check.
-    start, check, left, black = b"\x78\x5e", 1, height * (1 + 3 * width), True
+    start, check, left = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
         write_chunk(b"IDAT", start + tile.data)
         start, check = b"", _adler_of_both(check, tile.check, tile.size)
-        left, black = left - tile.size, black and tile.black
+        left -= tile.size
     if left:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
     write_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", check))
     write_chunk(b"IEND", b"")
-    return black
 
 
 def _adler_of_both(first: int, second: int, size: int) -> int:
@@ -150,8 +144,8 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
     least_code, thresholds = _tables()
-    for start in range(0, flat.size, _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for start in range(0, flat.size, _VALUES_AT_ONCE):
+        block = slice(start, start + _VALUES_AT_ONCE)
         x = np.clip(flat[block], _LEAST, 1.0)
         code = least_code.take((x.view(np.int64) >> _CELL_BITS) - _FIRST_CELL)
         np.add(code, x >= thresholds.take(code), out=flat_codes[block])

@@ -12,7 +12,7 @@ from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, short
-from tracer.scene.remedies import SCENE, malformed
+from tracer.scene.hints import SCENE, malformed
 
 MAX_BYTES = 1 << 28
 """Largest scene file: 256 MiB, about two million objects."""
@@ -22,13 +22,13 @@ MAX_NESTING = 64
 """Deepest nesting, and most children of anything but the scene."""
 
 # Bytes parsed at a time, and what is kept of those before, to find remedies.
-_CHUNK, _TAIL = 1 << 14, 1 << 12
+_READ_BYTES, _TAIL_BYTES = 1 << 14, 1 << 12
 
 # Elements that hold elements, and no text.
 _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
-class GiveUp(Exception):  # noqa: N818 - it tells a fault, and that no other will be found
+class FatalFault(Exception):  # noqa: N818 - a fault of the file, not of the program
     """A fault after which the rest of the file is not worth reading: the line or 0, and words."""
 
 
@@ -43,15 +43,17 @@ class Element(list["Element"]):
 
 
 def parse(
-    file: IO[bytes], take: Callable[[Element], None], note: Callable[[int, str, str], None]
+    file: IO[bytes],
+    read_child: Callable[[Element], None],
+    report_at: Callable[[int, str, str], None],
 ) -> None:
-    """Parse a scene file: `take` its root when it begins, each child of that when it ends.
+    """Parse a scene file: `read_child` gets the root when it begins, each child when it ends.
 
-    Stray text is noted: its line, the tag of what holds it, and what is wrong.  `GiveUp` is raised
-    where the file is no longer XML, or passes a limit; what ended before has been taken.
+    Stray text is reported: its line, the tag of what holds it, and what is wrong.  `FatalFault` is
+    raised where the file is not XML any more, or passes a limit; what ended before has been read.
     """
     opened: list[Element] = []
-    # Where stray text since the last tag is noted already: a long one comes in pieces.
+    # Where stray text since the last tag is reported already: a long one comes in pieces.
     strayed: Element | None = None
 
     def start(tag: str, attrib: dict[str, str]) -> None:
@@ -67,15 +69,15 @@ def parse(
             parent.append(element)
             if len(opened) == MAX_NESTING or len(parent) > MAX_NESTING:
                 wrong = f"{short(parent.tag)}: more than {MAX_NESTING} elements in another"
-                raise GiveUp(element.line, wrong)
+                raise FatalFault(element.line, wrong)
         elif not opened:
-            take(element)
+            read_child(element)
         opened.append(element)
 
     def end(_tag: str) -> None:
         element = opened.pop()
         if len(opened) == 1:
-            take(element)
+            read_child(element)
 
     def text(text: str) -> None:
         nonlocal strayed
@@ -86,12 +88,12 @@ def parse(
             element.text += text
             if len(element.text) > MAX_TOKEN:
                 wrong = f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter"
-                raise GiveUp(element.line, wrong)
+                raise FatalFault(element.line, wrong)
         elif strayed is not element:
             # The event comes where the text ends; the fault is where it begins.
             strayed, text = element, text.lstrip()
             line = parser.CurrentLineNumber - text.count("\n")
-            note(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+            report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
 
     def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
         # Entities in others grow exponentially; those of another file would be skipped.
@@ -99,7 +101,7 @@ def parse(
             wrong = "are not allowed; write out what entities stand for"
             if not declares:
                 wrong = "in another file are not allowed; remove the DOCTYPE"
-            raise GiveUp(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
+            raise FatalFault(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
 
     parser: Any = expat.ParserCreate()
     parser.buffer_text = True
@@ -110,13 +112,13 @@ def parse(
     given, latest, chunk = 0, b"", None
     try:
         while chunk != b"":
-            chunk = file.read(_CHUNK)
+            chunk = file.read(_READ_BYTES)
             if not isinstance(chunk, bytes):
                 raise TypeError("a scene is read from a binary file, not from text")
-            latest = latest[-_TAIL:] + chunk
+            latest = latest[-_TAIL_BYTES:] + chunk
             given += len(chunk)
             if not given:
-                raise GiveUp(0, f"is empty; {SCENE}")
+                raise FatalFault(0, f"is empty; {SCENE}")
             try:
                 parser.Parse(chunk, not chunk)
             except expat.ExpatError as error:
@@ -124,20 +126,20 @@ def parse(
                 if message == expat.errors.XML_ERROR_NO_MEMORY:
                     raise MemoryError from None
                 at = max(0, parser.ErrorByteIndex - given + len(latest))
-                after = (latest + file.read(_CHUNK))[at : at + 256]
+                after = (latest + file.read(_READ_BYTES))[at : at + 256]
                 right = malformed(message, error.lineno, latest[:at], after, opened)
                 wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
-                raise GiveUp(error.lineno, wrong) from None
+                raise FatalFault(error.lineno, wrong) from None
             except (LookupError, ValueError, Warning):
                 if opened:
                     raise
                 # Of the codec that the file asks for.
-                raise GiveUp(1, "not XML: unknown encoding; save the file as UTF-8") from None
+                raise FatalFault(1, "not XML: unknown encoding; save the file as UTF-8") from None
             # Versions of expat before 2.6 take quadratic time over one token.
             if given - parser.CurrentByteIndex > MAX_TOKEN:
                 wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
-                raise GiveUp(parser.CurrentLineNumber, wrong)
+                raise FatalFault(parser.CurrentLineNumber, wrong)
             if given > MAX_BYTES:
-                raise GiveUp(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+                raise FatalFault(0, f"has more than {MAX_BYTES} bytes, which are allowed")
     finally:
         parser = None  # it holds itself by its handlers: a cycle

@@ -2,7 +2,7 @@
 
 Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75 in size, and colours not
 negative; `SceneError` reports all that is wrong, not only the first.  The fields' metadata are the
-table of elements that files are read and written by: see `schema.of`.
+table of elements that files are read and written by: see `schema.xml_field`.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Checked, Floats, of
+from tracer.scene.schema import Checked, Columns, Fault, Floats, number, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
@@ -63,27 +62,34 @@ class Camera(Checked):
         `proj_normal` perpendicular to `view_dir`.
     """
 
-    view_point: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "viewPoint"))
-    view_dir: VectorLike = field(default=(0.0, 0.0, -1.0), metadata=of(schema.DIRECTION, "viewDir"))
-    view_up: VectorLike = field(default=(0.0, 1.0, 0.0), metadata=of(schema.DIRECTION, "viewUp"))
-    proj_normal: VectorLike | None = field(
-        default=None, metadata=of(schema.DIRECTION, "projNormal")
+    view_point: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(
+        default=(0.0, 0.0, -1.0), metadata=xml_field(schema.DIRECTION, "viewDir")
     )
-    proj_distance: float = field(default=1.0, metadata=of(schema.LENGTH, "projDistance"))
-    view_width: float = field(default=1.0, metadata=of(schema.LENGTH, "viewWidth"))
-    view_height: float = field(default=1.0, metadata=of(schema.LENGTH, "viewHeight"))
+    view_up: VectorLike = field(
+        default=(0.0, 1.0, 0.0), metadata=xml_field(schema.DIRECTION, "viewUp")
+    )
+    proj_normal: VectorLike | None = field(
+        default=None, metadata=xml_field(schema.DIRECTION, "projNormal")
+    )
+    proj_distance: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "projDistance"))
+    view_width: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewWidth"))
+    view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
-    @np.errstate(under="ignore")
-    def misfits(self) -> list[str]:
-        """Say which vectors do not go together."""
-        wrong, normal = [], unit(self.normal)
-        if np.linalg.norm(np.cross(unit(self.view_up), normal)) < _DEGENERATE:
-            other = "view_dir" if self.proj_normal is None else "proj_normal"
-            wrong.append(f"view_up: must not be parallel to {other}; choose another view_up")
-        if abs(normal @ unit(self.view_dir)) < _DEGENERATE:
-            remedy = "no ray would meet it"
-            wrong.append(f"proj_normal: must not be perpendicular to view_dir: {remedy}")
-        return wrong
+    @classmethod
+    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
+        """Find vectors that do not go together."""
+        vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
+        for i, (up, ahead, given) in enumerate(zip(*vectors, strict=True)):
+            other, normal = ("view_dir", ahead) if np.isnan(given).all() else ("proj_normal", given)
+            with np.errstate(all="ignore"):  # vectors may be zero, or not finite
+                up, ahead, normal = map(unit, (up, ahead, normal))
+                sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
+            if sine < _DEGENERATE:
+                yield i, "view_up", f"must not be parallel to {other}; choose another view_up"
+            if cosine < _DEGENERATE:
+                wrong = "must not be perpendicular to view_dir: no ray would meet it"
+                yield i, "proj_normal", wrong
 
     @property
     def normal(self) -> VectorLike:
@@ -104,9 +110,11 @@ class PointLight(Checked):
         In its file; no part of equality.
     """
 
-    position: VectorLike = field(metadata=of(schema.POINT, "position"))
+    position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
     # The specification says color, the published scenes say intensity.
-    intensity: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "intensity", "color"))
+    intensity: VectorLike = field(
+        default=_ONE, metadata=xml_field(schema.COLOR, "intensity", "color")
+    )
     line: int | None = field(default=None, compare=False, repr=False)
 
 
@@ -122,7 +130,7 @@ class Lambertian(Checked):
         The colour kd: linear RGB, 1 for all of the light.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
+    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,14 +148,14 @@ class Phong(Checked):
         The larger, the smaller the highlight.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=of(schema.COLOR, "diffuseColor"))
-    specular: VectorLike = field(default=_ZERO, metadata=of(schema.COLOR, "specularColor"))
-    exponent: float = field(default=1.0, metadata=of(schema.EXPONENT, "exponent"))
+    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_ZERO, metadata=xml_field(schema.COLOR, "specularColor"))
+    exponent: float = field(default=1.0, metadata=xml_field(schema.EXPONENT, "exponent"))
 
 
 Shader: TypeAlias = Lambertian | Phong
 
-_SHADER = of(schema.one_of(Lambertian, Phong), "shader")
+_SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,8 +171,8 @@ class Sphere(Checked):
         In its file; no part of equality.
     """
 
-    center: VectorLike = field(default=_ZERO, metadata=of(schema.POINT, "center"))
-    radius: float = field(default=1.0, metadata=of(schema.LENGTH, "radius"))
+    center: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "center"))
+    radius: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "radius"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -187,15 +195,22 @@ class Box(Checked):
         For values of the wrong kind, or `min_pt` beyond `max_pt` along any axis.
     """
 
-    min_pt: VectorLike = field(metadata=of(schema.POINT, "minPt"))
-    max_pt: VectorLike = field(metadata=of(schema.POINT, "maxPt"))
+    min_pt: VectorLike = field(metadata=xml_field(schema.POINT, "minPt"))
+    max_pt: VectorLike = field(metadata=xml_field(schema.POINT, "maxPt"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
-    def misfits(self) -> list[str]:
-        """Say along which axes the corners are in the wrong order."""
-        low, high = np.array([[self.min_pt], [self.max_pt]])
-        return [f"min_pt: {wrong}" for _, wrong in schema.order_faults(low, high)]
+    @classmethod
+    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
+        """Find corners in the wrong order."""
+        low, high = columns["min_pt"], columns["max_pt"]
+        for i in np.flatnonzero((low > high).any(axis=1)).tolist():
+            has = " and ".join(
+                f"{axis} has {number(a)} > {number(b)}"
+                for axis, a, b in zip("xyz", low[i].tolist(), high[i].tolist(), strict=True)
+                if a > b
+            )
+            yield i, "min_pt", f"must not exceed max_pt, but {has}; swap these"
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -247,12 +262,12 @@ class Surfaces(Sequence[Sphere | Box]):
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
         lines = schema.integers(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
-        schema.raise_any(self._misfits())
+        schema.raise_any(self._conflicts())
         faults = sorted(self._faults(), key=lambda fault: fault[0])
         schema.raise_any(f"surface {index}: {wrong}" for index, wrong in faults)
         self.__setstate__(vars(self))
 
-    def _misfits(self) -> Iterator[str]:
+    def _conflicts(self) -> Iterator[str]:
         """Find arrays that do not fit together, and so cannot be checked further."""
         every = "one a surface"
         for name, needed, why in (
@@ -272,14 +287,11 @@ class Surfaces(Sequence[Sphere | Box]):
     def _faults(self) -> Iterator[tuple[int, str]]:
         """Find numbers that no sphere or box may have; tell its place in the file."""
         spheres, boxes = np.split(self.file_index, [self.sphere_count])
-        for name, index, faults in (
-            ("radius", spheres, schema.LENGTH.faults(self.radius[:, None])),
-            ("center", spheres, schema.POINT.faults(self.center)),
-            ("min_pt", boxes, schema.POINT.faults(self.min_pt)),
-            ("max_pt", boxes, schema.POINT.faults(self.max_pt)),
-            ("min_pt", boxes, schema.order_faults(self.min_pt, self.max_pt)),
-        ):
-            yield from ((index.item(i), f"{name}: {message}") for i, message in faults)
+        balls = {"center": self.center, "radius": self.radius[:, None]}
+        corners = {"min_pt": self.min_pt, "max_pt": self.max_pt}
+        for made, index, columns in ((Sphere, spheres, balls), (Box, boxes, corners)):
+            for i, name, wrong in schema.faults(made, columns):
+                yield index.item(i), f"{name}: {wrong}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
@@ -337,10 +349,12 @@ class Surfaces(Sequence[Sphere | Box]):
         shader, line = self.shaders[self.shader_index[at]], self.line.item(at) or None
         if at < self.sphere_count:
             center, radius = tuple(self.center[at].tolist()), self.radius.item(at)
-            return schema.unchecked(Sphere, center=center, radius=radius, shader=shader, line=line)
+            return schema.construct_unchecked(
+                Sphere, center=center, radius=radius, shader=shader, line=line
+            )
         low, high = (each[at - self.sphere_count].tolist() for each in (self.min_pt, self.max_pt))
         corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
-        return schema.unchecked(Box, **corners, shader=shader, line=line)
+        return schema.construct_unchecked(Box, **corners, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -376,11 +390,11 @@ class Scene(Checked):
         For a picture of no pixels or too many, or parts of the wrong type.
     """
 
-    camera: Camera = field(metadata=of(schema.one_of(Camera)))
-    lights: tuple[PointLight, ...] = field(metadata=of(schema.list_of(PointLight)))
-    surfaces: Surfaces = field(metadata=of(lambda value, _: Surfaces.of(value)))
-    width: int = field(metadata=of(schema.size))
-    height: int = field(metadata=of(schema.size))
+    camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_of(PointLight)))
+    surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.of(value)))
+    width: int = field(metadata=xml_field(schema.size))
+    height: int = field(metadata=xml_field(schema.size))
 
     # Written out, as it takes more types than the fields keep.
     def __init__(
@@ -396,16 +410,15 @@ class Scene(Checked):
         for name, value in (sized | {"lights": lights, "surfaces": surfaces}).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
-
-    def misfits(self) -> Iterator[str]:
-        """Say whether the picture would be too large."""
         if (count := self.width * self.height) > schema.MAX_PIXELS:
             wrong = f"{self.width} x {self.height} pixels are too many: the picture would take"
             memory = f"{count * 24 / 2**30:.3g} GiB of memory"
-            yield f"width, height: {wrong} {memory}; at most {schema.MAX_PIXELS} are allowed"
+            most = f"at most {schema.MAX_PIXELS} are allowed"
+            raise schema.SceneError([f"width, height: {wrong} {memory}; {most}"])
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""
-        # By its name: pictures are made of scenes, so no module here imports one of theirs.
-        png: bytes = import_module("tracer.picture.bands").to_png(self)
-        return png
+        # The one import that goes up: Jupyter asks the scene itself for its picture.
+        from tracer.picture.render import to_png
+
+        return to_png(self)

@@ -1,6 +1,6 @@
 """From a scene file to a :class:`~tracer.scene.model.Scene`.
 
-Elements become rows of tables, one for each dataclass; numbers are converted many at a time.
+Elements become rows of tables, one for each dataclass; numbers are checked when all are there.
 
 Each fault is reported in a line of its own, as ``FILE:LINE: element: what is wrong; what would be
 right``, up to the place where the file is no longer XML or passes a limit, or has `MAX_FAULTS`.
@@ -20,19 +20,15 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from tracer.arrays import Floats
 from tracer.messages import printable, quoted, short
-from tracer.scene import model
-from tracer.scene.elements import MAX_BYTES, Element, GiveUp, parse
+from tracer.scene import model, schema
+from tracer.scene.elements import MAX_BYTES, Element, FatalFault, parse
+from tracer.scene.hints import nearest
 from tracer.scene.model import Scene, Surfaces
-from tracer.scene.remedies import nearest
-from tracer.scene.schema import Numbers, SceneError, order_faults, unchecked
+from tracer.scene.schema import Floats, SceneError, construct_unchecked
 
 MAX_FAULTS = 1_000
 """How many faults are reported before the reader gives up on a file."""
-
-# How many elements are converted at once.
-_BATCH = 1024
 
 
 class SceneFileError(SceneError):
@@ -70,7 +66,7 @@ def load_scene(
     try:
         with nullcontext(given) if stream else _opened(name) as file:
             reader.read(file)
-    except GiveUp as fault:
+    except FatalFault as fault:
         reader.faults.append(fault.args)
     except OSError as error:
         reason = error.strerror or str(error)
@@ -90,69 +86,84 @@ def _opened(path: str) -> IO[bytes]:
         status = os.stat(path)
     except ValueError:
         wrong = "no path has a NUL or half of a surrogate pair in it; check the path"
-        raise GiveUp(0, wrong) from None
+        raise FatalFault(0, wrong) from None
     if stat.S_ISDIR(status.st_mode):
-        raise GiveUp(0, "is a folder; name a scene file in it")
+        raise FatalFault(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
-        raise GiveUp(0, "is not a regular file; save the scene to one")
+        raise FatalFault(0, "is not a regular file; save the scene to one")
     if status.st_size > MAX_BYTES:
-        raise GiveUp(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
+
+
+# Of the words that float() accepts, those with other characters are no numbers: 1_0, nan, infinity.
+_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
+
+
+def _numbers(text: str, count: int) -> Sequence[float]:
+    """The numbers in a text; none unless there are so many, and nothing else."""
+    try:
+        found = [*map(float, text.split())]
+    except ValueError:
+        return ()
+    return found if len(found) == count and _decimal(text) else ()
+
+
+class _Column:
+    """A field's numbers in all rows of a table, and the lines of the elements that hold them."""
+
+    def __init__(self, field: Field[Any]) -> None:
+        self.validator, self.tags = field.metadata.values()
+        self.default: Any = field.default
+        self.required = self.default is MISSING
+        unknown = self.required or self.default is None
+        default: Any = np.nan if unknown else self.default
+        self.missing = np.broadcast_to(default, self.validator.count).tolist()
+        # The line is negative for the second of two tags, and 0 in rows without such an element.
+        self.numbers, self.lines = array("d"), array("i")
+
+    def array(self) -> Floats:
+        """The numbers (n, count)."""
+        return np.reshape(self.numbers, (-1, self.validator.count))
+
+    def values(self) -> Iterable[Any]:
+        """What the object of each row keeps."""
+        if not any(self.lines):
+            return repeat(self.default, len(self.lines))  # one tuple for all
+        rows = self.array().T.tolist()
+        return zip(*rows, strict=True) if len(rows) > 1 else rows[0]
 
 
 class _Table:
     """All elements that make a dataclass, in rows, as its fields' metadata describe them."""
 
-    def __init__(self, made: type) -> None:
-        self.made = made
-        tagged = [field for field in fields(made) if field.metadata]
+    def __init__(self, made: type[schema.Checked]) -> None:
+        self.made, numeric = made, schema.numeric(made)
+        tagged = [field for field in fields(cast(Any, made)) if field.metadata]
         self.tags = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
-        self.numeric = [f for f in tagged if isinstance(f.metadata["kind"], Numbers)]
-        required = [field for field in self.numeric if field.default is MISSING]
-        self.required = {field.name: field.metadata["tags"][0] for field in required}
-        self.columns = {field.name: array("d") for field in self.numeric}
-        self.given: set[str] = set()  # fields that some row gives
+        self.columns = {field.name: _Column(field) for field in tagged if field.name in numeric}
         # Of each row the line, the place among all shaders or surfaces, and a surface's shader.
         self.lines, self.index, self.shaders = array("i"), array("i"), array("i")
-        # Of each field, elements whose numbers are not converted yet; None where one is not given.
-        self.unread: dict[str, list[Element | None]] = {name: [] for name in self.columns}
+
+    def faults(self) -> Iterator[tuple[int, str, str]]:
+        """Find numbers that make no object: the line, the tag, and what is wrong."""
+        numbers = {name: column.array() for name, column in self.columns.items()}
+        for row, name, wrong in schema.faults(self.made, numbers):
+            line, tags = self.columns[name].lines[row], self.columns[name].tags
+            if not np.isnan(numbers[name][row]).any():  # else it is reported already
+                yield abs(line) or self.lines[row], tags[line < 0], _in_tags(wrong)
 
     def objects(self) -> Iterator[Any]:
         """Make the dataclass of each row, whose numbers are known to be right."""
-        columns = {field.name: self._values(field) for field in fields(self.made)}
-        for row in zip(*columns.values(), strict=True):
-            yield unchecked(self.made, **dict(zip(columns, row, strict=True)))
-
-    def _values(self, field: Field[Any]) -> Iterable[Any]:
-        if field.name == "line":
-            return self.lines
-        if field.name not in self.given:
-            return repeat(field.default, len(self.lines))  # one tuple for all
-        rows = np.reshape(self.columns[field.name], (len(self.lines), -1)).T.tolist()
-        return zip(*rows, strict=True) if len(rows) > 1 else rows[0]
-
-
-def _numbers(texts: Sequence[str], count: int) -> list[float] | None:
-    """The numbers in all `texts`; None unless each surely holds `count`, and nothing else.
-
-    Some words that float() accepts are no numbers: 1_0, nan, infinity, and digits of other scripts.
-    """
-    # One text for all: to read each by itself takes longer than to make a number of it.
-    text = " ; ".join(texts)
-    found = text.split()
-    between = found[count :: count + 1]
-    del found[count :: count + 1]
-    whole = len(found) == count * len(texts) and between == [";"] * (len(texts) - 1)
-    if not whole or not text.isascii() or any(map(text.__contains__, "_nN")):
-        return None
-    try:
-        return [*map(float, found)]
-    except ValueError:
-        return None
+        values = {name: column.values() for name, column in self.columns.items()}
+        if self.made is model.PointLight:
+            values["line"] = self.lines
+        for row in zip(*values.values(), strict=True):
+            yield construct_unchecked(self.made, **dict(zip(values, row, strict=True)))
 
 
 class _Reader:
-    """Takes elements in, as rows of tables; makes these into a scene."""
+    """Reads elements into rows of tables, and makes a scene of these."""
 
     def __init__(self) -> None:
         self.faults: list[tuple[int, str]] = []
@@ -169,29 +180,30 @@ class _Reader:
         # Of each reference to a shader that was not yet defined, its line and the shader's place.
         self.references = array("i")
 
-    def note(self, line: int, tag: str, message: str) -> None:
-        """Note a fault; raise `GiveUp` if it is one too many."""
+    def report_at(self, line: int, tag: str, message: str) -> None:
+        """Report a fault at a line; raise `FatalFault` if it is one too many."""
         if len(self.faults) == MAX_FAULTS:
             last = max(line for line, _ in self.faults)
-            raise GiveUp(last, f"{MAX_FAULTS} faults so far; mend these first")
+            raise FatalFault(last, f"{MAX_FAULTS} faults so far; mend these first")
         self.faults.append((line, f"{short(tag)}: {message}"))
 
-    def fault(self, element: Element, message: str) -> None:
-        """Note a fault of an element."""
-        self.note(element.line, element.tag, message)
+    def report(self, element: Element, message: str) -> None:
+        """Report a fault of an element."""
+        self.report_at(element.line, element.tag, message)
 
     def read(self, file: IO[bytes]) -> None:
-        """Take in a file; note all faults, as far as it can be read."""
+        """Read a file; report all faults, as far as it is XML."""
         try:
-            parse(file, self.take, self.note)
+            parse(file, self.read_child, self.report_at)
         finally:
             typed = (*self.shaders.values(), *self.surfaces.values())
             for table in (self.cameras, self.lights, *typed):
-                self.convert(table)
+                for fault in table.faults():
+                    self.report_at(*fault)
         self.check_whole()
 
-    def take(self, element: Element) -> None:
-        """Take in the root, which comes first, or a child of it."""
+    def read_child(self, element: Element) -> None:
+        """Handle the root element, then each of its children."""
         tag = element.tag
         if tag == "surface" and self.seen:
             self.surface(element)
@@ -200,38 +212,38 @@ class _Reader:
         elif tag == "shader":
             self.shader(element)
             if "name" not in element.attrib:
-                self.fault(element, 'has no name; add one, as in name="white"')
+                self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.row(self.lights, element)
         elif tag in ("camera", "image"):
             if self.seen.setdefault(tag, element) is not element:
                 self.repeated(element, self.seen[tag])
-            self.row(self.cameras, element) if tag == "camera" else self.take_image(element)
+            self.row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
             self.unknown(element, "scene", ("camera", "image", "light", "shader", "surface"))
 
     def root(self, element: Element) -> None:
         if element.tag != "scene":
-            raise GiveUp(element.line, f"{short(element.tag)}: the root must be <scene>")
+            raise FatalFault(element.line, f"{short(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
-            raise GiveUp(element.line, message)
+            raise FatalFault(element.line, message)
         self.no_attributes(element)
         self.seen["scene"] = element
 
-    def take_image(self, element: Element) -> None:
+    def read_image(self, element: Element) -> None:
         self.no_parts(element)
         word = r"\s*([-+]?\d{1,18})"
         found = re.fullmatch(rf"{word}\s{word}\s*", element.text, re.ASCII)
         if found is None:
             wrong = "needs two whole numbers, width and height, as in 640 480"
-            self.fault(element, f"{wrong}; has {quoted(element.text.strip())}")
+            self.report(element, f"{wrong}; has {quoted(element.text.strip())}")
             return
         try:
             self.empty = Scene(width=int(found[1]), height=int(found[2]))
         except SceneError as error:
             for line in error.lines:
-                self.fault(element, line)
+                self.report(element, line)
 
     def surface(self, element: Element) -> None:
         table = self.surfaces.get(element.attrib.get("type", ""))
@@ -250,13 +262,13 @@ class _Reader:
             self.references.extend((shader.line, place))
 
     def shader(self, element: Element) -> int:
-        """Take in a shader; return its place."""
+        """Read a shader; return its place."""
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
         place = self.place(name)
         if name is not None and self.defined[place]:
             taken = f"is taken by the shader in line {self.defined[place]}; choose another"
-            self.fault(element, f"the name {quoted(name)} {taken}")
+            self.report(element, f"the name {quoted(name)} {taken}")
         else:
             self.defined[place] = element.line
         if table is None:
@@ -267,7 +279,7 @@ class _Reader:
         return place
 
     def shader_or_reference(self, element: Element) -> int:
-        """Take in a surface's shader, or a reference to one; return its place."""
+        """Read a surface's shader, or a reference to one; return its place."""
         name = element.attrib.get("ref")
         if name is not None:
             if len(element.attrib) > 1 or element:
@@ -275,7 +287,7 @@ class _Reader:
         elif "name" in element.attrib and "type" not in element.attrib and not element:
             name = element.attrib["name"]
             right = f'to refer to a shader, write ref="{short(name)}"'
-            self.fault(element, f"has a name, but no type; {right}")
+            self.report(element, f"has a name, but no type; {right}")
         else:
             return self.shader(element)
         return self.place(name)
@@ -289,21 +301,22 @@ class _Reader:
         return place
 
     def untyped(self, element: Element, tables: Mapping[str, _Table], *known: str) -> None:
-        """Note that the `type` of a shader or surface names none of the tables."""
+        """Report that the `type` of a shader or surface names none of the tables."""
         self.no_attributes(element, (*known, "type"))
         kind = element.attrib.get("type")
         choice = " or ".join(f'type="{name}"' for name in tables)
         wrong = f"has no type; add {choice}"
         if kind is not None:
             wrong = f"unknown type {quoted(kind)}; {nearest(kind, tables)}"
-        self.fault(element, wrong)
+        self.report(element, wrong)
 
     def row(self, table: _Table, element: Element, *known: str) -> dict[str, Element]:
-        """Take in an element, whose numbers are converted later; return its parts by their fields.
+        """Read an element as a row; return its parts by their fields.
 
-        Note what it has no field for, and what it lacks.
+        Report what it has no field for, and what it lacks.
         """
-        self.no_attributes(element, known, table.tags)
+        if len(element.attrib) > len(known):
+            self.no_attributes(element, known, table.tags)
         parts: dict[str, Element] = {}
         for child in element:
             name = table.tags.get(child.tag)
@@ -313,58 +326,34 @@ class _Reader:
                 self.repeated(child, parts[name])
             else:
                 parts[name] = child
-        for name, column in table.unread.items():
-            column.append(parts.get(name))
-        for name, tag in table.required.items():
-            if name not in parts and tag not in element.attrib:
-                self.fault(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         table.lines.append(element.line)
-        if len(table.lines) % _BATCH == 0:
-            self.convert(table)
+        for name, column in table.columns.items():
+            part, tag = parts.get(name), column.tags[0]
+            if part is not None:
+                column.numbers.extend(self.numbers(part, column.validator.count))
+                column.lines.append(part.line if part.tag == tag else -part.line)
+                continue
+            column.numbers.extend(column.missing)
+            column.lines.append(0)
+            if column.required and tag not in element.attrib:
+                self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return parts
 
-    def convert(self, table: _Table) -> None:
-        """Read and check the numbers of the elements that were taken in since the last call."""
-        batch: dict[str, Floats] = {}
-        faults = len(self.faults)
-        for field in table.numeric:
-            kind, unread = field.metadata["kind"], table.unread[field.name]
-            given = [each for each in unread if each is not None]
-            odd = any(each or each.attrib for each in given)
-            found = None if odd else _numbers([each.text for each in given], kind.count)
-            if found is None:
-                found = [x for each in given for x in self.numbers_of(each, kind.count)]
-            values = np.reshape(found, (-1, kind.count))
-            for i, message in kind.faults(values):
-                if not np.isnan(values[i]).any():  # which is noted already
-                    self.fault(given[i], message)
-            if given:
-                table.given.add(field.name)
-            default = np.nan if field.name in table.required else field.default
-            batch[field.name] = np.full((len(unread), kind.count), default, dtype=np.float64)
-            batch[field.name][[each is not None for each in unread]] = values
-            table.columns[field.name].frombytes(batch[field.name].tobytes())
-        if table.made is model.Box:
-            for i, message in order_faults(batch["min_pt"], batch["max_pt"]):
-                self.fault(cast(Element, table.unread["min_pt"][i]), _in_tags(message))
-        elif table.made is model.Camera and table.lines and len(self.faults) == faults:
-            for fault in next(table.objects()).misfits():
-                self.fault(self.seen["camera"], _in_tags(fault))
-        for unread in table.unread.values():
-            unread.clear()
-
-    def numbers_of(self, element: Element, count: int) -> list[float]:
+    def numbers(self, element: Element, count: int) -> Sequence[float]:
         """The numbers that an element holds, or NaN for each after a fault."""
-        self.no_parts(element)
-        if found := _numbers([element.text], count):
+        if element or element.attrib:
+            self.no_parts(element)
+        if found := _numbers(element.text, count):
             return found
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
-        wrong = [word for word in words if not _numbers([word], 1)]
+        wrong = [word for word in words if not _numbers(word, 1)]
         for word in wrong:
-            self.fault(element, f"{quoted(word)} is no decimal number; write it as 2, -.5 or 1e-3")
+            self.report(
+                element, f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"
+            )
         if not wrong and not element:
-            self.fault(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
-        return [np.nan] * count
+            self.report(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
+        return (np.nan,) * count
 
     # What stands where it may not
 
@@ -374,11 +363,11 @@ class _Reader:
             for kind in kinds:
                 if kind.lower() == element.tag.lower():
                     remedy = f'write <{tag} type="{kind}">'
-        self.fault(element, f"unknown in {short(parent)}; {remedy}")
+        self.report(element, f"unknown in {short(parent)}; {remedy}")
 
     def repeated(self, element: Element, earlier: Element) -> None:
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
-        self.fault(element, f"{given} already, in line {earlier.line}; keep one of the two")
+        self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
 
     def no_attributes(
         self, element: Element, known: Sequence[str] = (), parts: Collection[str] = ()
@@ -390,14 +379,14 @@ class _Reader:
             value = short(element.attrib[name])
             right = f'<shader ref="{value}"/>' if name == "shader" else f"<{name}>{value}</{name}>"
             remedy = f"write {right} in it" if name in parts else nearest(name, known)
-            self.fault(element, f"unknown attribute {quoted(name)}; {remedy}")
+            self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
 
     def no_parts(self, element: Element, *known: str) -> None:
         """Note all attributes but those `known`, and all elements, in one that holds none."""
         self.no_attributes(element, known)
         for child in element:
             wrong = f"no element may stand in it; remove <{short(child.tag)}>"
-            self.note(child.line, element.tag, wrong)
+            self.report_at(child.line, element.tag, wrong)
 
     # From tables to a scene
 
@@ -405,13 +394,15 @@ class _Reader:
         """Note what is missing in a whole file: camera, image, and shaders that are referred to."""
         for tag in ("camera", "image"):
             if tag not in self.seen:
-                self.fault(self.seen["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
+                self.report(self.seen["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
         names = {place: name for name, place in self.places.items()}
         known = [name for name, place in self.places.items() if self.defined[place]]
         for line, place in zip(self.references[::2], self.references[1::2], strict=True):
             if not self.defined[place]:
                 remedy = nearest(names[place], known) if known else "define it"
-                self.note(line, "shader", f"no shader is named {quoted(names[place])}; {remedy}")
+                self.report_at(
+                    line, "shader", f"no shader is named {quoted(names[place])}; {remedy}"
+                )
 
     def scene(self) -> Scene:
         """Make the scene of a file without faults."""
@@ -420,8 +411,9 @@ class _Reader:
             for place, shader in zip(table.index, table.objects(), strict=True):
                 shaders[place] = shader
         tables = self.surfaces.values()
+        columns = {name: c.array() for table in tables for name, c in table.columns.items()}
         surfaces = Surfaces(
-            **{name: column for table in tables for name, column in table.columns.items()},
+            **columns | {"radius": columns["radius"][:, 0]},
             shader_index=np.concatenate([table.shaders for table in tables]),
             file_index=np.concatenate([table.index for table in tables]),
             shaders=tuple(shaders),

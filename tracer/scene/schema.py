@@ -1,14 +1,14 @@
-"""Kinds of values that a scene is made of, and what is wrong with one.
+"""Validators of the values in a scene.
 
-A field of a dataclass holds its kind, and the tags that it has in a file, in its metadata (`of`).
-A kind takes a value as given and returns the one to keep, or raises `SceneError`.
+A dataclass field holds its validator, and its tags in a file, in its metadata (`xml_field`).  The
+same rules judge one object (`Checked`), arrays of many (`Surfaces`) and a file: see `faults`.
 """
 
 from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any, TypeAlias, TypeVar
 
@@ -17,6 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 _Made = TypeVar("_Made")
 Floats: TypeAlias = NDArray[np.float64]
+Columns: TypeAlias = Mapping[str, Floats]
+"""Numbers (n, count) of n objects of one dataclass, by its fields; NaN for what is not given."""
+Fault: TypeAlias = tuple[int, str, str]
+"""Which of the objects, which field, and what is wrong with it."""
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
@@ -47,45 +51,50 @@ class SceneError(ValueError):
         return "\n".join(self.lines)
 
 
-def raise_any(faults: Iterable[str]) -> None:
+def raise_any(lines: Iterable[str]) -> None:
     """Raise `SceneError` if there are faults."""
-    if lines := tuple(faults):
-        raise SceneError(lines)
+    if found := tuple(lines):
+        raise SceneError(found)
 
 
-_Kind: TypeAlias = Callable[[Any, str], Any]
+_Validator: TypeAlias = Callable[[Any, str], Any]
 
 
-def of(kind: _Kind, *tags: str) -> dict[str, Any]:
-    """Metadata of a field: its kind, and the tags of the elements that hold it in a file."""
-    return {"kind": kind, "tags": tags}
+def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
+    """Metadata of a field: its validator, and the tags of the elements that hold it in a file.
+
+    A validator takes a value and the field's name, and returns the value to keep, or raises
+    `SceneError`.
+    """
+    return {"validator": validator, "tags": tags}
 
 
 class Checked:
-    """A frozen dataclass whose fields' kinds check its values, and make of them what is kept.
-
-    `SceneError` is raised for all that is wrong.
-    """
+    """A frozen dataclass that validates each field, and then all of them together."""
 
     __slots__ = ()
 
     def __post_init__(self: Any) -> None:
-        faults: list[str] = []
+        lines: list[str] = []
         for field in fields(self):
-            kind, value = field.metadata.get("kind"), getattr(self, field.name)
-            if kind is not None and not (value is None and field.default is None):
+            validator, value = field.metadata.get("validator"), getattr(self, field.name)
+            if validator is not None and not (value is None and field.default is None):
                 try:
-                    object.__setattr__(self, field.name, kind(value, field.name))
+                    object.__setattr__(self, field.name, validator(value, field.name))
                 except SceneError as error:
-                    faults += error.lines
-        raise_any(faults or self.misfits())
+                    lines += error.lines
+        if not lines:
+            one = {name: np.array([getattr(self, name)], np.float64) for name in numeric(self)}
+            lines = [f"{name}: {wrong}" for _, name, wrong in self.conflicts(one)]
+        raise_any(lines)
 
-    def misfits(self) -> Iterable[str]:
-        """Say which values do not go together, each of which is right."""
+    @classmethod
+    def conflicts(cls, columns: Columns) -> Iterable[Fault]:
+        """Find objects whose values do not go together, though each is right."""
         return ()
 
 
-def unchecked(made: type[_Made], **values: object) -> _Made:
+def construct_unchecked(made: type[_Made], **values: object) -> _Made:
     """Make an object of a frozen dataclass, of all its values, which are known to be right."""
     new = object.__new__(made)
     for name, value in values.items():
@@ -109,11 +118,11 @@ _NOT_ZERO: _Rule = (
 
 
 class Numbers:
-    """A kind: so many numbers, under these rules."""
+    """Validator of so many numbers, under these rules."""
 
     def __init__(self, count: int, *rules: _Rule) -> None:
-        self.count = count
-        self.rules = rules
+        self.count, self.rules = count, rules
+        self.needed = f"needs {count} number{'s' * (count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Return a tuple, or the single number."""
@@ -124,11 +133,6 @@ class Numbers:
         row = array.reshape(1, self.count)
         raise_any(f"{name}: {message}" for _, message in self.faults(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
-
-    @property
-    def needed(self) -> str:
-        """How many numbers are needed, in words."""
-        return f"needs {self.count} number{'s' * (self.count > 1)}"
 
     def rows(self, value: ArrayLike, name: str) -> Floats:
         """Return a copy (n, count), or (n,) of single numbers, which may break the rules."""
@@ -154,15 +158,19 @@ LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
 EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE)
 
 
-def order_faults(min_pt: Floats, max_pt: Floats) -> Iterator[tuple[int, str]]:
-    """Find rows of corners (n, 3) in the wrong order; say of each what is wrong with `min_pt`."""
-    wrong = min_pt > max_pt
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        has = " and ".join(
-            f"{'xyz'[axis]} has {number(min_pt[i, axis])} > {number(max_pt[i, axis])}"
-            for axis in np.flatnonzero(wrong[i]).tolist()
-        )
-        yield i, f"must not exceed max_pt, but {has}; swap these"
+def numeric(made: Any) -> dict[str, Numbers]:
+    """Fields of a dataclass that hold numbers, and their validators."""
+    validators = {field.name: field.metadata.get("validator") for field in fields(made)}
+    return {
+        name: validator for name, validator in validators.items() if isinstance(validator, Numbers)
+    }
+
+
+def faults(made: type[Checked], columns: Columns) -> Iterator[Fault]:
+    """Find objects that a dataclass does not allow."""
+    for name, validator in numeric(made).items():
+        yield from ((i, name, wrong) for i, wrong in validator.faults(columns[name]))
+    yield from made.conflicts(columns)
 
 
 def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
@@ -188,11 +196,11 @@ def size(value: int, name: str) -> int:
     return count
 
 
-def list_of(*types: type) -> _Kind:
+def list_of(*types: type) -> _Validator:
     """Any number of objects of these types, as a tuple."""
     right = " or ".join(each.__name__ for each in types)
 
-    def kind(values: Iterable[object], name: str) -> tuple[object, ...]:
+    def validator(values: Iterable[object], name: str) -> tuple[object, ...]:
         try:
             parts = tuple(values)
         except TypeError:
@@ -202,10 +210,10 @@ def list_of(*types: type) -> _Kind:
         raise_any(f"{name}: must be of type {right}, is of type {other}" for other in others)
         return parts
 
-    return kind
+    return validator
 
 
-def one_of(*types: type) -> _Kind:
+def one_of(*types: type) -> _Validator:
     """An object of one of these types."""
     many = list_of(*types)
     return lambda value, name: many([value], name)[0]

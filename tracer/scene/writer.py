@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from tracer.commands import atomic_file
+from tracer.files import atomic_file
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers, number
 
@@ -76,7 +76,7 @@ def _elements(made: Any) -> str:
     numbers = {
         field.metadata["tags"][0]: np.ravel(value).tolist()
         for field in fields(made)
-        if isinstance(field.metadata.get("kind"), Numbers)
+        if isinstance(field.metadata.get("validator"), Numbers)
         and (value := getattr(made, field.name)) is not None
     }
     return "".join(f" <{tag}>{' '.join(map(number, n))}</{tag}>" for tag, n in numbers.items())

@@ -20,7 +20,7 @@ from tracer.arrays import Bools, Floats, Triple, cross, dot
 from tracer.scene.model import Camera, unit
 
 
-class Raster(NamedTuple):
+class CameraFrame(NamedTuple):
     """The picture's rays: the eye, its axes, and the step from pixel to pixel.
 
     Attributes
@@ -94,9 +94,9 @@ class Raster(NamedTuple):
         return shift + self.width * self.step_u + self.height * self.step_v
 
 
-def raster_of(
+def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
-) -> Raster:
+) -> CameraFrame:
     """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
 
     `offset`: how many pixels every sample is moved to the right and down.
@@ -109,8 +109,8 @@ def raster_of(
     v = _cross(w, u)
     center = camera.proj_distance * ahead
     step_u, step_v = camera.view_width / width, camera.view_height / height
-    # Shirley's v points up and his w backwards: a Raster's are their opposites.
-    return Raster(
+    # Shirley's v points up and his w backwards: a CameraFrame's are their opposites.
+    return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),
         shift_u=float(center @ u) + offset[0] * step_u,
@@ -128,7 +128,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.array(cross(a.tolist(), b.tolist()))
 
 
-class Frames(NamedTuple):
+class ScreenBounds(NamedTuple):
     """Bounding rectangles of objects in the picture.
 
     Attributes
@@ -144,45 +144,45 @@ class Frames(NamedTuple):
 
     @classmethod
     def between(
-        cls, raster: Raster, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
-    ) -> Frames:
+        cls, frame: CameraFrame, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
+    ) -> ScreenBounds:
         """From the least and greatest slopes of rays, v / w and u / w in the camera's axes."""
-        rows = (raster.row(m * raster.depth) for m in down)
-        return cls(*rows, *(raster.column(m * raster.depth) for m in right))
+        rows = (frame.row(m * frame.depth) for m in down)
+        return cls(*rows, *(frame.column(m * frame.depth) for m in right))
 
-    def take(self, index: Bools | slice) -> Frames:
+    def take(self, index: Bools | slice) -> ScreenBounds:
         """Some of them."""
-        return Frames(*(m[index] for m in self))
+        return ScreenBounds(*(m[index] for m in self))
 
-    def in_picture(self, raster: Raster) -> Bools:
+    def in_picture(self, frame: CameraFrame) -> Bools:
         """Objects (n,) that may be seen if nothing hides them."""
-        seen: Bools = (self.top <= raster.height + 1) & (self.bottom >= -1)
-        return seen & (self.left <= raster.width + 1) & (self.right >= -1)
+        seen: Bools = (self.top <= frame.height + 1) & (self.bottom >= -1)
+        return seen & (self.left <= frame.width + 1) & (self.right >= -1)
 
-    def window(self, raster: Raster) -> tuple[slice, slice]:
+    def window(self, frame: CameraFrame) -> tuple[slice, slice]:
         """Rows and columns of the picture outside of which nothing is seen."""
-        seen = self.take(self.in_picture(raster))
+        seen = self.take(self.in_picture(frame))
 
         def between(low: Floats, high: Floats, size: int) -> slice:
             first, last = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
             return slice(int(np.clip(first, 0, size)), ceil(np.clip(last, 0, size)))
 
         return (
-            between(seen.top, seen.bottom, raster.height),
-            between(seen.left, seen.right, raster.width),
+            between(seen.top, seen.bottom, frame.height),
+            between(seen.left, seen.right, frame.width),
         )
 
-    def layers(self, raster: Raster) -> float:
+    def depth_complexity(self, frame: CameraFrame) -> float:
         """Bound on how many objects lie behind a pixel, on average over the fullest row."""
-        seen, width = self.take(self.in_picture(raster)), raster.width
+        seen, width = self.take(self.in_picture(frame)), frame.width
         wide = np.clip(seen.right + 1, 0, width) - np.clip(seen.left - 1, 0, width)
         # Downwards from row to row, each object adds its width where it begins.
         order = np.append(seen.top - 1, seen.bottom + 1).argsort()
         return float(np.append(wide, -wide)[order].cumsum().max(initial=0) / width)
 
-    def pairs_in_pixel(self, raster: Raster) -> float:
+    def silhouette_density(self, frame: CameraFrame) -> float:
         """Mean number of (ordered) pairs of silhouettes in a pixel, if these lay at random."""
-        top, bottom = (m.clip(0, raster.height) for m in (self.top, self.bottom))
+        top, bottom = (m.clip(0, frame.height) for m in (self.top, self.bottom))
         # A silhouette about as wide as it is high runs through some 4 * height pixels.
-        share = 4 * np.maximum(bottom - top, 0) / (raster.width * raster.height)
+        share = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
         return float(share.sum() ** 2 - (share**2).sum())

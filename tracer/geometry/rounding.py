@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Triple, dot, each
+from tracer.arrays import Floats, Triple, dot, map3
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
@@ -50,8 +50,8 @@ def tolerance_at(point: Triple, eye: Floats | None, size: Floats) -> Floats:
     `size`: of the surfaces' coordinates; `eye` (3,): from where the points are seen, if they are
     hits of rays, which err in proportion to the distance.
     """
-    reach: Floats = sum(each(np.abs, point), np.zeros(()))
+    reach: Floats = sum(map3(np.abs, point), np.zeros(()))
     if eye is not None:
-        ray = each(np.subtract, point, (eye[0], eye[1], eye[2]))
+        ray = map3(np.subtract, point, (eye[0], eye[1], eye[2]))
         reach = np.sqrt(dot(ray, ray)) + reach
     return SURFACE_TOLERANCE * (reach + size)

@@ -11,9 +11,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, each, entries, indices, pick, spread
-from tracer.scene.model import Surfaces
-from tracer.shapes.rounding import (
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Sides,
+    Triple,
+    indices,
+    map3,
+    repeat_runs,
+    take3,
+    take_2d,
+)
+from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.rounding import (
     INSIDE,
     NEARLY_PARALLEL,
     OUTSIDE,
@@ -21,8 +32,8 @@ from tracer.shapes.rounding import (
     SURFACE_TOLERANCE,
     tolerance_at,
 )
-from tracer.shapes.silhouette import silhouette_planes
-from tracer.view.camera import Frames, Raster
+from tracer.geometry.silhouette import silhouette_planes
+from tracer.scene.model import Surfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +42,7 @@ class Boxes:
 
     Attributes
     ----------
-    flat, first, frames, eye_inside
+    flat, first, bounds, eye_inside
         See `Spheres`.
     min_pt, max_pt : (3, n)
     planes : three (6, n)
@@ -44,24 +55,24 @@ class Boxes:
     first: int
     min_pt: Floats
     max_pt: Floats
-    frames: Frames
+    bounds: ScreenBounds
     planes: Triple
     eye_inside: Bools
 
     @classmethod
-    def of(cls, raster: Raster, surfaces: Surfaces) -> Boxes:
+    def of(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
         """Prepare the boxes of a scene to be seen."""
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
-        low, high = (m - raster.eye[:, None] for m in (min_pt, max_pt))
+        low, high = (m - frame.eye[:, None] for m in (min_pt, max_pt))
         inside = np.all((low <= 0) & (high >= 0), axis=0)
-        u, v, w = raster.vector_to_camera(silhouette_planes(low, high))
+        u, v, w = frame.vector_to_camera(silhouette_planes(low, high))
         # From inside, a box is seen on its side of the faces that the eye is on.
         on = inside & (np.concatenate([low, high]) == 0)
-        for plane, axis in zip((u, v, w), raster.axes, strict=True):
+        for plane, axis in zip((u, v, w), frame.axes, strict=True):
             np.copyto(plane, np.append(axis, -axis)[:, None], where=on)
-        planes = u, v, w * raster.depth
-        frames, first = _frames(raster, low, high), surfaces.sphere_count
-        return cls(first, min_pt, max_pt, frames, planes, inside)
+        planes = u, v, w * frame.depth
+        bounds, first = _screen_bounds(frame, low, high), surfaces.sphere_count
+        return cls(first, min_pt, max_pt, bounds, planes, inside)
 
     @property
     def count(self) -> int:
@@ -76,14 +87,14 @@ class Boxes:
 
     # What the eye sees.
 
-    def ends(
-        self, raster: Raster, owner: Ints, rows: Floats, height: float
+    def row_extent(
+        self, frame: CameraFrame, obj: Ints, rows: Floats, height: float
     ) -> tuple[Floats, Floats]:
-        """See `Spheres.ends`."""
-        box, g = owner - self.first, raster.down(rows + height / 2)
+        """See `Spheres.row_extent`."""
+        box, g = obj - self.first, frame.down(rows + height / 2)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
         # Rays that rounding may turn are in the row as well.
-        half = 0.5 * height * raster.step_v + PLANE_ROUNDING * raster.longest
+        half = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.longest
         for k in range(6):
             slope, tilt, level = (m[k].take(box) for m in self.planes)
             # On whichever side of the row more is inside.
@@ -92,28 +103,30 @@ class Boxes:
             bound = -inside / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
-        return raster.column(low), raster.column(high)
+        return frame.column(low), frame.column(high)
 
     def hit(
-        self, raster: Raster, owner: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, frame: CameraFrame, obj: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Sides]:
         """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
 
         Slabs (Kay and Kajiya 1986); the face is that of the entry (of the exit, with the eye
         inside).  Slabs are closed: a ray lying in a face meets the box.
         """
-        box, eye, (u, v, w) = owner - self.first, raster.eye.tolist(), raster.axes.tolist()
+        box, eye, (u, v, w) = obj - self.first, frame.eye.tolist(), frame.axes.tolist()
         near, far, faces = [], [], []
         for k in range(3):
-            d = s * u[k] + spread(g * v[k] + raster.depth * w[k], counts)
+            d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], counts)
             low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
             above = high < 0
             if np.all(above | (low > 0)):
                 # The nearer plane is known; a ray away from it would leave before it enters.
                 planes = np.where(above, high, low), np.where(above, low, high)
-                enter, leave = (spread(m, counts) / d for m in planes)
+                enter, leave = (repeat_runs(m, counts) / d for m in planes)
             else:
-                enter, leave = _slab(spread(low, counts), spread(high, counts), d, closed=True)
+                enter, leave = _slab(
+                    repeat_runs(low, counts), repeat_runs(high, counts), d, closed=True
+                )
             near.append(enter)
             far.append(leave)
             # The face that is seen looks against the ray.
@@ -123,7 +136,7 @@ class Boxes:
         t, place = np.where(enter <= leave, enter, np.inf), near
         inside = self.eye_inside[box]
         if inside.any():
-            inside = spread(inside, counts)
+            inside = repeat_runs(inside, counts)
             t = np.where(inside, leave, t)
             place = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
         # Through an edge or a corner, the face of the first axis.
@@ -132,83 +145,83 @@ class Boxes:
         return np.where(t > 0, t, np.inf), face
 
     def surface(
-        self, raster: Raster, owner: Ints, counts: Ints, p: Floats, t: Floats, detail: Sides
+        self, frame: CameraFrame, obj: Ints, counts: Ints, p: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """See `Spheres.surface`."""
-        own, detail = owner - self.first, detail.take(counts.cumsum() - counts)
+        box, detail = obj - self.first, detail.take(counts.cumsum() - counts)
         face, sign = detail.astype(np.intp) >> 1, np.where(detail & 1, 1.0, -1.0)
-        low, high = entries(self.min_pt, face, own), entries(self.max_pt, face, own)
-        level = np.where(self.eye_inside[own] == (sign > 0), low, high)
-        height = sign * (raster.eye[face] - level)
-        x, y, z = (np.asarray(sign * axis[face]) for axis in raster.axes)
+        low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
+        level = np.where(self.eye_inside[box] == (sign > 0), low, high)
+        height = sign * (frame.eye[face] - level)
+        x, y, z = (np.asarray(sign * axis[face]) for axis in frame.axes)
         return face, sign, level, (x, y, z), height
 
     # What blocks light.
 
-    def corners(self, owner: Ints) -> tuple[Triple, Triple]:
+    def corners(self, obj: Ints) -> tuple[Triple, Triple]:
         """Lower and upper corners of some boxes."""
-        box = owner - self.first
-        return pick(self.min_pt, box), pick(self.max_pt, box)
+        box = obj - self.first
+        return take3(self.min_pt, box), take3(self.max_pt, box)
 
-    def side(self, owner: Ints, point: Triple) -> Sides:
+    def side(self, obj: Ints, point: Triple) -> Sides:
         """See `Spheres.side`."""
-        return np.where(self.gap(owner, point) < 0, INSIDE, OUTSIDE).astype(np.int8)
+        return np.where(self.signed_distance(obj, point) < 0, INSIDE, OUTSIDE).astype(np.int8)
 
-    def gap(self, owner: Ints, point: Triple) -> Floats:
-        """See `Spheres.gap`."""
-        return np.asarray(np.max(self._heights(owner, point), axis=0))
+    def signed_distance(self, obj: Ints, point: Triple) -> Floats:
+        """See `Spheres.signed_distance`."""
+        return np.asarray(np.max(self._heights(obj, point), axis=0))
 
-    def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
-        """See `Spheres.touches`."""
-        touches: Bools = np.any([np.abs(m) <= reach for m in self._heights(owner, middle)], axis=0)
-        return touches
+    def within(self, obj: Ints, center: Triple, radius: Floats) -> Bools:
+        """See `Spheres.within`."""
+        within: Bools = np.any([np.abs(m) <= radius for m in self._heights(obj, center)], axis=0)
+        return within
 
-    def _heights(self, owner: Ints, point: Triple) -> list[Floats]:
+    def _heights(self, obj: Ints, point: Triple) -> list[Floats]:
         """Heights of points over the six planes of faces."""
-        low, high = self.corners(owner)
-        return [*each(np.subtract, low, point), *each(np.subtract, point, high)]
+        low, high = self.corners(obj)
+        return [*map3(np.subtract, low, point), *map3(np.subtract, point, high)]
 
     def occludes(
         self,
         eye: Floats,
-        owner: Ints,
+        obj: Ints,
         p: Triple,
         light: Triple,
-        closely: Bools,
-        grown: Floats | None = None,
+        near_surface: Bools,
+        offset: Floats | None = None,
     ) -> Bools:
         """See `Spheres.occludes`.
 
         Slabs are open: a segment in a face is not blocked; a flat plate blocks.  An end on a
         face's plane is moved onto it.
         """
-        low, high = self.corners(owner)
-        if grown is not None:
-            low, high = each(lambda c: c - grown, low), each(lambda c: c + grown, high)
+        low, high = self.corners(obj)
+        if offset is not None:
+            low, high = map3(lambda c: c - offset, low), map3(lambda c: c + offset, high)
         blocked = _crosses(p, light, low, high)
-        at = indices(closely)
+        at = indices(near_surface)
         if at.size:
-            owner, p, light = owner[at], pick(p, at), pick(light, at)
-            size = self.size[owner - self.first]
+            obj, p, light = obj[at], take3(p, at), take3(light, at)
+            size = self.size[obj - self.first]
             near = tolerance_at(p, eye, size)
             near_light = np.maximum(near, tolerance_at(light, None, size))
-            near_light = np.where(self.side(owner, light) == INSIDE, near, near_light)
-            some = pick(low, at), pick(high, at)
+            near_light = np.where(self.side(obj, light) == INSIDE, near, near_light)
+            some = take3(low, at), take3(high, at)
             blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near_light), *some)
-        if grown is not None:
+        if offset is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked
 
     def capsules(
-        self, owner: Ints, start: Triple, end: Triple, thickness: Floats
+        self, obj: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
         """See `Spheres.capsules`."""
-        # What span as on a face may be so far off it.
-        thickness = thickness + 2 * SURFACE_TOLERANCE * self.size[owner - self.first]
+        # Points treated as on a face may be this far off it.
+        thickness = thickness + 2 * SURFACE_TOLERANCE * self.size[obj - self.first]
         # Parts of the segment in a box grown by the thickness on all sides, and in one shrunk.
         enter, leave = np.array(-np.inf), np.array(np.inf)
         enter_inner, leave_inner = enter, leave
-        for p, q, low, high in zip(start, end, *self.corners(owner), strict=True):
+        for p, q, low, high in zip(start, end, *self.corners(obj), strict=True):
             d, below, above = q - p, low - p, high - p
             if np.count_nonzero(d) < d.size:
                 lengths = np.abs(below) + np.abs(above) + thickness
@@ -229,7 +242,7 @@ class Boxes:
 def _slab(
     low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
-    """Places where lines enter and leave the slab between two planes, in units of `d`.
+    """Points2D where lines enter and leave the slab between two planes, in units of `d`.
 
     `low`, `high`: the planes' places seen from the lines' origins; `d`: the lines' component
     across.  Parallel lines are in it for ever or never; in a plane, for ever if `closed`, never if
@@ -262,14 +275,14 @@ def _snap(p: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
         on_low, on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
         return np.where(on_low, low, np.where(on_high, high, x))
 
-    return each(component, p, low, high)
+    return map3(component, p, low, high)
 
 
-def _frames(raster: Raster, low: Floats, high: Floats) -> Frames:
+def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
     """Bounds of boxes, given their corners as seen from the eye, in the scene's axes."""
     # Corner i is high along axis k where bit k of i is set.
     x, y, z = (np.array([(low, high)[i >> k & 1][k] for i in range(8)]) for k in range(3))
-    x, y, z = raster.vector_to_camera((x, y, z))
+    x, y, z = frame.vector_to_camera((x, y, z))
     behind, ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
 
     def slopes(corner: Floats) -> tuple[Floats, Floats]:
@@ -277,4 +290,4 @@ def _frames(raster: Raster, low: Floats, high: Floats) -> Frames:
         least = np.where(behind, -np.inf, slope.min(axis=0))
         return least, np.where(behind, np.where(ahead, np.inf, -np.inf), slope.max(axis=0))
 
-    return Frames.between(raster, slopes(y), slopes(x))
+    return ScreenBounds.between(frame, slopes(y), slopes(x))

@@ -10,22 +10,20 @@ import numpy as np
 from tracer.arrays import Ints
 from tracer.scene.model import Phong, Scene, Shader, VectorLike
 from tracer.scene.schema import number
-from tracer.view.first_hits import first_hits
-
-__all__ = ["SceneWarning", "suspicions"]
+from tracer.trace.first_hits import first_hits
 
 # A colour of whole numbers, with one of at least this size, is taken to be from 0 to 255.
 _LEAST_CODE = 10
 
 # Where a black picture is searched for objects: at most so many positions along each side.
-_SIDE = 256
+_PROBE_SIDE = 256
 
 
 class SceneWarning(UserWarning):
     """A scene that renders, but hardly as meant: an empty view, no light, colours up to 255."""
 
 
-def suspicions(scene: Scene, *, black: bool) -> Iterator[str]:
+def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
     """Say in words what looks wrong in a scene; `black`: its picture is all black."""
     surfaces = scene.surfaces
     shader_index = surfaces.shader_index[np.argsort(surfaces.file_index)]
@@ -33,7 +31,7 @@ def suspicions(scene: Scene, *, black: bool) -> Iterator[str]:
     if not black:
         return
     x, y = (
-        np.arange(0.5, min(size, _SIDE)) * max(1, size / _SIDE)
+        np.arange(0.5, min(size, _PROBE_SIDE)) * max(1, size / _PROBE_SIDE)
         for size in (scene.width, scene.height)
     )
     seen = first_hits(scene, np.tile(x, y.size), y.repeat(x.size)).surface

@@ -39,7 +39,7 @@ def silhouette_planes(low: Floats, high: Floats) -> Triple:
     return x, y, z
 
 
-def box_margins(planes: Triple, d: Triple) -> Floats:
+def box_edge_functions(planes: Triple, d: Triple) -> Floats:
     """Signed distances (m, 6, n), but for scale, of rays from the planes of silhouettes.
 
     `planes`: three (6, n), see `silhouette_planes`; `d`: rays from the apex, three (m, n).
@@ -47,7 +47,7 @@ def box_margins(planes: Triple, d: Triple) -> Floats:
     return np.array([dot(normal, d) for normal in zip(*planes, strict=True)]).swapaxes(0, 1)
 
 
-def sphere_margins(d: Triple, center: Triple, radius: Floats) -> Floats:
+def sphere_edge_function(d: Triple, center: Triple, radius: Floats) -> Floats:
     """Angles (m, n) by which rays miss spheres, negative where they meet them; NaN from inside.
 
     `d`: rays from the apex, three (m, n); `center`: three (n,), as seen from there.
@@ -55,5 +55,5 @@ def sphere_margins(d: Triple, center: Triple, radius: Floats) -> Floats:
     aside, distance = cross(center, d), np.sqrt(dot(center, center))
     angle = np.arctan2(np.sqrt(dot(aside, aside)), dot(center, d))
     tangent = np.sqrt((distance - radius) * (distance + radius))
-    margins: Floats = angle - np.arctan2(radius, tangent)
-    return margins
+    values: Floats = angle - np.arctan2(radius, tangent)
+    return values

@@ -21,12 +21,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, batches, equal_runs, expand, indices
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    batches,
+    indices,
+    ranges,
+    run_lengths,
+    segment_indices,
+)
 from tracer.scene.model import Surfaces
 
-__all__ = ["SLACK", "LightGrid", "light_grid"]
-
-SLACK = 1e-9
+POSITION_ERROR = 1e-9
 """Bounds are widened by this much of the coordinates involved: far more than all roundings."""
 
 # With n objects a field has sqrt(n) cells along each side, up to `_SIDE_MOST`.  Finer cells list
@@ -35,7 +42,7 @@ SLACK = 1e-9
 _SIDE_MOST, _PAIRS, _CELLS = 320, 1 << 21, 1 << 24
 
 # So many listed objects are tried at a time, and the cells of so many are filled at a time.
-_AT_ONCE, _FILLED = 1 << 17, 1 << 14
+_PAIRS_AT_ONCE, _OBJECTS_AT_ONCE = 1 << 17, 1 << 14
 
 # A field may leave one in so many objects beyond either of its sides.
 _BEYOND = 64
@@ -48,6 +55,9 @@ _SHARED = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
 
 # If all fields are wider than this, wedges need no more than half of their bytes.
 _NARROW = 1e-4
+
+# More than nothing, and nothing to any distance.
+_TINY = 1e-300
 
 # Directions from a light are rounded, and points snapped to planes, by less than this part of its
 # distance: little enough for suns, which see a whole scene under an angle of 1e-9 and less.
@@ -75,7 +85,7 @@ class LightGrid(NamedTuple):
         Where the four lists of each cell begin in `listed`: see `_LISTS`.
     listed : (m,)
         Parts of objects, each in one octant of one light.
-    owner : (parts,)
+    obj : (parts,)
         The object.
     wedge : (parts, 8)
         What meets the part has a wedge (see `_octants`) no larger than this in any component.
@@ -88,10 +98,10 @@ class LightGrid(NamedTuple):
     size: Floats
     first: NDArray[np.uint32]
     listed: NDArray[np.uint32]
-    owner: Ints
+    obj: Ints
     wedge: NDArray[np.floating[Any]]
 
-    def query(self, middle: Floats, radius: Floats, owner: Ints, asked: Bools) -> Iterator[Ints]:
+    def query(self, middle: Floats, radius: Floats, obj: Ints, asked: Bools) -> Iterator[Ints]:
         """Objects, other than a ball's own, that may come between balls (n,) and lights.
 
         `asked` (lights, n): whether a light may reach any of a ball.  Yields lights, balls and
@@ -100,78 +110,77 @@ class LightGrid(NamedTuple):
         lights, count = asked.shape
         to_light = self.light - middle[:, None]
         octant, way, rect, wedge = _octants(to_light - radius, to_light + radius, self.field, asked)
-        wedge[:, 7] = -np.inf  # what is listed may reach beyond the ball
-        wedge = wedge.astype(self.wedge.dtype)
-        field = self.field[octant * lights + way // count]
-        rect = _in_fields(rect, self.origin[:, field], self.size[:, field])
+        wedge[7] = -np.inf  # what is listed may reach beyond the ball
+        wedge = wedge.T.astype(self.wedge.dtype, order="C")
+        field = self.field.take(octant * lights + way // count)
+        rect = _in_fields(rect, field, self.origin, self.size)
         ball, cell, corner = _cells(rect, field, self.side)
         # A pair is found in the first of the cells that it shares.
         start, stop = (self.first.take(4 * cell + m.take(corner)).astype(np.intp) for m in _SHARED)
         some = indices(stop > start)
         ball, start, length = ball.take(some), start.take(some), (stop - start).take(some)
-        for batch in batches(length, _AT_ONCE):
-            which, place = expand(length[batch], start[batch])
-            which, part = ball[batch].take(which), self.listed.take(place)
+        for batch in batches(length, _PAIRS_AT_ONCE):
+            which = ball[batch].repeat(length[batch])
+            part = self.listed.take(ranges(start[batch], length[batch]))
             meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
             # The eight answers of a row as one integer: much faster than all(axis=1).
             at = indices(meet.view(np.uint64) == 0x0101010101010101)
-            occluder = self.owner.take(part.take(at))
+            occluder = self.obj.take(part.take(at))
             light, which = np.divmod(way.take(which.take(at)), count)
-            kept = indices(occluder != owner.take(which))
+            kept = indices(occluder != obj.take(which))
             yield np.array([light.take(kept), which.take(kept), occluder.take(kept)])
 
 
 def light_grid(
-    lights: Floats, surfaces: Surfaces, slack: Floats, lit: Bools, shades: Bools
+    lights: Floats, surfaces: Surfaces, position_error: Floats, lit: Bools, shades: Bools
 ) -> LightGrid | None:
     """Fill the grid around lights (n, 3); None if nothing can be shaded.
 
-    `slack` (n,): by how much points on each object may be off; `lit`, `shades` (n,): whether it
-    may be seen, as nothing else needs light, and whether it may keep light from others.
+    `position_error` (n,): by how much points on each object may be off; `lit`, `shades` (n,):
+    whether it may be seen, as nothing else needs light, and whether it may keep light from others.
     """
-    if not (len(lights) and slack.size > 1 and lit.any()):
+    if not (len(lights) and position_error.size > 1 and lit.any()):
         return None
     center, radius = surfaces.center, surfaces.radius[:, None]
     # A row for each axis, in one piece: of columns, minima take ten times as long.
-    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - slack
-    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + slack
+    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - position_error
+    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + position_error
     light, blur = _taken_nearer(lights, low, high)
     low, high = (light - blur) - high[:, None], (light + blur) - low[:, None]
     field = np.zeros(8 * len(lights), dtype=np.intp)
     octant, way, rect, wedge = _octants(low, high, field, np.ones((1, 1), dtype=np.bool_))
-    light_of, owner = np.divmod(way, slack.size)
+    light_of, obj = np.divmod(way, position_error.size)
     octant = octant * len(lights) + light_of
-    some = indices(lit[owner])
-    begin, _ = equal_runs(octant[some])
+    some = indices(lit[obj])
+    begin, _ = run_lengths(octant[some])
     field[:] = -1
     field[octant[some[begin]]] = np.arange(begin.size)
     parts = [_middle_part(rect[:, part]) for part in np.split(some, begin[1:])]
     origin, size = np.array(parts).transpose(1, 2, 0)
-    some = indices((field[octant] >= 0) & shades[owner])
+    some = indices((field[octant] >= 0) & shades[obj])
     # Rounding keeps the order, so that no bound fails.
     kind = np.float32 if size.min() > _NARROW else np.float64
-    bounds = np.empty((some.size, 8), dtype=kind)
-    for k in range(8):
-        np.negative(wedge[some, k ^ 1], out=bounds[:, k], casting="same_kind")
-    number, rect, owner = field[octant[some]], rect[:, some], owner[some]
+    bounds = -wedge.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(some, axis=1)
+    bounds = bounds.T.astype(kind, order="C")
+    number, rect, obj = field[octant[some]], rect.take(some, axis=1), obj[some]
     del low, high, octant, way, light_of, wedge  # much memory, with many objects
-    rect = _in_fields(rect, origin[:, number], size[:, number])
+    rect = _in_fields(rect, number, origin, size)
     u0, u1, v0, v1 = rect.clip(0, 1)
     covered = float(((u1 - u0) * (v1 - v0)).sum()) / len(lights)
-    finest = min(slack.size, _SIDE_MOST**2, _PAIRS / covered, _CELLS / begin.size)
+    finest = min(position_error.size, _SIDE_MOST**2, _PAIRS / covered, _CELLS / begin.size)
     side = max(1, int(sqrt(finest)))
     filled, first = [], np.zeros(4 * begin.size * side**2 + 1, dtype=np.uint32)
-    for start in range(0, number.size, _FILLED):  # little memory for many objects
-        these = slice(start, start + _FILLED)
+    for start in range(0, number.size, _OBJECTS_AT_ONCE):  # little memory for many objects
+        these = slice(start, start + _OBJECTS_AT_ONCE)
         place, cell, corner = _cells(rect[:, these], number[these], side)
         cell = 4 * cell + _LIST.take(corner)
         np.add.at(first, cell + 1, np.uint32(1))  # of the same type: twenty times as fast
-        filled.append(np.array([start + place, cell], dtype=np.uint32))
-    place, cell = np.concatenate(filled, axis=1)
+        filled.append(cell << 32 | start + place)
+    # Sorting the pairs, as one number each, is faster than finding their order.
+    pairs = np.concatenate(filled)
     del filled, rect, number
+    pairs.sort()
     first.cumsum(out=first)
-    # NumPy sorts numbers of 16 bits by their digits, several times as fast as longer ones.
-    order = np.lexsort((cell.astype(np.uint16), (cell >> 16).astype(np.uint16)))
     return LightGrid(
         light=light,
         field=field,
@@ -179,8 +188,8 @@ def light_grid(
         origin=origin,
         size=size,
         first=first,
-        listed=place.take(order),
-        owner=owner,
+        listed=pairs.astype(np.uint32),
+        obj=obj,
         wedge=bounds,
     )
 
@@ -188,7 +197,7 @@ def light_grid(
 def _middle_part(rect: Floats) -> tuple[Floats, Floats]:
     """The part of a field in which nearly all of the rectangles (4, n) lie: its corner and size.
 
-    Beside a planet all else would lie in one cell.  What is beyond is listed at the rim.
+    Beside a planet all else would lie in one cell.  What is beyond is listed at the border.
     """
     beyond = rect.shape[1] // _BEYOND
     low = np.partition(rect[::2], beyond)[:, beyond]
@@ -223,7 +232,7 @@ def _octants(
         Pairs of an octant and a box, light * n + index, which ascend.
     rect : (4, m)
         The part's least and greatest first octahedral coordinate, then second.
-    wedge : (m, 8)
+    wedge : (8, m)
         Least and, with the opposite sign, greatest a / (a + b) for the components (a, b) = (x, y),
         (y, z) and (z, x); last, the opposite of the greatest distance from the light (1-norm), and
         the least.
@@ -236,26 +245,26 @@ def _octants(
     for k in range(3):
         negative = (octant >> k & 1).astype(np.bool_)
         a, b = low[k].take(way), high[k].take(way)
-        ends.append((np.maximum(np.where(negative, -b, a), 0), np.where(negative, -a, b)))
+        # Not 0 / 0, in boxes that only just reach the light: that would bound nothing.
+        ends.append((np.maximum(np.where(negative, -b, a), 0), np.where(negative, -a, b) + _TINY))
     (a0, a1), (b0, b1), (c0, c1) = ends
     rect = np.array(
         [a0 / (a0 + (b1 + c1)), a1 / (a1 + (b0 + c0)), b0 / (b0 + (a1 + c1)), b1 / (b1 + (a0 + c0))]
     )
-    # 0 / 0, in boxes that only just reach the light, bounds nothing: all of the octant.
-    whole = np.array([[0.0], [1.0], [0.0], [1.0]])
-    rect = np.where(np.isnan(rect), whole, rect) + _FROM_LIGHT * (2 * whole - 1)
-    wedge = np.empty((way.size, 8))
+    rect[::2] -= _FROM_LIGHT
+    rect[1::2] += _FROM_LIGHT
+    wedge = np.empty((8, way.size))
     for k, (p0, p1, q0, q1) in enumerate(((a0, a1, b0, b1), (b0, b1, c0, c1), (c0, c1, a0, a1))):
-        wedge[:, 2 * k] = p0 / (p0 + q1) - _FROM_LIGHT
-        wedge[:, 2 * k + 1] = -(p1 / (p1 + q0)) - _FROM_LIGHT
-    wedge[:, 6] = -(1 + SLACK) * (a1 + b1 + c1)
-    wedge[:, 7] = (1 - SLACK) * (a0 + b0 + c0)
-    wedge[np.isnan(wedge)] = -1
+        wedge[2 * k] = p0 / (p0 + q1) - _FROM_LIGHT
+        wedge[2 * k + 1] = -(p1 / (p1 + q0)) - _FROM_LIGHT
+    wedge[6] = -(1 + POSITION_ERROR) * (a1 + b1 + c1)
+    wedge[7] = (1 - POSITION_ERROR) * (a0 + b0 + c0)
     return octant, way, rect, wedge
 
 
-def _in_fields(rect: Floats, origin: Floats, size: Floats) -> Floats:
-    """Rectangles (4, n) in units of fields, whose corners and extents are given (2, n)."""
+def _in_fields(rect: Floats, field: Ints, origin: Floats, size: Floats) -> Floats:
+    """Rectangles (4, n) in units of their fields (n,), of given corners and extents (2, fields)."""
+    origin, size = origin.take(field, axis=1), size.take(field, axis=1)
     return ((rect.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
 
 
@@ -268,11 +277,9 @@ def _cells(rect: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[np
     left, right, top, bottom = (side * rect).clip(0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
     # Column by column of each rectangle.
-    strip, column = expand(wide, left)
-    part, cell = expand(
-        tall.take(strip), (field.take(strip) * side + column) * side + top.take(strip)
-    )
-    first = (column == left.take(strip)).take(part)
-    part = strip.take(part)
-    row = cell % side
-    return part, cell, first.view(np.uint8) | (row == top.take(part)).view(np.uint8) << 1
+    strip, column = segment_indices(wide, left)
+    begin = (field.take(strip) * side + column) * side + top.take(strip)
+    part, cell = segment_indices(tall.take(strip), begin)
+    corner = (column == left.take(strip)).view(np.uint8).take(part)
+    corner |= (cell == begin.take(part)).view(np.uint8) << 1
+    return strip.take(part), cell, corner

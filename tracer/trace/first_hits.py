@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tracer.arrays import Floats, Ints
+from tracer.geometry.camera import camera_frame
 from tracer.scene.model import Scene
-from tracer.view.camera import raster_of
-from tracer.view.samples import Scattered
-from tracer.view.view import view_of
-from tracer.view.visibility import visible
+from tracer.trace.samples import Scattered
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
 
 # So many rays are traced at a time, where objects do not lie behind each other.
-_AT_ONCE = 1 << 16
+_RAYS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class FirstHits:
     """The points of surfaces that rays hit first, in the scene's axes and units.
 
     Attributes
@@ -41,7 +41,7 @@ class Hits:
 
 
 @np.errstate(all="ignore")
-def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> Hits:
+def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> FirstHits:
     """Trace rays through positions in the picture.
 
     Parameters
@@ -53,7 +53,7 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> Hits:
 
     Returns
     -------
-    Hits
+    FirstHits
         Of surfaces at exactly the same distance, the first in the file.
 
     Raises
@@ -67,23 +67,23 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> Hits:
         raise ValueError(f"x and y must be sequences of the same length, have the shapes {shapes}")
     if not (np.isfinite(across).all() and np.isfinite(down).all()):
         raise ValueError("x and y must be finite")
-    raster, n = raster_of(scene.camera, scene.width, scene.height), across.size
-    view, file_index = view_of(raster, scene.surfaces), scene.surfaces.file_index
+    frame, n = camera_frame(scene.camera, scene.width, scene.height), across.size
+    prepared, file_index = PreparedScene(scene, frame), scene.surfaces.file_index
     normal, point = np.full((2, n, 3), np.nan)
-    found = Hits(np.full(n, -1), np.full(n, np.inf), normal, point)
-    step = view.at_once(_AT_ONCE)
+    found = FirstHits(np.full(n, -1), np.full(n, np.inf), normal, point)
+    step = prepared.at_once(_RAYS_AT_ONCE)
     for start in range(0, n, step):
         samples, order = Scattered.of(across[start : start + step], down[start : start + step])
-        seen = visible(view, samples)
-        place = start + order[seen.sample]
-        found.surface[place] = file_index[seen.own]
-        found.distance[place] = seen.distance
-        point[place] = np.transpose(seen.points(slice(None)))
+        seen = nearest_hits(prepared, samples)
+        ray = start + order[seen.sample]
+        found.surface[ray] = file_index[seen.hit_object]
+        found.distance[ray] = seen.distance
+        point[ray] = np.transpose(seen.points(slice(None)))
         for group in seen.groups:
             at = start + order[group.sample]
             if group.shape.flat:
                 normal[at] = 0
-                normal[at, group.spread(group.face)] = group.spread(group.sign)
+                normal[at, group.repeat_runs(group.face)] = group.repeat_runs(group.sign)
             else:
-                normal[at] = np.transpose(raster.vector_to_scene(group.n))
+                normal[at] = np.transpose(frame.vector_to_scene(group.n))
     return found

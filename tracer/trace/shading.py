@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, each, indices, scaled
+from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, scaled
 
 # If 1 + l.v is less, too many of its digits have cancelled.
 _CANCELLED = 1e-3
@@ -58,9 +58,9 @@ def highlight(
     if not at.size:
         return power
     n, light, view = vectors(at)
-    h = each(np.add, light, view)
+    h = map3(np.add, light, view)
     length2, some = dot(h, h), exponent[at]
-    e = each(np.subtract, n, scaled(h, 1 / np.sqrt(length2)))
+    e = map3(np.subtract, n, scaled(h, 1 / np.sqrt(length2)))
     # With a zero exponent the highlight is 1 everywhere, whatever the logarithm.
     closer = np.where(some == 0, 1.0, np.exp(some * np.log1p(-0.5 * dot(e, e))))
     # Where l = -v, light can only graze the surface, and h is nothing but rounding.

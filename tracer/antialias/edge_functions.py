@@ -1,6 +1,6 @@
-"""Margins: smooth functions on the picture whose zeros are the edges that it shows.
+"""Edge functions: smooth signed functions on the picture that are zero at its edges.
 
-Every edge is where some signed quantity of a ray from the eye, its *margin*, is zero:
+(Pineda, A parallel algorithm for polygon rasterization, 1988.)  These are, of a ray from the eye,
 
     silhouette of a sphere    the angle between the ray and the sphere's centre, less its radius's
     silhouette of a box       n . ray, with the normal n of a plane through the apex and an edge
@@ -10,8 +10,8 @@ Every edge is where some signed quantity of a ray from the eye, its *margin*, is
 The apex is the eye, or a light: then silhouettes are the edges of shadows, on the surface that a
 cell sees, and the ray that counts leads from the light to that surface.
 
-Margins are evaluated at six points of a cell, which give gradient and second derivatives by
-differences; `fitted` finds the straight lines c + a x + b y = 0 that stand for their zeros.
+EdgeValues are evaluated at six points of a cell, which give gradient and second derivatives by
+differences; `fit_lines` finds the straight lines c + a x + b y = 0 that stand for their zeros.
 All vectors are in the camera's axes, seen from the eye.
 """
 
@@ -22,12 +22,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, each, indices, pick, scaled
-from tracer.view.camera import Raster
-from tracer.view.view import Visible
+from tracer.arrays import Floats, Ints, Triple, changes, dot, indices, map3, scaled, take3
+from tracer.geometry.camera import CameraFrame
+from tracer.trace.hits import Hits
 
-Margins: TypeAlias = tuple[Ints, Floats]
-"""Cells (n,), and the margins of edges at the six points of each (6, n); NaN: no telling."""
+EdgeValues: TypeAlias = tuple[Ints, Floats]
+"""Cells (n,), and edge functions at the six points of each (6, n); NaN where unknown."""
 
 # The points: in the middle, half a cell to the right, left, below and above, and one corner.
 _X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
@@ -58,34 +58,26 @@ class Lines(NamedTuple):
         """Some of them."""
         return Lines._make(m[index] for m in self)
 
-    def distinct(self, same: float) -> Lines:
-        """Sort them by cell; of lines that are the same keep only the first, by a, b and c.
+    def distinct(self) -> Lines:
+        """Sort them by cell; of equal lines keep one.
 
-        So the order in which they were found changes nothing.  Lines whose a, b and c differ by no
-        more than `same` in sum count as one: a light near the eye throws shadows right behind
-        silhouettes.
+        So the order in which they were found changes nothing.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
-        one, other = (lines.take(part) for part in (slice(1, None), slice(-1)))
-        # A line and its negative are the same.
-        sign = np.where(one.a * other.a + one.b * other.b < 0, -1.0, 1.0)
-        off = sum(np.abs(sign * m - n) for m, n in zip(one[1:], other[1:], strict=True))
-        kept = np.ones(lines.cell.size, dtype=np.bool_)
-        kept[1:] = (one.cell != other.cell) | (off > same)
-        return lines.take(indices(kept))
+        return lines.take(indices(changes(*lines)))
 
 
-def rays(raster: Raster, s: Floats, g: Floats, size: float) -> Triple:
+def rays(frame: CameraFrame, s: Floats, g: Floats, size: float) -> Triple:
     """Rays through the six points, three (6, n), of cells with (s, g, depth) through their middles.
 
     `size`: width of the cells, in pixels.
     """
-    across, down = _X * (raster.step_u * size), _Y * (raster.step_v * size)
-    return s + across, g + down, np.full((1, s.size), raster.depth)
+    across, down = _X * (frame.step_u * size), _Y * (frame.step_v * size)
+    return s + across, g + down, np.full((1, s.size), frame.depth)
 
 
 def span(value: Floats) -> Floats:
-    """How far margins (6, ...) differ within a cell from those in its middle, at most."""
+    """Bound how far edge functions (6, ...) differ within a cell from its middle."""
     middle, right, left, below, above, corner = value
     linear = np.abs(right - left) + np.abs(below - above)
     bend = np.abs(right + left - 2 * middle) + np.abs(below + above - 2 * middle)
@@ -94,20 +86,20 @@ def span(value: Floats) -> Floats:
     return most
 
 
-def fitted(margins: Iterable[Margins], tolerance: float) -> tuple[Lines, Ints]:
-    """Straight lines through cells, and the cells of margins whose zeros are no straight lines.
+def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
+    """Fit straight lines to edges; also return the cells of edges that are not straight.
 
     `tolerance`: by how much a cell's mean may be off, in radiance.
 
-    A margin is taken for c + g . x + x . H x / 2.  Straight down its slope, at x = s g, that is
-    c + s g^2 + s^2 (g . H g) / 2, zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)): in this
-    foot of the cell's middle, or as near to it as the cell reaches, the margin is linearised.
-    Along the tangent t (a unit vector) it changes by u^2 (t . H t) / 2: over the cell's length,
+    An edge function is taken for c + g . x + x . H x / 2.  Straight down its slope, at x = s g,
+    that is c + s g^2 + s^2 (g . H g) / 2, zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)): in
+    this foot of the cell's middle, or as near to it as the cell reaches, it is linearised.  Along
+    the tangent t (a unit vector) it changes by u^2 (t . H t) / 2: over the cell's length,
     -1/2 < u < 1/2, by t . H t / 24 on average, which is added to the line's c.  The zero's
     curvature, and so its turn over that length, is |t . H t| / |g|.
     """
-    none: Margins = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    cells, values = zip(none, *margins, strict=True)
+    none: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
+    cells, values = zip(none, *edges, strict=True)
     cell, value = np.concatenate(cells), np.concatenate(values, axis=1)
     # Whatever the unit of lengths, squares of squares stay within the range of numbers.
     value /= span(value)
@@ -138,7 +130,7 @@ def fitted(margins: Iterable[Margins], tolerance: float) -> tuple[Lines, Ints]:
     return lines.take(indices(straight & crosses)), cell[indices(curved)]
 
 
-class Sheets(NamedTuple):
+class InverseDepth(NamedTuple):
     """Surfaces as the picture shows them: a ray d meets one at t, with 1 / t a function of d.
 
     A plane n . x = n . p has 1 / t = d . n / (n . p), a linear function.  A sphere of centre C, at
@@ -157,9 +149,9 @@ class Sheets(NamedTuple):
     w: Floats
 
     @classmethod
-    def of(cls, hits: Visible) -> Sheets:
+    def of(cls, hits: Hits) -> InverseDepth:
         """The surfaces (n,) that hits are on."""
-        spheres = hits.view.spheres
+        spheres = hits.prepared.spheres
         k, w = np.empty(hits.p.shape), np.zeros(hits.p.shape[1])
         for group in hits.groups:
             part = group.part
@@ -173,16 +165,16 @@ class Sheets(NamedTuple):
                     np.divide(group.of(center), power, out=out[part], where=power != 0)
         return cls((k[0], k[1], k[2]), w)
 
-    def take(self, index: Ints) -> Sheets:
+    def take(self, index: Ints) -> InverseDepth:
         """Some of them."""
-        return Sheets(pick(self.k, index), self.w[index])
+        return InverseDepth(take3(self.k, index), self.w[index])
 
     def inverse(self, d: Triple) -> Floats:
         """1 / t (6, n) of rays, three (6, n)."""
         linear = dot(self.k, d)
         at = indices(self.w)
         if at.size:
-            some = each(lambda m: m[:, at], d)
+            some = map3(lambda m: m[:, at], d)
             square = linear[:, at] ** 2 - self.w[at] * dot(some, some)
             linear[:, at] += np.sqrt(np.maximum(square, 0))
         return linear

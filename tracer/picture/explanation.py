@@ -9,14 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracer.antialias.lattice import CENTRES
-from tracer.arrays import Ints, Vector, pick
-from tracer.light.lighting import Lighting, incoming_at, lighting_of, radiance_at
+from tracer.arrays import Ints, Vector, take3
+from tracer.geometry.camera import camera_frame
 from tracer.picture.png import to_codes
 from tracer.scene.model import Scene, unit
-from tracer.view.camera import raster_of
-from tracer.view.first_hits import Hits, first_hits
-from tracer.view.view import Visible, view_of
-from tracer.view.visibility import visible
+from tracer.trace.first_hits import FirstHits, first_hits
+from tracer.trace.hits import Hits
+from tracer.trace.lighting import light_geometry, radiance_at
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
 
 __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
 
@@ -59,7 +60,7 @@ class LightPart:
         Where the light stands in its file, if it is from one.
     n_dot_l : float
         Cosine between the normal and the direction to the light.
-    kept_out_by : tuple of SurfaceRef
+    occluders : tuple of SurfaceRef
         What keeps the light from the point: other surfaces, or its own where that faces away, or
         is seen from inside and holds no light.
     diffuse, specular : (3,)
@@ -68,7 +69,7 @@ class LightPart:
 
     line: int | None
     n_dot_l: float
-    kept_out_by: tuple[SurfaceRef, ...]
+    occluders: tuple[SurfaceRef, ...]
     diffuse: Vector
     specular: Vector
 
@@ -121,8 +122,8 @@ class Explanation:
             yield f"point     {_text(self.point)}"
             yield f"normal    {_text(self.normal)}"
         for number, light in enumerate(self.lights):
-            names = [str(ref) for ref in light.kept_out_by if ref != self.surface]
-            names = names or ["the surface itself"] * len(light.kept_out_by)
+            names = [str(ref) for ref in light.occluders if ref != self.surface]
+            names = names or ["the surface itself"] * len(light.occluders)
             how = f"kept out by {', '.join(names)}" if names else "reaches the point"
             yield f"light {number}{_line(light.line)}: n.l = {light.n_dot_l:.9g}, {how}"
             if not names:
@@ -161,58 +162,60 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     width, height = scene.width, scene.height
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
-    raster = raster_of(scene.camera, width, height)
-    lighting = lighting_of(scene, view_of(raster, scene.surfaces))
+    frame = camera_frame(scene.camera, width, height)
+    prepared = PreparedScene(scene, frame)
     samples = CENTRES.samples(slice(y, y + 1), slice(x, x + 1))
-    radiance, hit = radiance_at(lighting, samples)[:, 0], first_hits(scene, [x + 0.5], [y + 0.5])
-    across, down = raster.across(np.array(x + 0.5)), raster.down(np.array(y + 0.5))
-    direction = np.array(raster.vector_to_scene((across, down, np.array(raster.depth))))
+    radiance, hit = radiance_at(prepared, samples)[:, 0], first_hits(scene, [x + 0.5], [y + 0.5])
+    across, down = frame.across(np.array(x + 0.5)), frame.down(np.array(y + 0.5))
+    direction = np.array(frame.vector_to_scene((across, down, np.array(frame.depth))))
     index = hit.surface.item()
     return Explanation(
         x=x,
         y=y,
-        eye=tuple(raster.eye.tolist()),
+        eye=tuple(frame.eye.tolist()),
         direction=tuple(unit(direction).tolist()),
         surface=SurfaceRef.of(scene, index) if index >= 0 else None,
         distance=hit.distance.item(),
         point=tuple(hit.point[0].tolist()),
         normal=tuple(hit.normal[0].tolist()),
-        lights=tuple(_parts(scene, lighting, visible(lighting.view, samples), hit)),
+        lights=tuple(_parts(scene, prepared, nearest_hits(prepared, samples), hit)),
         radiance=tuple(radiance.tolist()),
         codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
     )
 
 
-def _parts(scene: Scene, lighting: Lighting, hits: Visible, hit: Hits) -> Iterator[LightPart]:
+def _parts(
+    scene: Scene, prepared: PreparedScene, hits: Hits, hit: FirstHits
+) -> Iterator[LightPart]:
     """Each light's part at the one point that is hit, if any is."""
-    incoming, own = incoming_at(lighting, hits), hits.own
+    geometry, own = light_geometry(hits), hits.hit_object
     for number, light in enumerate(scene.lights if hits.groups else ()):
-        cosine = incoming.n_dot_l[number] / np.sqrt(incoming.length2[number])
-        occluders = _occluders(lighting, hits, number) if cosine > 0 else own
+        cosine = geometry.n_dot_l[number] / np.sqrt(geometry.length2[number])
+        occluders = _occluders(prepared, hits, number) if cosine > 0 else own
         diffuse, specular = np.zeros((2, 3, 1))
         if not occluders.size:
-            strength = lighting.intensities[number][:, None]
-            diffuse = strength * lighting.diffuse[:, own] * cosine
-            power = incoming.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
-            specular = strength * lighting.specular[:, own] * power
+            strength = prepared.intensities[number][:, None]
+            diffuse = strength * prepared.diffuse[:, own] * cosine
+            power = geometry.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
+            specular = strength * prepared.specular[:, own] * power
         towards = unit(np.subtract(light.position, hit.point[0]))
         refs = scene.surfaces.file_index[occluders].tolist()
         yield LightPart(
             line=light.line,
             n_dot_l=float(hit.normal[0] @ towards),
-            kept_out_by=tuple(SurfaceRef.of(scene, index) for index in refs),
+            occluders=tuple(SurfaceRef.of(scene, index) for index in refs),
             diffuse=tuple(diffuse[:, 0].tolist()),
             specular=tuple(specular[:, 0].tolist()),
         )
 
 
-def _occluders(lighting: Lighting, hits: Visible, light: int) -> Ints:
+def _occluders(prepared: PreparedScene, hits: Hits, light: int) -> Ints:
     """All objects, spheres first, that keep a light from the one point that is hit."""
-    view, found = lighting.view, []
-    for shape in view.shapes:
-        others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.own)
+    found = []
+    for shape in prepared.shapes:
+        others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.hit_object)
         point = hits.points(np.zeros_like(others))
-        end = pick(lighting.positions.T, np.full_like(others, light))
-        blocks = shape.occludes(view.raster.eye, others, point, end, np.ones_like(others) > 0)
+        end = take3(prepared.lights.T, np.full_like(others, light))
+        blocks = shape.occludes(prepared.frame.eye, others, point, end, np.ones_like(others) > 0)
         found.append(others[blocks])
     return np.concatenate(found)

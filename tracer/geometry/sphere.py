@@ -1,10 +1,10 @@
 """Spheres: what the eye sees of them, and which shadow segments they block.
 
 `Spheres` and `Boxes` answer the same questions; this class documents them for both.  Objects are
-numbered together, spheres first: every method takes these numbers, `owner`.  Rays from the eye have
-directions (s, g, depth) in the camera's axes, see `Raster`.  Each pair of a ray and an object is
-decided alone: what else is in the scene, and in which order or batches the pairs come, changes no
-bit of an answer.
+numbered together, spheres first: every method takes these numbers, `obj`.  Rays from the eye have
+directions (s, g, depth) in the camera's axes, see `CameraFrame`.  Each pair of a ray and an object
+is decided alone: what else is in the scene, and in which order or batches the pairs come, changes
+no bit of an answer.
 
 Infinities and NaN arise on the way and are meant: the caller turns off floating-point warnings.
 """
@@ -17,9 +17,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, each, indices, pick, spread
-from tracer.scene.model import Surfaces
-from tracer.shapes.rounding import (
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, indices, map3, repeat_runs, take3
+from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.rounding import (
     NEARLY_ZERO_POWER,
     ON,
     OUTSIDE,
@@ -28,7 +28,7 @@ from tracer.shapes.rounding import (
     side_of,
     tolerance_at,
 )
-from tracer.view.camera import Frames, Raster
+from tracer.scene.model import Surfaces
 
 NO_FACE = 3
 """In place of the axis of a box's face."""
@@ -50,7 +50,7 @@ class Spheres:
         The centres seen from the eye, in the camera's axes.
     power : (n,)
         |centre - eye|^2 - radius^2: positive where the eye is outside, 0 where it is on the sphere.
-    frames : Frames
+    bounds : ScreenBounds
         Bounds in the picture.
     """
 
@@ -61,13 +61,13 @@ class Spheres:
     radius: Floats
     local: Triple
     power: Floats
-    frames: Frames
+    bounds: ScreenBounds
 
     @classmethod
-    def of(cls, raster: Raster, surfaces: Surfaces) -> Spheres:
+    def of(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
         """Prepare the spheres of a scene to be seen."""
         center, radius = surfaces.center.T.copy(), surfaces.radius
-        local = raster.to_camera(surfaces.center)
+        local = frame.to_camera(surfaces.center)
         distance = np.sqrt(dot(local, local))
         height = distance - radius
         # Rounding alone does not lift the eye off a sphere that it is on.
@@ -75,7 +75,7 @@ class Spheres:
         power = np.where(on, 0, height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
         rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
-        return cls(center, radius, local, power, Frames.between(raster, rows, columns))
+        return cls(center, radius, local, power, ScreenBounds.between(frame, rows, columns))
 
     @property
     def count(self) -> int:
@@ -95,8 +95,8 @@ class Spheres:
 
     # What the eye sees.
 
-    def ends(
-        self, raster: Raster, owner: Ints, rows: Floats, height: float
+    def row_extent(
+        self, frame: CameraFrame, obj: Ints, rows: Floats, height: float
     ) -> tuple[Floats, Floats]:
         """Columns at which objects begin and end in rows of the picture; a miss has its end first.
 
@@ -105,31 +105,31 @@ class Spheres:
         """
         # A ray in the row meets the sphere no farther than this from the ray below or above it in
         # the row's middle, which meets the sphere if that is so much larger.
-        aside = 0.5 * height * raster.step_v / raster.depth
-        radius = self.radius[owner]
-        grown = radius + aside * np.maximum(self.local[2][owner] + radius, 0)
-        power = self.power[owner] - (grown - radius) * (grown + radius)
-        hypot2, u, ahead, chord2 = self._discs(raster, owner, grown, raster.down(rows + height / 2))
+        aside = 0.5 * height * frame.step_v / frame.depth
+        radius = self.radius[obj]
+        grown = radius + aside * np.maximum(self.local[2][obj] + radius, 0)
+        power = self.power[obj] - (grown - radius) * (grown + radius)
+        hypot2, u, ahead, chord2 = self._discs(frame, obj, grown, frame.down(rows + height / 2))
         low, high = _tangents(u, ahead, chord2, power)
         hypot = np.sqrt(hypot2)
-        return raster.column(low * hypot), raster.column(high * hypot)
+        return frame.column(low * hypot), frame.column(high * hypot)
 
     def _discs(
-        self, raster: Raster, owner: Ints, radius: Floats, g: Floats
+        self, frame: CameraFrame, obj: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Sections of spheres by the planes of rays (s, g, depth), for all s: discs.
 
         Returns the square of the rays' second component in that plane, where the first is s; each
         disc's centre, along the row and ahead; and its squared radius, negative if it misses.
         """
-        (u, v, w), depth = pick(self.local, owner), raster.depth
+        (u, v, w), depth = take3(self.local, obj), frame.depth
         hypot2 = g * g + depth * depth
         hypot = np.sqrt(hypot2)
         aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
         return hypot2, u, ahead, (radius - aside) * (radius + aside)
 
     def hit(
-        self, raster: Raster, owner: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, frame: CameraFrame, obj: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Floats]:
         """Distance at which rays meet objects, or infinity.
 
@@ -139,7 +139,7 @@ class Spheres:
 
         Parameters
         ----------
-        owner : (spans,)
+        obj : (spans,)
             The object of each span of rays in a row.
         g : (spans,)
         s : (n,)
@@ -155,16 +155,16 @@ class Spheres:
             What `surface` needs: of spheres, the cosine between the normal and the ray, without
             its sign, times the radius and the direction's length; of boxes, which face.
         """
-        hypot2, u, ahead, chord2 = self._discs(raster, owner, self.radius[owner], g)
+        hypot2, u, ahead, chord2 = self._discs(frame, obj, self.radius[obj], g)
         hypot = np.sqrt(hypot2)
-        power = self.power[owner]
-        length2 = s * s + spread(hypot2, counts)
+        power = self.power[obj]
+        length2 = s * s + repeat_runs(hypot2, counts)
         # Of the centre (u, ahead) and the ray (s, hypot) the cross and the dot product.
-        cross = spread(u * hypot, counts) - spread(ahead, counts) * s
-        rise = np.sqrt(length2 * spread(chord2, counts) - cross * cross)
-        middle = spread(u, counts) * s + spread(ahead * hypot, counts)
+        cross = repeat_runs(u * hypot, counts) - repeat_runs(ahead, counts) * s
+        rise = np.sqrt(length2 * repeat_runs(chord2, counts) - cross * cross)
+        middle = repeat_runs(u, counts) * s + repeat_runs(ahead * hypot, counts)
         root = middle + rise
-        outside, power = np.all(power > 0), spread(power, counts)
+        outside, power = np.all(power > 0), repeat_runs(power, counts)
         t = power / root
         if not outside:  # the far root, in the form that cancels less
             far = np.where(middle > 0, root / length2, power / (middle - rise))
@@ -173,11 +173,11 @@ class Spheres:
         return np.where(t > 0, t, np.inf), rise
 
     def surface(
-        self, raster: Raster, owner: Ints, counts: Ints, p: Floats, t: Floats, detail: Floats
+        self, frame: CameraFrame, obj: Ints, counts: Ints, p: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
 
-        `owner` (runs,): of each run of hits on one face, of which `counts` (runs,) gives the
+        `obj` (runs,): of each run of hits on one face, of which `counts` (runs,) gives the
         lengths.
 
         Returns
@@ -190,39 +190,39 @@ class Spheres:
         height : (n,); of boxes, (runs,)
             n . (eye - p), the eye's height over the tangent plane.
         """
-        inverse = spread(1 / self.radius[owner], counts)
-        center = (spread(m[owner], counts) for m in self.local)
+        inverse = repeat_runs(1 / self.radius[obj], counts)
+        center = (repeat_runs(m[obj], counts) for m in self.local)
         x, y, z = ((q - c) * inverse for q, c in zip(p, center, strict=True))
-        inside = self.eye_inside[owner]
+        inside = self.eye_inside[obj]
         if inside.any():
-            flip = spread(np.where(inside, -1.0, 1.0), counts)
+            flip = repeat_runs(np.where(inside, -1.0, 1.0), counts)
             x, y, z = flip * x, flip * y, flip * z
-        face, sign, level = np.full(owner.size, NO_FACE), np.ones(()), np.zeros(())
+        face, sign, level = np.full(obj.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), detail * inverse * t
 
     # What blocks light.
 
-    def side(self, owner: Ints, point: Triple) -> Sides:
+    def side(self, obj: Ints, point: Triple) -> Sides:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
-        return side_of(self.gap(owner, point), tolerance_at(point, None, self.size[owner]))
+        return side_of(self.signed_distance(obj, point), tolerance_at(point, None, self.size[obj]))
 
-    def gap(self, owner: Ints, point: Triple) -> Floats:
-        """Distance by which objects must grow to reach points; negative for points inside."""
-        away = each(np.subtract, pick(self.center, owner), point)
-        return np.sqrt(dot(away, away)) - self.radius[owner]
+    def signed_distance(self, obj: Ints, point: Triple) -> Floats:
+        """Signed distance of points from the surface; negative inside."""
+        away = map3(np.subtract, take3(self.center, obj), point)
+        return np.sqrt(dot(away, away)) - self.radius[obj]
 
-    def touches(self, owner: Ints, middle: Triple, reach: Floats) -> Bools:
+    def within(self, obj: Ints, center: Triple, radius: Floats) -> Bools:
         """Whether balls may hold points in or on a sphere, or on the plane of a box's face."""
-        return self.gap(owner, middle) <= reach
+        return self.signed_distance(obj, center) <= radius
 
     def occludes(
         self,
         eye: Floats,
-        owner: Ints,
+        obj: Ints,
         p: Triple,
         light: Triple,
-        closely: Bools,
-        grown: Floats | None = None,
+        near_surface: Bools,
+        offset: Floats | None = None,
     ) -> Bools:
         """Test whether objects block the open segments from points `p` to `light`, pair by pair.
 
@@ -232,30 +232,30 @@ class Spheres:
         Parameters
         ----------
         eye : (3,)
-        owner, closely : (n,)
-            `closely` is False where both ends are surely farther off than `touches` asks.
+        obj, near_surface : (n,)
+            `near_surface`: False if both ends are certainly out of tolerance, see `within`.
         p, light : three (n,)
-        grown : (n,), optional
-            By how much to grow objects on all sides; shrunk to less than nothing, none blocks.
+        offset : (n,), optional
+            Distance of the offset surface that blocks instead; none does if it shrinks to nothing.
         """
-        to_light = each(np.subtract, light, p)
-        to_center = each(np.subtract, pick(self.center, owner), p)
-        radius = self.radius[owner]
-        if grown is not None:
-            radius = np.maximum(radius + grown, 0)
+        to_light = map3(np.subtract, light, p)
+        to_center = map3(np.subtract, take3(self.center, obj), p)
+        radius = self.radius[obj]
+        if offset is not None:
+            radius = np.maximum(radius + offset, 0)
         # Where both ends are outside, a sphere blocks if the closest approach to its centre lies
         # between them and within the sphere.
         b, length2 = dot(to_center, to_light), dot(to_light, to_light)
         nearest = b / length2
-        offset = each(lambda c, d: c - nearest * d, to_center, to_light)
-        blocked: Bools = (dot(offset, offset) < radius * radius) & (b > 0) & (b < length2)
-        at = indices(closely)
+        aside = map3(lambda c, d: c - nearest * d, to_center, to_light)
+        blocked: Bools = (dot(aside, aside) < radius * radius) & (b > 0) & (b < length2)
+        at = indices(near_surface)
         if not at.size:
             return blocked
-        owner, to_center, b, length2 = owner[at], pick(to_center, at), b[at], length2[at]
+        obj, to_center, b, length2 = obj[at], take3(to_center, at), b[at], length2[at]
         height = np.sqrt(dot(to_center, to_center)) - radius[at]
-        side = side_of(height, tolerance_at(pick(p, at), eye, self.size[owner]))
-        light_side, inner = self.side(owner, pick(light, at)), self.eye_inside[owner]
+        side = side_of(height, tolerance_at(take3(p, at), eye, self.size[obj]))
+        light_side, inner = self.side(obj, take3(light, at)), self.eye_inside[obj]
         odd = (side != OUTSIDE) | (light_side != OUTSIDE)
         answer = np.where(
             side == ON,
@@ -266,7 +266,7 @@ class Spheres:
         return blocked
 
     def capsules(
-        self, owner: Ints, start: Triple, end: Triple, thickness: Floats
+        self, obj: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
         """Test whether objects meet, and whether they cut, the capsules around segments.
 
@@ -276,9 +276,9 @@ class Spheres:
         somewhere it holds the full cross-section, and the ball around the start is outside it.
         Both are on the safe side of rounding.
         """
-        center, radius = pick(self.center, owner), self.radius[owner]
-        d = each(np.subtract, end, start)
-        to_center = each(np.subtract, center, start)
+        center, radius = take3(self.center, obj), self.radius[obj]
+        d = map3(np.subtract, end, start)
+        to_center = map3(np.subtract, center, start)
         along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
         to_end2 = distance2 - 2 * along + length2
         # Squared distance from the centre to the line, and how far squares may be off.
@@ -306,5 +306,7 @@ def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tu
     half = np.arctan2(np.sqrt(chord2), np.sqrt(surely))
     middle = np.arctan2(along, ahead)
     half[power < 0] = np.inf
-    low, high = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
-    return np.tan(low), np.tan(high)
+    ends = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
+    # The tangent of pi / 2, as rounded, is 1.6e16: windows may be wider.
+    low, high = (np.where(abs(m) < np.pi / 2, np.tan(m), np.copysign(np.inf, m)) for m in ends)
+    return low, high

@@ -1,0 +1,259 @@
+"""The command line: render scenes to PNG files, watch them, or explain a pixel."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from time import perf_counter, sleep
+from typing import Any, NoReturn
+
+from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
+from tracer.command.process import FAILED, print_line, print_result
+from tracer.files import atomic_file
+from tracer.messages import printable
+from tracer.picture.explanation import explain
+from tracer.picture.lint import scene_warnings
+from tracer.picture.png import PNG, write_tiles
+from tracer.picture.render import Tile, render_tiles
+from tracer.scene.model import Scene
+from tracer.scene.reader import SceneFileError, load_scene
+from tracer.scene.schema import SceneError
+from tracer.version import __version__
+
+_EXAMPLES = """\
+examples:
+  tracer scenes/one-sphere.xml          write scenes/one-sphere.xml.png
+  tracer scenes/*.xml -o pictures/      write every picture to a folder
+  tracer room.xml -o room.png --samples 16
+                                        smooth edges, as good as 16 samples a pixel
+  tracer room.xml --size 160x90 --watch
+                                        a small picture, anew whenever room.xml is saved
+  generate | tracer - -o - | display    from standard input to standard output
+
+exit status:
+  0    all scenes were rendered
+  1    some scene could not be read, rendered or written; the others were
+  2    wrong usage
+  130  interrupted
+"""
+
+# A bar is shown once a picture turns out to take longer than this, in seconds.
+_SLOW = 1.0
+
+# What makedirs and realpath raise where a file, or a link to nothing, is in place of a folder.
+_NOT_A_FOLDER = FileExistsError, NotADirectoryError
+
+# Seconds between two looks at the scene files, with --watch.
+_PAUSE = 0.1
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Render scenes to PNG files, as the arguments say; return the exit status.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help`` and
+        ``--version``.
+    """
+    arguments, jobs = _parsed(argv)
+    if arguments.watch:
+        _watch(jobs, arguments)
+    # All of them, whatever becomes of the first.
+    return FAILED if [job for job in jobs if not _render(*job, arguments)] else 0
+
+
+def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
+    """The arguments, and the pairs of a scene and its picture."""
+    parser = argparse.ArgumentParser(
+        prog="tracer",
+        description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    count: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
+    size = _pair("x", 1, "width and height in pixels, as 640x360")
+    pixel = _pair(",", 0, "column and row, as 160,90")
+    text = "a scene file; - for standard input"
+    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=text)
+    text = (
+        "the picture to write, always a PNG; - for standard output; or a folder for those of"
+        " several scenes, which is made if it is missing and PATH ends in /"
+    )
+    add("-o", "--output", type=file_name, metavar="PATH", help=text)
+    text = "smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)"
+    add("--samples", default=1, help=text, **count)
+    text = "width and height of the pictures in pixels, whatever the files say"
+    add("--size", type=size, metavar="WxH", help=text)
+    add("--watch", action="store_true", help="render again whenever a scene file is saved")
+    text = "processes that render, at most one for each processor (default: as many as pay)"
+    add("--processes", help=text, **count)
+    text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
+    add("--pixel", type=pixel, metavar="X,Y", help=text)
+    add("--quiet", action="store_true", help="report only what goes wrong")
+    add("--version", action="version", version=f"%(prog)s {__version__}")
+    arguments = parser.parse_args(argv)
+    scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
+    if arguments.pixel is not None:
+        if output is not None or watch:
+            parser.error("--pixel cannot be combined with -o or --watch")
+        return arguments, [(scene, "") for scene in scenes]
+    if "-" in scenes and (output is None or watch):
+        parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
+    if output == "-":
+        if len(scenes) > 1 or watch:
+            parser.error("-o -: standard output takes the picture of one scene, and no --watch")
+        return arguments, [(scenes[0], output)]
+    stem, suffix = os.path.splitext(output or "")
+    if suffix.lower() not in ("", ".png") and not is_folder(output):
+        parser.error(printable(f"-o {output}: pictures are PNG files; name it {stem}.png"))
+    pictures = output_paths(parser, scenes, output, [f"{scene}.png" for scene in scenes])
+    return arguments, list(zip(scenes, pictures, strict=True))
+
+
+def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]]:
+    """Type of an argument of two whole numbers with a mark between them."""
+    number = whole_number(least)
+
+    def pair(text: str) -> tuple[int, int]:
+        try:
+            first, second = text.split(mark)
+            return number(first), number(second)
+        except (ValueError, argparse.ArgumentTypeError):
+            raise argparse.ArgumentTypeError(f"must be {wanted}, is {text!r}") from None
+
+    return pair
+
+
+def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
+    """Render each scene, and again whenever its file has changed."""
+    last, rendered = dict[str, object](), dict[str, object]()
+    while True:
+        for scene, output in jobs:
+            try:
+                status = os.stat(scene)
+                now = status.st_mtime_ns, status.st_size, status.st_ino
+            except OSError:
+                now = None
+            # An editor may not have written all yet: it has, if nothing changes any more.
+            settled = last.get(scene, now) == now
+            last[scene] = now
+            if settled and rendered.get(scene, ()) != now:
+                rendered[scene] = now
+                _render(scene, output, arguments)
+        sleep(_PAUSE)
+
+
+def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
+    """Render a scene, or explain its pixel; print what goes wrong, if anything does."""
+    start, name, quiet = perf_counter(), printable(output), arguments.quiet
+    size, remedy = "to read it", "split the scene"
+    try:
+        if path == "-" and sys.stdin is None:
+            print_line(sys.stderr, "<stdin>: cannot be read: it is closed; name a scene file")
+            return False
+        scene = load_scene(sys.stdin.buffer if path == "-" else path)
+        if arguments.size is not None:
+            scene = _resized(scene, path, arguments)
+        if arguments.pixel is not None:
+            name = "standard output"
+            print_result(sys.stdout, str(explain(scene, *arguments.pixel)))
+            return True
+        size, remedy = f"for {scene.width} x {scene.height} pixels", "make the image smaller"
+        if arguments.samples > 1:
+            size += f" of {arguments.samples} samples"
+            remedy += " or take fewer samples"
+        progress = _Progress(os.path.basename(name), scene.width * scene.height, show=not quiet)
+        if arguments.output is not None and is_folder(arguments.output):
+            os.makedirs(arguments.output, exist_ok=True)
+        standard = output == "-"
+        with open(1, "wb", closefd=False) if standard else atomic_file(output, PNG) as file:
+            tiles = render_tiles(scene, arguments.samples, processes=arguments.processes)
+            data = (tile.data for tile in progress.watch(tiles))
+            write_tiles(file, scene.width, scene.height, data)
+        for warning in () if quiet else scene_warnings(scene, black=progress.black):
+            print_line(sys.stderr, printable(f"{path}: warning: {warning}"))
+    except SceneFileError as error:
+        fault = str(error)
+    except SceneError as error:
+        fault = f"--size: {error}"
+    except MemoryError:
+        fault = f"{printable(path)}: not enough memory {size}; {remedy}"
+    except OSError as error:
+        reason = "is not a folder" if isinstance(error, _NOT_A_FOLDER) else ""
+        remedy = "" if arguments.pixel is not None else "; choose another with -o"
+        fault = f"{name}: cannot be written: {reason or error.strerror or error}{remedy}"
+    except ValueError as error:
+        if arguments.pixel is not None:
+            fault = f"{printable(path)}: {error}; columns and rows count from 0"
+        else:
+            remedy = "keep the numbers of the scene further from 1e308"
+            fault = f"{name}: cannot be written: {error}; {remedy}"
+    else:
+        if not quiet:
+            size = f"{scene.width} x {scene.height} pixels"
+            done = f"{name}: {size} in {perf_counter() - start:.3f} s"
+            print_line(sys.stderr if standard else sys.stdout, done)
+        return True
+    print_line(sys.stderr, fault)
+    return False
+
+
+def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
+    """The scene in another size; a line is printed if its pixels were square and no longer are."""
+    width, height = arguments.size
+    resized = replace(scene, width=width, height=height)
+    across, down = scene.camera.view_width, scene.camera.view_height
+
+    def square(scene: Scene) -> bool:  # to the nearest whole number of pixels
+        return abs(scene.width * down - scene.height * across) < max(across, down)
+
+    if square(scene) and not square(resized) and not arguments.quiet:
+        remedy = f"--size {width}x{max(1, round(width * down / across))} keeps them so"
+        print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
+    return resized
+
+
+class _Progress:
+    """What is known of a picture while it is rendered; a bar once that takes long.
+
+    Attributes
+    ----------
+    black : bool
+        Whether all pixels so far are.
+    """
+
+    def __init__(self, name: str, pixels: int, *, show: bool) -> None:
+        self.name, self.pixels, self.black = name, pixels, True
+        self.show = show and sys.stderr is not None and sys.stderr.isatty()
+
+    def watch(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
+        """The same tiles."""
+        start, done, bar = perf_counter(), 0, None
+        try:
+            for tile in tiles:
+                yield tile
+                self.black &= tile.black
+                done += tile.pixels
+                if bar is None and self.show and perf_counter() - start > _SLOW:
+                    bar = self._bar()
+                if bar:
+                    bar.update(done - bar.n)
+        finally:
+            if bar:
+                bar.close()
+
+    def _bar(self) -> Any:
+        """A progress bar; False where there can be none: a picture is not to fail by that."""
+        # Not installed, or the environment has settings for it that it cannot read.
+        with suppress(ImportError, ValueError):
+            from tqdm import tqdm  # takes longer to import than a small picture to render
+
+            tqdm.monitor_interval = 0  # else it starts a thread
+            return tqdm(desc=self.name, total=self.pixels, unit="px", unit_scale=True, leave=False)
+        return False

@@ -1,0 +1,100 @@
+"""A command as a process: how it starts, prints, is interrupted and ends.
+
+Every command of this project starts by `run`, before anything that takes long is imported.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from contextlib import suppress
+from importlib import import_module
+from typing import NoReturn, TextIO
+
+from tracer.files import unfinished
+from tracer.messages import printable
+
+FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+"""Exit statuses: something could not be done, wrong usage, ended by a signal."""
+
+
+def run(module: str) -> NoReturn:
+    """Import a module and exit with the status that its `main` returns; 130 after a signal.
+
+    A package that is missing is reported in a line, not by a traceback.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
+        number = getattr(signal, name, None)  # not all systems have the last three
+        # One that is ignored stays so: in the background of a script, or under nohup.
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _interrupted)
+    # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
+    # rendering a small picture.  The variable is read when NumPy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Importing makes tens of thousands of objects, and none is garbage: seldom look for any.
+    gc.set_threshold(50_000)
+    status = FAILED
+    try:
+        status = import_module(module).main() or 0
+    except ModuleNotFoundError as error:
+        package = (error.name or "numpy").partition(".")[0]
+        package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
+        print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
+        status = MISUSED  # in some commands 1 says that pictures differ
+    except (ImportError, MemoryError, SystemError) as error:
+        # What NumPy says of a library that cannot be loaded is a page.
+        reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
+        remedy = "give it more memory, or install it again"
+        print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
+    except SystemExit as error:
+        status = error.code if isinstance(error.code, int) else FAILED
+    # Otherwise what could not be printed would be lost without a word.
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            status = status or FAILED
+    # An orderly exit would take NumPy's modules down one by one, and add a tenth to the time of a
+    # small picture.
+    os._exit(status)
+
+
+def print_line(stream: TextIO | None, text: str) -> None:
+    """Print a notice at once, or not at all if that fails: results matter more."""
+    with suppress(OSError, ValueError):
+        print_result(stream, text)
+
+
+def print_result(stream: TextIO | None, text: str) -> None:
+    """Print a line at once.
+
+    Raises
+    ------
+    OSError
+        If it cannot be printed: the stream is closed, or its disk full.
+    """
+    if stream is None:
+        raise OSError("standard output is closed")
+    encoding = stream.encoding or "utf-8"
+    try:
+        print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
+    except OSError:
+        # What is left in its buffer would fail again at the end.
+        with suppress(OSError):
+            stream.close()
+        raise
+
+
+def _interrupted(_number: int, _frame: object) -> NoReturn:
+    """Leave at once, with nothing half-written and nothing printed.
+
+    A KeyboardInterrupt would be lost where it is raised in a finalizer or after a fork, and would
+    pass for a fault of NumPy's or of a plugin's where it is raised in one of these.
+    """
+    for path in unfinished:
+        with suppress(OSError):
+            os.unlink(path)
+    os._exit(INTERRUPTED)

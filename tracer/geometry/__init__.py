@@ -1,0 +1,1 @@
+"""The camera, and what it sees of spheres and boxes."""

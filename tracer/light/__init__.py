@@ -1,1 +1,0 @@
-"""Materials, and the radiance of what is seen."""

@@ -1,1 +1,0 @@
-"""Which lights reach a point."""

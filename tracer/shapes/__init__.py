@@ -1,1 +1,0 @@
-"""Spheres and boxes."""

@@ -1,0 +1,153 @@
+"""Which points the lights reach.
+
+Packets of neighbouring points ask the lights' grids for objects that may come between.  What is
+found is narrowed down, from large packets to small ones, by whether objects meet the capsules
+around their segments; one that cuts a capsule certainly shades all of the packet.  The points that
+remain go through the exact test with each object that remains, pair by pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    batches,
+    indices,
+    put_2d,
+    take3,
+    take_2d,
+)
+from tracer.geometry.rounding import ON
+from tracer.trace.hits import Hits
+from tracer.trace.packets import Packets, packets_of
+from tracer.world.light_grid import LightGrid
+from tracer.world.prepared_scene import PreparedScene, Shape
+
+# So many packets ask at a time.
+_PACKETS_AT_ONCE = 1 << 14
+
+
+def occlusion(hits: Hits, frontlit: Bools) -> Bools:
+    """Whether other objects than their own keep lights from points.
+
+    `frontlit` and the answer: (lights, n).  Where a point does not face a light, the answer has no
+    meaning.
+    """
+    blocked = np.zeros(frontlit.shape, dtype=np.bool_)
+    for umbra, shape, pairs, near_surface in _candidates(hits, frontlit):
+        block = _blocks(hits, shape, pairs, near_surface)
+        put_2d(blocked, pairs[0, block], pairs[1, block], True)
+        put_2d(blocked, umbra[0], umbra[1], True)
+    return blocked
+
+
+def shadow_edges(
+    hits: Hits, frontlit: Bools, footprint: Floats
+) -> tuple[Bools, tuple[Ints, Ints, Ints]]:
+    """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
+
+    Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
+    near as that, each on the point's own object.  These block as they are, or when grown by the
+    footprint, or have the light within it of their surface; and they do not block when shrunk by
+    it.  Where any object does even then, nothing near is lit.
+    """
+    blocked, umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
+    table, found = (
+        (*frontlit.shape, hits.prepared.position_error.size),
+        [np.zeros(0, dtype=np.intp)],
+    )
+    for dark, shape, pairs, near_surface in _candidates(hits, frontlit, footprint):
+        put_2d(umbra, dark[0], dark[1], True)
+        reach = footprint[pairs[1]]
+        blocks_grown = _blocks(hits, shape, pairs, near_surface, reach)
+        # An object grown by more than its distance holds the light.  It may then hold all of a
+        # segment, and block nothing, where the object itself blocks it.
+        distance = shape.signed_distance(pairs[2], take3(hits.prepared.lights.T, pairs[0]))
+        near = indices(blocks_grown | (distance <= reach))
+        pairs, near_surface = pairs.take(near, axis=1), near_surface[near]
+        reach, blocks_grown, distance = reach[near], blocks_grown[near], distance[near]
+        itself = _blocks(hits, shape, pairs, near_surface)
+        # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
+        # nothing.  Nor does that of a sphere with the light on its surface.
+        shrunk = itself & _blocks(hits, shape, pairs, near_surface, -reach)
+        shrunk &= take_2d(hits.prepared.side, pairs[0], pairs[2]) != ON
+        put_2d(blocked, pairs[0, itself], pairs[1, itself], True)
+        put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
+        edge = ~shrunk & (blocks_grown | itself | (np.abs(distance) <= reach))
+        edge &= take_2d(frontlit, pairs[0], pairs[1])
+        found.append(np.ravel_multi_index(tuple(pairs[:, edge]), table))
+    # A pair may have been found in several octants of the grid.
+    light, point, occluder = np.unravel_index(np.unique(np.concatenate(found)), table)
+    kept = indices(~take_2d(umbra, light, point))
+    return blocked | umbra, (light[kept], point[kept], occluder[kept])
+
+
+def _blocks(
+    hits: Hits, shape: Shape, pairs: Ints, near_surface: Bools, offset: Floats | None = None
+) -> Bools:
+    """The exact test of pairs; `offset` (m,): see `Spheres.occludes`."""
+    light, point, occluder = pairs
+    eye, end = hits.prepared.frame.eye, take3(hits.prepared.lights.T, light)
+    return shape.occludes(eye, occluder, hits.points(point), end, near_surface, offset)
+
+
+def _candidates(
+    hits: Hits, frontlit: Bools, footprint: Floats | None = None
+) -> Iterator[tuple[Ints, Shape, Ints, Bools]]:
+    """Find all that may keep lights from points, some at a time.
+
+    Yields lights and points (2, k) that are certainly in shadow; and, of a shape, lights, points
+    and occluders (3, m) to be tested, with `near_surface` (m,) as in `Spheres.occludes`.  With a
+    `footprint` (n,) all are as for anything on a point's own object within this distance of it.
+    """
+    prepared = hits.prepared
+    if prepared.grid is None or not frontlit.any():
+        return
+    levels, lit = packets_of(hits, frontlit, footprint)
+    rows = levels[-1]
+    for shape, pairs in _found(prepared, prepared.grid, levels[0], lit[0]):
+        umbra = []
+        for depth, packets in enumerate(levels):
+            if depth:
+                pairs = levels[depth - 1].opened(pairs)
+                pairs = pairs.take(indices(take_2d(lit[depth], pairs[0], pairs[1])), axis=1)
+            light, packet, occluder = pairs
+            middle, radius = take3(packets.middle, packet), packets.radius[packet]
+            end = take3(prepared.lights.T, light)
+            meets, cuts = shape.capsules(occluder, middle, end, radius)
+            dark = pairs.take(indices(cuts), axis=1)
+            for level, table in zip(levels[depth:], lit[depth:], strict=True):
+                put_2d(table, dark[0], dark[1], False)
+                dark = level.opened(dark)
+            umbra.append(dark[:2])
+            pairs = pairs.take(indices(meets & take_2d(lit[depth], light, packet)), axis=1)
+        light, row, occluder = pairs
+        around = rows.radius[row] + prepared.position_error[occluder]
+        near_surface = shape.within(occluder, take3(rows.middle, row), around)
+        near_surface |= take_2d(prepared.near_light, light, occluder)
+        yield (
+            np.concatenate(umbra, axis=1),
+            shape,
+            rows.opened(pairs),
+            near_surface.repeat(rows.length[row]),
+        )
+
+
+def _found(
+    prepared: PreparedScene, grid: LightGrid, packets: Packets, lit: Bools
+) -> Iterator[tuple[Shape, Ints]]:
+    """Lights, packets and, of a shape, objects (3, m) that may come between, some at a time."""
+    for start in range(0, packets.obj.size, _PACKETS_AT_ONCE):
+        some = slice(start, start + _PACKETS_AT_ONCE)
+        asked = packets.middle[:, some], packets.radius[some], packets.obj[some]
+        for pairs in grid.query(*asked, lit[:, some]):
+            pairs[1] += start
+            for shape in prepared.shapes:
+                kind = pairs.take(indices((pairs[2] >= prepared.boxes.first) == shape.flat), axis=1)
+                for batch in batches(packets.length[kind[1]]):
+                    yield shape, kind[:, batch]

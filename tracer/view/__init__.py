@@ -1,1 +1,0 @@
-"""The camera, and the nearest surface along each of its rays."""

@@ -1,0 +1,1 @@
+"""A scene prepared for one camera and its lights."""

@@ -1,0 +1,137 @@
+"""A scene as one camera sees it: what all samples of a picture share."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import sqrt
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.arrays import Bools, Ints, Triple, changes
+from tracer.geometry.box import Boxes
+from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.sphere import Spheres
+from tracer.scene.model import Phong, Scene, Surfaces
+from tracer.world.light_grid import POSITION_ERROR, LightGrid, light_grid
+
+Shape: TypeAlias = Spheres | Boxes
+"""All objects of one kind; see `Spheres` for what they answer."""
+
+# With more objects than this behind each other, or more lights, fewer samples are taken at a time:
+# memory grows with the pairs of them and samples.
+_DEPTH_COMPLEXITY, _LIGHTS = 8.0, 16.0
+
+# Pixels across a packet, as a part of the side of the square of pixels that each object has if all
+# share the picture evenly.
+_PART = 0.75
+
+
+class PreparedScene:
+    """A scene prepared for one camera; objects are numbered together, spheres first.
+
+    Attributes
+    ----------
+    frame, spheres, boxes
+    file_index, shader_index : (n,)
+        See `Surfaces`.
+    bounds, eye_inside
+        As in `Spheres`, of all n objects.
+    curvature : (n,)
+        One over the radius; 0 for planes.
+    repeated : (n,)
+        Whether an object equals one that is earlier in the file: it is never seen, and shades
+        nothing more.
+    depth_complexity : float
+        How many objects at most lie behind a sample, on average over any row.
+    window : (slice, slice)
+        Rows and columns of the picture outside of which nothing is seen.
+    lights, local, intensities : (lights, 3)
+        Positions in the scene's axes, and in the camera's seen from the eye; linear RGB.
+    diffuse, specular : (3, n)
+    exponent : (n,)
+    glossy : (n,)
+        Whether an object has highlights at all.
+    position_error : (n,)
+        More than rounding can displace a point on each object.
+    packet_pixels : float
+        How many pixels packets may have across.
+    """
+
+    def __init__(self, scene: Scene, frame: CameraFrame) -> None:
+        surfaces = scene.surfaces
+        spheres, boxes = Spheres.of(frame, surfaces), Boxes.of(frame, surfaces)
+        self.surfaces, self.frame, self.spheres, self.boxes = surfaces, frame, spheres, boxes
+        self.repeated = _repeated(surfaces)
+        bounds = ScreenBounds(*map(np.append, spheres.bounds, boxes.bounds))
+        self.bounds = bounds._replace(top=np.where(self.repeated, np.inf, bounds.top))
+        self.eye_inside = np.append(spheres.eye_inside, boxes.eye_inside)
+        self.curvature = np.append(1 / spheres.radius, np.zeros(boxes.count))
+        self.depth_complexity = self.bounds.depth_complexity(frame)
+        self.window = self.bounds.window(frame)
+        self.lights = np.array([light.position for light in scene.lights]).reshape(-1, 3)
+        self.local = np.column_stack(frame.to_camera(self.lights))
+        self.intensities = np.array([light.intensity for light in scene.lights]).reshape(-1, 3)
+        colors = [
+            (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
+            for s in surfaces.shaders
+        ]
+        table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
+        self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
+        self.glossy = np.any(table[3:6] > 0, axis=0)
+        size = np.append(spheres.size, boxes.size)
+        self.position_error = POSITION_ERROR * (size + np.abs(frame.eye).sum())
+        # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
+        pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
+        self.packet_pixels = _PART * sqrt(pixels / max(size.size, 1))
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The kinds of objects that there are."""
+        both: tuple[Shape, ...] = self.spheres, self.boxes
+        return tuple(shape for shape in both if shape.count)
+
+    def at_once(self, samples: int) -> int:
+        """Number of samples to take at a time: fewer with many lights, or objects in each."""
+        objects = max(self.depth_complexity / _DEPTH_COMPLEXITY, 1.0)
+        return max(1, int(samples / (objects * max(len(self.lights) / _LIGHTS, 1.0))))
+
+    @cached_property
+    def grid(self) -> LightGrid | None:
+        """Lists of objects by direction from each light; None if nothing can be shaded."""
+        lit = self.bounds.in_picture(self.frame)
+        return light_grid(self.lights, self.surfaces, self.position_error, lit, ~self.repeated)
+
+    @cached_property
+    def side(self) -> NDArray[np.int8]:
+        """Where each light is to each object (lights, n): see `Spheres.side`."""
+        both = [shape.side(*self._to_lights(shape)) for shape in (self.spheres, self.boxes)]
+        return np.concatenate(both, axis=1)
+
+    @cached_property
+    def near_light(self) -> Bools:
+        """Whether each light may be so near to each object that `Spheres.within` holds for it."""
+        around = self.position_error + POSITION_ERROR * np.abs(self.lights).sum(axis=1)[:, None]
+        balls, boxes = np.split(around, [self.spheres.count], axis=1)
+        near_balls = self.spheres.within(*self._to_lights(self.spheres), balls)
+        near_boxes = self.boxes.within(*self._to_lights(self.boxes), boxes)
+        return np.concatenate([near_balls, near_boxes], axis=1)
+
+    def _to_lights(self, shape: Shape) -> tuple[Ints, Triple]:
+        """All objects of a shape, a column each, and all lights, a row each."""
+        x, y, z = self.lights.T[:, :, None]
+        return shape.first + np.arange(shape.count), (x, y, z)
+
+
+def _repeated(surfaces: Surfaces) -> Bools:
+    """See `PreparedScene.repeated`."""
+    radius, ends = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    spheres = [*surfaces.center.T, radius, radius, radius + np.inf]  # no box ends there
+    numbers = np.concatenate([spheres, ends], axis=1)
+    # By one number that hardly any others share: equal objects then follow each other.
+    number = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
+    order = np.lexsort((surfaces.file_index, number))
+    repeated = np.empty(order.size, dtype=np.bool_)
+    repeated[order] = ~changes(*numbers[:, order])
+    return repeated
