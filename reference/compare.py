@@ -27,17 +27,18 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from PIL import UnidentifiedImageError
 from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
 from reference.figures import figures, linear, write_comparison
 from reference.handins.alignment import Codes, Diagnosis
 from reference.handins.diagnosis import SceneDiagnosis
-from reference.handins.pictures import compare_pictures, worst_pixel
+from reference.handins.pictures import AGREEING, compare_pictures, worst_pixel
 from reference.handins.reading import (
     UNREADABLE,
     HandIn,
@@ -212,13 +213,18 @@ def _outputs(options: argparse.Namespace, pictures: list[Path]) -> list[Path]:
 
 
 @lru_cache(maxsize=4)
-def _right(path: Path) -> tuple[Codes, Callable[..., Diagnosis], Picture | None]:
+def _right(path: Path) -> tuple[Codes, Callable[[Picture], Diagnosis], Picture | None]:
     """The right picture, what names how another differs from it, and how it was read."""
     if path.suffix.lower() == ".xml":
         scene = SceneDiagnosis(load_scene(path), shlex.quote(str(path)))
         return scene.right, scene.diagnose, None
     picture = read_picture(path)
-    return picture.codes, partial(compare_pictures, b=picture.codes), picture
+
+    def diagnose(other: Picture) -> Diagnosis:
+        lossy = bool(picture.lossy or other.lossy)
+        return compare_pictures(other.codes, picture.codes, lossy=lossy)
+
+    return picture.codes, diagnose, picture
 
 
 def lost(job: Job) -> Result:
@@ -240,8 +246,7 @@ def judge(job: Job) -> Result:
         where = right
         b, diagnose, other = _right(right)
         where, what = picture, "compared"
-        lossy = a.lossy or (other is not None and other.lossy)
-        found = diagnose(a.codes, lossy=lossy)
+        found = diagnose(a)
         notes = [f"{n} {p.note}" for n, p in zip("AB", (a, other), strict=True) if p and p.note]
         text = " ".join([*(() if found.kind == "identical" else notes), found.text])
         result = result._replace(kind=found.kind, diagnosis=text)
@@ -249,7 +254,7 @@ def judge(job: Job) -> Result:
             return result
         light = linear(a.codes), linear(b)
         distance = figures(*light)
-        same = found.kind in ("identical", "rounding")
+        same = found.kind in AGREEING
         if job.ssim is not None or job.max is not None:
             same = (job.max is None or distance.max <= job.max) and (
                 job.ssim is None or distance.ssim >= job.ssim
@@ -266,7 +271,10 @@ def judge(job: Job) -> Result:
     except SceneFileError as fault:
         return result._replace(error=str(fault))
     except UNREADABLE as fault:
-        memory = "not enough memory; compare a part" if isinstance(fault, MemoryError) else fault
-        reason = getattr(fault, "strerror", None) or memory
+        reason = getattr(fault, "strerror", None) or fault
+        if isinstance(fault, MemoryError):
+            reason = "not enough memory; compare a part"
+        elif isinstance(fault, UnidentifiedImageError):
+            reason = "not a picture in a format that is known"
         return result._replace(error=printable(f"{where}: cannot be {what}: {reason}"))
     return result

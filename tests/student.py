@@ -3,8 +3,6 @@
 It shares nothing with `reference.handins.formulas`, which are to find the mistakes.
 """
 
-from functools import cache
-
 import numpy as np
 
 from tracer import Box, Phong, Scene, Sphere
@@ -40,7 +38,7 @@ def box_normal(s, p):
 
 def picture(scene):
     cam, W, H, lights = scene.camera, scene.width, scene.height, list(scene.lights)
-    surfaces = list(scene.surfaces)
+    surfaces = [s for k, s in enumerate(scene.surfaces) if True]
     eye, forward, up = np.array(cam.view_point), np.array(cam.view_dir), np.array(cam.view_up)
     w = norm(np.array(cam.proj_normal or cam.view_dir)) * -1.0
     if w @ forward > 0:
@@ -51,7 +49,7 @@ def picture(scene):
     x = (i + 0.5) / W - 0.5
     y = 0.5 - (j + 0.5) / H
     middle = cam.proj_distance * norm(forward)
-    d = middle + (x * cam.view_width)[..., None] * u + (y * cam.view_height)[..., None] * v
+    d = middle + (x * VW)[..., None] * u + (y * VH)[..., None] * v
     d = norm(d)
     best, who = np.full((H, W), np.inf), np.full((H, W), -1)
     for k, s in enumerate(surfaces):
@@ -78,10 +76,12 @@ def picture(scene):
                     lit &= ~(hit(other, p, way, 1e-7) < 1)
             nl = (n * l).sum(-1)[:, None]
             nh = (n * h).sum(-1)[:, None]
+            see = lit[:, None]
             part = KD * np.maximum(nl, 0)
             if isinstance(sh, Phong):
-                part = part + np.where(nl > 0, KS * np.maximum(nh, 0) ** EXPONENT, 0)
-            color += lit[:, None] * part * light.intensity
+                shine = np.maximum(nh, 0) ** EXPONENT
+                part = part + np.where(nl > 0, KS * shine, 0)
+            color += see * part * light.intensity
         image[mine] = color
     return image
 
@@ -90,126 +90,132 @@ def encode(image):
     codes = np.floor(255 * shown + 0.5).astype(int).astype(np.uint8)
     return codes
 """
-NAMES = {"CENTER": "np.array(s.center)", "RADIUS": "s.radius", "KD": "np.array(sh.diffuse)",
-         "KS": "np.array(sh.specular)", "EXPONENT": "sh.exponent"}  # fmt: skip
+NAMES = {
+    "CENTER": "np.array(s.center)",
+    "RADIUS": "s.radius",
+    "KD": "np.array(sh.diffuse)",
+    "KS": "np.array(sh.specular)",
+    "EXPONENT": "sh.exponent",
+    "VW": "cam.view_width",
+    "VH": "cam.view_height",
+}
 
-# Kind: what is replaced, and by what; several replacements follow one another.
-MISTAKES: dict[str, tuple[str, ...]] = {
-    "projNormal-ignored": ("cam.proj_normal or cam.view_dir", "cam.view_dir"),
-    "viewUp-ignored": ("np.array(cam.view_up)", "np.array((0.0, 1, 0))"),
-    "viewDir-length": ("cam.proj_distance * norm(forward)", "cam.proj_distance * forward"),
-    "projDistance-ignored": ("cam.proj_distance * norm", "1 * norm"),
-    "window-exchanged": ("x * cam.view_width", "x * cam.view_height",
-                         "y * cam.view_height", "y * cam.view_width"),
-    "viewHeight-ignored": ("y * cam.view_height", "y * cam.view_width"),
-    "window-ignored": ("x * cam.view_width", "x", "y * cam.view_height", "y"),
-    "pixel-upper-left": ("(i + 0.5)", "i", "(j + 0.5)", "j"),
-    "shift-right": ("(i + 0.5)", "(i - 0.5)"),
-    "shift-left": ("(i + 0.5)", "(i + 1.5)"),
-    "shift-up": ("(j + 0.5)", "(j + 1.5)"),
-    "shift-down": ("(j + 0.5)", "(j - 0.5)"),
-    "shift-right-down": ("(i + 0.5)", "(i - 0.5)", "(j + 0.5)", "(j - 0.5)"),
-    "size-minus-1": ("(i + 0.5) / W", "i / (W - 1)", "(j + 0.5) / H", "j / (H - 1)"),
-    "mirrored": ("return codes", "return codes[:, ::-1]"),
-    "flipped": ("return codes", "return codes[::-1]"),
-    "hit-last": ("new = t < best", "new = np.isfinite(t)"),
-    "hit-farthest": ("new = t < best", "new = np.isfinite(t) & ~(t < np.where(who < 0, 0, best))"),
-    "root-far": ("t = np.where(near > least, near, far)", "t = far if least < 1e-8 else "
-                 "np.where(near > least, near, far)"),
-    "missing-sphere": ("surfaces = list(scene.surfaces)",
-                       "surfaces = [s for s in scene.surfaces if isinstance(s, Box)]"),
-    "missing-box": ("surfaces = list(scene.surfaces)",
-                    "surfaces = [s for s in scene.surfaces if isinstance(s, Sphere)]"),
-    "missing-surface-1": ("surfaces = list(scene.surfaces)",
-                          "surfaces = [s for k, s in enumerate(scene.surfaces) if k != 1]"),
-    "radius-halved": ("RADIUS", "(s.radius / 2)"),
-    "radius-squared": ("RADIUS", "(s.radius ** 2)"),
-    "normal-length-sphere": ("(p - CENTER) / RADIUS", "p - CENTER"),
-    "normal-inwards": ("-n, n)", "n, -n)"),
-    "normal-center-box-turned": ("box_normal(s, p)\n", "norm(p - (np.array(s.min_pt) + s.max_pt) / 2)\n"),
-    "l-length": ("l = way / far", "l = way"),
-    "l-position": ("l = way / far", "l = norm(np.array(light.position) + 0 * p)"),
-    "l-reversed": ("l = way / far", "l = -way / far"),
-    "shadow-none": ("if m != k", "if False"),
-    "shadow-none-sphere": ("if m != k", "if m != k and isinstance(other, Box)"),
-    "shadow-none-box": ("if m != k", "if m != k and isinstance(other, Sphere)"),
-    "shadow-none-surface-0": ("if m != k", "if m != k and m != 0"),
-    "shadow-none-light-0": ("if m != k", "if m != k and number != 0"),
-    "shadow-from-behind": ("way, 1e-7) < 1)", "way, 1e-7) < np.inf)"),
-    "shadow-epsilon-.1": ("hit(other, p, way, 1e-7) < 1", "hit(other, p, l, 0.1) < far[:, 0]"),
-    "shadow-diffuse": ("np.maximum(nl, 0)\n", "np.maximum(nl, 0) * lit[:, None]\n",
-                       "lit[:, None] * part", "part"),
-    "light-missing-0": ("list(scene.lights)", "list(scene.lights)[1:]"),
-    "light-first": ("list(scene.lights)", "list(scene.lights)[:1]"),
-    "light-last": ("list(scene.lights)", "list(scene.lights)[-1:]"),
-    "light-average": ("part * light.intensity", "part * light.intensity / len(lights)"),
-    "intensity-ignored": ("part * light.intensity", "part"),
-    "falloff-1": ("part * light.intensity", "part * light.intensity / far"),
-    "falloff-2": ("part * light.intensity", "part * light.intensity / far ** 2"),
-    "nl-unclipped": ("KD * np.maximum(nl, 0)", "KD * nl"),
-    "nl-absolute-diffuse": ("KD * np.maximum(nl, 0)", "KD * np.abs(nl)"),
-    "nl-missing": ("KD * np.maximum(nl, 0)", "KD + 0 * nl"),
-    "diffuse-none": ("KD * np.maximum(nl, 0)", "0 * nl"),
-    "diffuse-ignored": ("KD", "1.0"),
-    "colors-exchanged": ("if isinstance(sh, Phong):", "if isinstance(sh, Phong):\n"
-                         "                part = KS * np.maximum(nl, 0)",
-                         "nl > 0, KS", "nl > 0, KD"),
-    "specular-none": ("if isinstance(sh, Phong)", "if False"),
-    "specular-ignored": ("KS", "1.0"),
-    "specular-diffuse": ("KS", "KD"),
-    "h-length": ("h = norm(l + view)", "h = l + view"),
-    "h-light": ("h = norm(l + view)", "h = l"),
-    "h-difference": ("h = norm(l + view)", "h = norm(l - view)"),
-    "v-viewDir": ("view = -ray", "view = -norm(forward)"),
-    "v-position": ("view = -ray", "view = norm(eye)"),
-    "v-length": ("view = -ray", "view = eye - p"),
-    "reflection": ("nh = (n * h)", "nh = ((2 * nl * n - l) * view)"),
-    "exponent-1": ("EXPONENT", "1"),
-    "exponent-halved": ("EXPONENT", "(sh.exponent / 2)"),
-    "exponent-times-4": ("EXPONENT", "(4 * sh.exponent)"),
-    "lobe-back": ("np.where(nl > 0, KS * np.maximum(nh, 0) ** EXPONENT, 0)",
-                  "KS * np.maximum(nh, 0) ** EXPONENT"),
-    "lobe-times-nl": ("np.where(nl > 0, KS *", "np.where(nl > 0, nl * KS *"),
-    "ambient-.1": ("color = np.zeros(p.shape)", "color = 0.1 * KD + 0 * p"),
-    "unshaded": ("image[mine] = color", "image[mine] = KD"),
-    "clipped-per-light": ("lit[:, None] * part * light.intensity",
-                          "np.clip(lit[:, None] * part * light.intensity, 0, 1)"),
-    "wrapped": ("np.clip(image, 0, 1)", "np.maximum(image, 0)"),
-    "whole-numbers": ("np.clip(image, 0, 1)", "np.floor(np.clip(image, 0, 1))"),
-    "gamma-none": (" ** (1 / 2.2)", ""),
-    "gamma-twice": (" ** (1 / 2.2)", " ** (1 / 2.2 ** 2)"),
-    "gamma-inverse": (" ** (1 / 2.2)", " ** 2.2"),
-    "gamma-srgb": ("np.clip(image, 0, 1) ** (1 / 2.2)", "srgb(np.clip(image, 0, 1))"),
-    "levels-truncated": ("255 * shown + 0.5", "255 * shown"),
-    "channels-BGR": ("return codes", "return codes[..., ::-1]"),
-    "background": ("image = np.zeros((H, W, 3))", "image = np.zeros((H, W, 3)) + (0.1, 0.2, 0.5)"),
-}  # fmt: skip
+# Kinds, and what is replaced by what in the source.
+TABLE = r"""
+projNormal-ignored: cam.proj_normal or cam.view_dir => cam.view_dir
+viewUp-ignored: np.array(cam.view_up) => np.array((0.0, 1, 0))
+viewDir-length: cam.proj_distance * norm(forward) => cam.proj_distance * forward
+projDistance-ignored: cam.proj_distance * norm => 1 * norm
+window-exchanged: * VW => * V_ ; * VH => * VW ; V_ => VH
+viewHeight-ignored: * VH => * VW
+window-ignored: * VW => * 1 ; * VH => * 1
+pixel-upper-left: (i + 0.5) => i ; (j + 0.5) => j
+shift-right: (i + 0.5) => (i - 0.5)
+shift-left: (i + 0.5) => (i + 1.5)
+shift-up: (j + 0.5) => (j + 1.5)
+shift-down: (j + 0.5) => (j - 0.5)
+shift-right-down: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j - 0.5)
+size-minus-1: (i + 0.5) / W => i / (W - 1) ; (j + 0.5) / H => j / (H - 1)
+mirrored: return codes => return codes[:, ::-1]
+flipped: return codes => return codes[::-1]
+hit-last: new = t < best => new = np.isfinite(t)
+hit-farthest: new = t < best => new = np.isfinite(t) & (t > np.where(who < 0, -1, best))
+root-far-all: np.where(near > least, near, far) => far
+missing-sphere: if True => if isinstance(s, Box)
+missing-box: if True => if isinstance(s, Sphere)
+missing-surface-1: if True => if k != 1
+radius-halved: RADIUS => (s.radius / 2)
+radius-squared: RADIUS => (s.radius ** 2)
+normal-length-sphere: (p - CENTER) / RADIUS => p - CENTER
+normal-inwards: -n, n) => n, -n)
+normal-center-box-turned: else box_normal(s, p) => else norm(p - np.add(s.min_pt, s.max_pt) / 2)
+l-length: l = way / far => l = way
+l-position: l = way / far => l = norm(np.array(light.position) + 0 * p)
+l-reversed: l = way / far => l = -way / far
+shadow-none: if m != k => if False
+shadow-none-sphere: if m != k => if m != k and isinstance(other, Box)
+shadow-none-box: if m != k => if m != k and isinstance(other, Sphere)
+shadow-none-surface-0: if m != k => if m != k and m != 0
+shadow-none-light-0: if m != k => if m != k and number != 0
+shadow-from-behind: way, 1e-7) < 1) => way, 1e-7) < np.inf)
+shadow-epsilon-.1: hit(other, p, way, 1e-7) < 1 => hit(other, p, l, 0.1) < far[:, 0]
+shadow-diffuse: KD * np.maximum(nl, 0) => KD * np.maximum(nl, 0) * see ; see * part => part
+light-missing-0: list(scene.lights) => list(scene.lights)[1:]
+light-first: list(scene.lights) => list(scene.lights)[:1]
+light-last: list(scene.lights) => list(scene.lights)[-1:]
+light-average: part * light.intensity => part * light.intensity / len(lights)
+intensity-ignored: part * light.intensity => part
+falloff-1: part * light.intensity => part * light.intensity / far
+falloff-2: part * light.intensity => part * light.intensity / far ** 2
+nl-unclipped: KD * np.maximum(nl, 0) => KD * nl
+nl-absolute-diffuse: KD * np.maximum(nl, 0) => KD * np.abs(nl)
+nl-missing: KD * np.maximum(nl, 0) => KD + 0 * nl
+diffuse-none: KD * np.maximum(nl, 0) => 0 * nl
+diffuse-ignored: KD => 1.0
+colors-exchanged: part + np.where(nl > 0, KS => KS * np.maximum(nl, 0) + np.where(nl > 0, KD
+specular-none: if isinstance(sh, Phong) => if False
+specular-ignored: KS => 1.0
+specular-diffuse: KS => KD
+h-length: h = norm(l + view) => h = l + view
+h-light: h = norm(l + view) => h = l
+h-difference: h = norm(l + view) => h = norm(l - view)
+v-viewDir: view = -ray => view = -norm(forward)
+v-position: view = -ray => view = norm(eye)
+v-length: view = -ray => view = eye - p
+reflection: nh = (n * h) => nh = ((2 * nl * n - l) * view)
+exponent-1: EXPONENT => 1
+exponent-halved: EXPONENT => (sh.exponent / 2)
+exponent-times-4: EXPONENT => (4 * sh.exponent)
+lobe-back: np.where(nl > 0, KS * shine, 0) => KS * shine
+lobe-times-nl: KS * shine => KS * shine * nl
+ambient-.1: color = np.zeros(p.shape) => color = 0.1 * KD + 0 * p
+unshaded: image[mine] = color => image[mine] = KD
+clipped-per-light: see * part * light.intensity => np.clip(see * part * light.intensity, 0, 1)
+wrapped: np.clip(image, 0, 1) => np.maximum(image, 0)
+whole-numbers: np.clip(image, 0, 1) => np.floor(np.clip(image, 0, 1))
+gamma-none: np.clip(image, 0, 1) ** (1 / 2.2) => np.clip(image, 0, 1)
+gamma-twice: (1 / 2.2) => (1 / 2.2 ** 2)
+gamma-inverse: (1 / 2.2) => 2.2
+gamma-srgb: np.clip(image, 0, 1) ** (1 / 2.2) => srgb(np.clip(image, 0, 1))
+levels-truncated: 255 * shown + 0.5 => 255 * shown
+channels-BGR: return codes => return codes[..., ::-1]
+background: image = np.zeros((H, W, 3)) => image = np.zeros((H, W, 3)) + (0.1, 0.2, 0.5)
+shift-left-up: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j + 1.5)
+shift-left-down: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j - 0.5)
+shift-right-up: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j + 1.5)
+"""
+MISTAKES = {
+    kind: [change.split(" => ") for change in changes.split(" ; ")]
+    for kind, changes in (line.split(": ", 1) for line in TABLE.strip().splitlines())
+}
 
 
 def srgb(x):
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-@cache
-def program(*kinds: str):
-    """The source with mistakes, run; None if they change the same place."""
+def source_with(*kinds: str) -> str | None:
+    """The source with mistakes; None if they change the same place."""
     source = SOURCE
     for kind in kinds:
-        places = MISTAKES[kind]
-        for old, new in zip(places[::2], places[1::2], strict=True):
+        for old, new in MISTAKES[kind]:
             if old not in source:
                 return None
             source = source.replace(old, new)
+    return source
+
+
+@np.errstate(all="ignore")
+def run(source: str, scene: Scene):
+    """Codes (h, w, 3) as a source draws them."""
     for name, code in NAMES.items():
         source = source.replace(name, code)
     space = {"np": np, "Box": Box, "Sphere": Sphere, "Phong": Phong, "srgb": srgb}
     exec(source, space)
-    return space
+    return np.ascontiguousarray(space["encode"](space["picture"](scene)))
 
 
-@np.errstate(all="ignore")
 def draw(scene: Scene, *kinds: str):
     """Codes (h, w, 3); None if the mistakes change the same place."""
-    if (space := program(*kinds)) is None:
-        return None
-    return np.ascontiguousarray(space["encode"](space["picture"](scene)))
+    source = source_with(*kinds)
+    return None if source is None else run(source, scene)

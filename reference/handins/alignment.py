@@ -17,8 +17,6 @@ from PIL import Image
 from scipy import ndimage, optimize
 from skimage.registration import phase_cross_correlation
 
-__all__ = ["EDGE", "Bools", "Codes", "Diagnosis", "Floats", "Pair", "align", "edges_of", "shared"]
-
 Codes: TypeAlias = NDArray[np.uint8]
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -170,43 +168,26 @@ def align(a: Codes, b: Codes, noise: int) -> tuple[Pair, list[Diagnosis]]:
     found = background + found
     still = _Motion("", "").pair(a, b, noise)
     before = still.unexplained()
-    for search in (_slid, _far) if before > 0.002 else ():
+    for search, left in ((_near, 0.1), (_far, 0.3)) if before > 0.002 else ():
         if motion := search(a, b, still):
             inverse = np.linalg.inv(motion.matrix).astype(np.float64)
             back = motion._replace(matrix=inverse, shift=-motion.shift)
             moved, opposite = (m.pair(a, b, noise) for m in (motion, back))
             # The leeway that a motion brings would explain something the other way as well.
-            if moved.unexplained() < min(0.3 * before, 0.5 * opposite.unexplained()):
+            if moved.unexplained() < min(left * before, 0.5 * opposite.unexplained()):
                 return moved, [*found, Diagnosis(motion.kind, motion.text)]
     return still, found
 
 
-def _slid(a: Codes, b: Codes, still: Pair) -> _Motion | None:
-    """A shift by half pixels, or a stretch by one, estimated from gradients.
-
-    Along each axis the shift is c + s x, x from -1/2 to 1/2 across the picture, the least squares
-    of A - B = -(c + s x) dI/dx (B. Lucas and T. Kanade, IJCAI 1981).
-    """
+def _near(a: Codes, b: Codes, still: Pair) -> _Motion:
+    """The best shift by up to two pixels, or a stretch by one."""
     height, width = b.shape[:2]
-    if min(height, width) < 4:
-        return None
-    step, curve = _step(b), still.curve().astype(np.float32)
-    there = np.where(b > still.noise, curve[b], b).mean(axis=2)
-    down, across = (gradient[::step, ::step] for gradient in np.gradient(there))
-    x, y = np.linspace(-0.5, 0.5, width)[::step], np.linspace(-0.5, 0.5, height)[::step, None]
-    columns = np.stack([across, across * x, down, down * y]).reshape(4, -1)
-    off = (there - a.mean(axis=2))[::step, ::step].ravel()
-    fit = np.linalg.lstsq(columns.T, off, rcond=1e-3)[0]
-    shift, stretch = np.round(2 * fit[::2]) / 2, np.round(fit[1::2])
-    if shift.any() and np.abs(shift).max() <= 2:
-        return _shift(*shift, slack=0)
-    if np.abs(stretch).max() == 1 and not shift.any():
-        text = (
-            f"A is a pixel {'smaller' if stretch.sum() < 0 else 'larger'} than it should be, about"
-            " its centre: pixel centres lie at (column + 1/2) / width, not at column / (width - 1)."
-        )
-        return _Motion("size-minus-1", text, np.diag(1 - stretch / (width, height)))
-    return None
+    text = "A is a pixel smaller than it should be, about its centre: pixel centres lie at"
+    text += " (column + 1/2) / width, not at column / (width - 1)."
+    tried = [_Motion("size-minus-1", text, np.diag([1 + 1 / width, 1 + 1 / height]))]
+    for steps in ((-2, -1, 0, 1, 2), (-0.5, 0, 0.5)):
+        tried += [_shift(x, y, slack=0) for x in steps for y in steps if x or y]
+    return min(tried, key=lambda motion: motion.pair(a, b, still.noise).unexplained())
 
 
 def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:

@@ -12,8 +12,6 @@ from reference.handins.formulas import Array, Formulas, parameters
 from reference.handins.mistakes import RIGHT, mistakes_of, offset
 from tracer import Phong, Scene, Sphere
 
-__all__ = ["PER_PIXEL", "Drawing", "draw", "given", "join", "radiance"]
-
 
 def given(scene: Scene, columns: Array, rows: Array, handin: Array) -> dict[str, Any]:
     """What formulas are computed from: the scene, pixels (n,), and a hand-in's codes (3, n)."""
@@ -105,7 +103,7 @@ class Drawing:
 
     def pixels(self, changes: Formulas, names: Sequence[str] = PER_PIXEL) -> dict[str, Any]:
         """Compute formulas that look at each pixel by itself."""
-        if "samples" not in changes:
+        if "samples" not in changes or "radiance" not in names:
             return {name: self.get(name, changes) for name in names}
         count = changes["samples"]()
         places = [(k + 0.5) / count for k in range(count)]

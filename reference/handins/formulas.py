@@ -12,8 +12,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-__all__ = ["Array", "Formulas", "formula", "parameters"]
-
 Array: TypeAlias = Any
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
 
@@ -63,6 +61,11 @@ def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = Tr
 def scaled(roots: Callable[..., Array], factor: float) -> Callable[..., Array]:
     """`sphere_roots` or `box_roots` with every t multiplied."""
     return lambda *given: factor * roots(*given)
+
+
+def far_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
+    """`intersection` with the larger t twice."""
+    return lambda *given: intersect(*given)[[1, 1]]
 
 
 def intersection(
@@ -151,7 +154,18 @@ def fitted_background(bytes: Array, hit: Array, handin: Array) -> Array:
 
 
 _OWN: tuple[Any, ...] = (
-    *(unit, dot, at, middle, sphere_roots, box_roots, scaled, intersection, first_positive),
+    *(
+        unit,
+        dot,
+        at,
+        middle,
+        sphere_roots,
+        box_roots,
+        scaled,
+        intersection,
+        first_positive,
+        far_roots,
+    ),
     *(each_light, blocked, box_normals, grey, fitted_ambient, fitted_background),
     *(fitted_brightness, fitted_gamma, len, partial),
 )

@@ -13,9 +13,6 @@ from reference.handins.formulas import Formulas, formula
 from tracer import Scene
 from tracer.picture.explanation import SurfaceRef
 
-__all__ = ["BACKGROUND", "FITTED", "OVEREXPOSED", "OWN_SURFACE", "RIGHT", "ROUNDINGS", "SPECKLED"]
-__all__ += ["SPECKLED_TEXT", "UNKNOWN", "Mistake", "mistakes_of", "offset"]
-
 _PAGE = Path(__file__).with_name("mistakes.md")
 OWN_SURFACE = "shadow-own"
 """Not a mistake: tracers whose shadow rays test the surface itself draw some others differently."""
@@ -28,6 +25,8 @@ ROUNDINGS = ("levels-truncated", "levels-256", "levels-256-wrapped")
 SPECKLED = "shadow-speckles"
 """Not drawn: which pixels are speckled depends on rounding."""
 SPECKLED_TEXT = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+SINGLE_PRECISION = "single-precision"
+"""Not drawn: rounding decides each pixel that differs."""
 UNKNOWN = "unknown"
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import io
 import re
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+from PIL import Image, JpegImagePlugin
 
 from reference.handins.alignment import Codes
-
-__all__ = ["UNREADABLE", "HandIn", "Picture", "empty_folders", "hand_ins", "match", "read_picture"]
 
 # Formats whose bits a channel are known before they are decoded.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
@@ -24,11 +23,16 @@ UNREADABLE = (MemoryError, OSError, SyntaxError, ValueError, Image.Decompression
 
 
 class Picture(NamedTuple):
-    """A picture's codes (h, w, 3), a note on what its format did to them, and whether it did."""
+    """A picture's codes (h, w, 3), a note on what its format did to them, and what it does.
+
+    `lossy`: codes that are saved in this format differ from themselves by so many levels, or, where
+    `saved` does to others what it did to these, from those.
+    """
 
     codes: Codes
     note: str = ""
-    lossy: bool = False
+    lossy: int = 0
+    saved: Callable[[Codes], Codes] | None = None
 
 
 class HandIn(NamedTuple):
@@ -58,19 +62,35 @@ def read_picture(path: Path) -> Picture:
             if largest > 255 or re.search(r";16[BLN]", str(coding)):
                 raise ValueError("has more than 8 bits a channel; 8-bit RGB is needed")
         rgba = image.convert("RGBA")
+        note, lossy, saved = "", 0, None
         # A WEBP holds a chunk VP8L if it is lossless.
-        lossy = image.format == "JPEG" or (
-            image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]
-        )
-        note = ""
-        if lossy:
-            note = f"is a {image.format}, which changes levels: save it as PNG."
+        if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
+            note, lossy = "is a WEBP, which changes levels: save it as PNG.", 12
+        elif image.format == "JPEG":
+            note, lossy, saved = "is a JPEG, which changes levels: save it as PNG.", 3, _jpeg(image)
         elif image.mode in ("P", "PA"):
-            note, lossy = "has a palette, of 256 colours at most: save it as RGB.", True
+            note, lossy = "has a palette, of 256 colours at most: save it as RGB.", 12
         elif rgba.getchannel("A").getextrema() != (255, 255):
             note = "is transparent in places, which counts as black: save it as RGB."
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
-    return Picture(np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note, lossy)
+    return Picture(
+        np.asarray(Image.alpha_composite(black, rgba).convert("RGB")), note, lossy, saved
+    )
+
+
+def _jpeg(image: Image.Image) -> Callable[[Codes], Codes]:
+    """Return what saves codes with the same tables as a JPEG, and reads them."""
+    options = {
+        "qtables": image.quantization,  # type: ignore[attr-defined]
+        "subsampling": JpegImagePlugin.get_sampling(image),
+    }
+
+    def saved(codes: Codes) -> Codes:
+        data = io.BytesIO()
+        Image.fromarray(codes).save(data, "JPEG", **options)
+        return np.asarray(Image.open(data))
+
+    return saved
 
 
 def hand_ins(folder: Path) -> list[Path]:

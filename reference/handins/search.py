@@ -6,29 +6,17 @@ is named along with it.  Where all pixels are computed by themselves, few of the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from reference.handins import mistakes
 from reference.handins.drawing import PER_PIXEL, Drawing, given, join
 from reference.handins.formulas import Array, Formulas, formula, parameters
-from reference.handins.mistakes import (
-    BACKGROUND,
-    FITTED,
-    OVEREXPOSED,
-    OWN_SURFACE,
-    RIGHT,
-    ROUNDINGS,
-    SPECKLED,
-    SPECKLED_TEXT,
-    mistakes_of,
-)
 from tracer import Scene
-
-__all__ = ["Cause", "Finding", "SceneDrawings", "Search", "differing"]
 
 # A picture drawn may differ in so many pixels: of all, of those in which the right one differs, and
 # of those in which the hand-in does not have its commonest colour.
@@ -43,15 +31,24 @@ _SINGLES, _PAIRS = 2400, 240
 _SOME, _FEW, _FINAL = 500, 80, 16
 # Of more surfaces, no single one is left out; of more lights, speckles are not looked for.
 _MANY_SURFACES, _MANY_LIGHTS = 40, 4
+# Rounding decides so many pixels at most, each within so many pixels from its centre.
+_TIES, _HAIR = 0.001, 0.05
+# Levels: where a format changes them, those further apart count as these.
+_FAR = 32
 # Bytes of whole pictures that are kept for other hand-ins.
 _KEPT = 100_000_000
 
 Cause: TypeAlias = tuple[str, ...]
 
 
+def difference(a: Array, b: Array) -> Array:
+    """The largest of three channels' differences (..., n) between codes (..., 3, n)."""
+    return (np.maximum(a, b) - np.minimum(a, b)).max(axis=-2)
+
+
 def differing(a: Array, b: Array, tolerance: int) -> Array:
     """Pixels (..., n) in which codes (..., 3, n) differ by more."""
-    return (np.maximum(a, b) - np.minimum(a, b)).max(axis=-2) > tolerance
+    return difference(a, b) > tolerance
 
 
 class Finding(NamedTuple):
@@ -85,19 +82,21 @@ class Sample(NamedTuple):
 
 
 class SceneDrawings:
-    """A scene drawn with mistakes, and with all of them some formulas `base`.
+    """A scene drawn with mistakes, and with all of them some formulas `base`, so many columns wide.
 
     What does not depend on a hand-in is drawn once for all of them.
     """
 
-    def __init__(self, scene: Scene, base: Formulas) -> None:
-        self.scene, self.base = scene, base
+    def __init__(self, scene: Scene, base: Formulas, columns: int = 0) -> None:
+        self.scene, self.base, self.columns = scene, base, columns or scene.width
         self.number, few = scene.width * scene.height, len(scene.surfaces) <= _MANY_SURFACES
-        table = mistakes_of(scene, each_surface=few)
+        table = mistakes.mistakes_of(scene, each_surface=few)
         self.table = {
             k: m.formulas for k, m in table.items() if not m.formulas.keys() & base.keys()
         }
-        self.text = {kind: one.text for kind, one in table.items()} | {SPECKLED: SPECKLED_TEXT}
+        self.text = {kind: one.text for kind, one in table.items()} | {
+            mistakes.SPECKLED: mistakes.SPECKLED_TEXT
+        }
         self._whole: dict[Cause, Array] = {}
         self.blank = np.zeros((3, self.number), dtype=np.uint8)
         self.right = self.whole([()], self.blank)[()]
@@ -119,7 +118,7 @@ class SceneDrawings:
         return any("handin" in parameters(f) for kind in cause for f in self.table[kind].values())
 
     def drawing(self, pixels: Array, handin: Array, capacity: int = 3000) -> Drawing:
-        rows, columns = np.divmod(pixels, self.scene.width)
+        rows, columns = np.divmod(pixels, self.columns)
         return Drawing(given(self.scene, columns, rows, handin[:, pixels]), capacity)
 
     def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
@@ -157,8 +156,8 @@ class SceneDrawings:
     @cached_property
     def singles(self) -> dict[Cause, Array]:
         """The scene's sample drawn with each mistake alone."""
-        kinds = [kind for kind in self.table if kind != OWN_SURFACE]
-        causes = [*((kind,) for kind in kinds), *((kind, OWN_SURFACE) for kind in kinds)]
+        kinds = [kind for kind in self.table if kind != mistakes.OWN_SURFACE]
+        causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
         fixed = [c for c in causes if not self.fitted(c)]
         return self.codes(fixed, self.sample, self.blank)
 
@@ -170,7 +169,7 @@ class SceneDrawings:
             found.setdefault(codes.tobytes(), []).append(cause)
         found.pop(self.right[:, self.sample.pixels].tobytes(), None)
         # With another mistake, some show that do not show alone.
-        hidden: dict[Cause, list[Cause]] = {(kind,): [(kind,)] for kind in OVEREXPOSED}
+        hidden: dict[Cause, list[Cause]] = {(kind,): [(kind,)] for kind in mistakes.OVEREXPOSED}
         return hidden | {causes[0]: causes for causes in found.values()}
 
     @cached_property
@@ -184,20 +183,28 @@ class SceneDrawings:
 
     def joined(self, a: Cause, b: Cause) -> Cause | None:
         """Both causes; None if they exclude each other."""
-        kinds = tuple(kind for kind in (*a, *b) if kind != OWN_SURFACE)
-        cause = (*kinds, OWN_SURFACE) if OWN_SURFACE in (*a, *b) else kinds
+        kinds = tuple(kind for kind in (*a, *b) if kind != mistakes.OWN_SURFACE)
+        cause = (*kinds, mistakes.OWN_SURFACE) if mistakes.OWN_SURFACE in (*a, *b) else kinds
         return None if self.changes(cause) is None else cause
 
 
 class Search:
     """A hand-in's pixels (3, n), and what draws them."""
 
-    def __init__(self, handin: Array, drawings: SceneDrawings) -> None:
+    def __init__(
+        self,
+        handin: Array,
+        drawings: SceneDrawings,
+        lossy: int = 0,
+        saved: Callable[[Array], Array] | None = None,
+    ) -> None:
         self.handin, self.drawings, self.number = handin, drawings, drawings.number
-        self.near = 1
-        if differing(drawings.right, handin, 1).sum() <= 2:  # rounding, if anything
+        self.lossy, self.saved = lossy, saved or (lambda codes: codes)
+        right = self.saved(drawings.right)
+        self.near = lossy or 1
+        if differing(right, handin, 1).sum() <= 2:  # rounding, if anything
             self.near = 0
-        self.wrong = differing(drawings.right, handin, self.near)
+        self.wrong = differing(right, handin, self.near)
         commonest = np.unique(handin, axis=1, return_counts=True)[1].max()
         self.most = min(_OF_ALL * self.number, _OF_WRONG * self.wrong.sum(),
                         _OF_SHOWN * (self.number - int(commonest)))  # fmt: skip
@@ -206,7 +213,7 @@ class Search:
 
     def left(self, cause: Cause, tolerance: int) -> int:
         """Count the pixels that a cause leaves wrong."""
-        drawn = self.drawings.whole([cause], self.handin)[cause]
+        drawn = self.saved(self.drawings.whole([cause], self.handin)[cause])
         return int(differing(drawn, self.handin, tolerance).sum())
 
     def find(self) -> Finding:
@@ -222,14 +229,33 @@ class Search:
         if group:
             group = self.rounded(group)
         else:
-            left, group = self.speckled()
-        causes = dict.fromkeys(tuple(k for k in c if k != OWN_SURFACE) for c in group)
+            left, group = (0, []) if self.lossy else self.speckled()
+        causes = dict.fromkeys(tuple(k for k in c if k != mistakes.OWN_SURFACE) for c in group)
         return Finding(tuple(causes), wrong, left if causes else wrong)
+
+    def near_ties(self) -> bool:
+        """Whether few pixels are wrong, and each is drawn so a hair beside its centre."""
+        pixels = np.flatnonzero(difference(self.drawings.right, self.handin) > 1)
+        if len(pixels) > _TIES * self.number:
+            return False
+        drawing, base = self.drawings.drawing(pixels, self.handin), self.drawings.base
+        hairs = [
+            mistakes.offset(0.5 + x, 0.5 + y)
+            for x in (-_HAIR, 0, _HAIR)
+            for y in (-_HAIR, 0, _HAIR)
+        ]
+        lifts = [
+            mistakes.read(f"shadow_p = p + {sign * 1e-3} * sqrt(dot(p, p)) * n")
+            for sign in (-1, 0, 1)
+        ]
+        drawn = np.array([drawing.codes(base | a | b) for a in hairs for b in lifts]).astype(int)
+        here = self.handin[:, pixels]
+        return bool(((here >= drawn.min(axis=0) - 1) & (here <= drawn.max(axis=0) + 1)).all())
 
     def single(self) -> tuple[int, list[Cause]]:
         drawings, fixed = self.drawings, self.drawings.singles
         kinds = [kind for kind in drawings.table if drawings.fitted((kind,))]
-        causes = [*((kind,) for kind in kinds), *((kind, OWN_SURFACE) for kind in kinds)]
+        causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
         drawn = fixed | drawings.codes(causes, drawings.sample, self.handin)
         good = self.good([*drawn], np.array([*drawn.values()]), drawings.sample, 4 * _OF_ALL, _FEW)
         return self.best(self.sifted(good, 1, _FINAL))
@@ -239,10 +265,14 @@ class Search:
         pairs, drawn, sample = self.drawings.pairs
         parts = {both: (a, b) for both, a, b in pairs}
         good = self.good([*parts], drawn, sample, 6 * _OF_ALL, _SOME)
-        alike = {BACKGROUND: [BACKGROUND]} | self.drawings.alike
+        alike = {mistakes.BACKGROUND: [mistakes.BACKGROUND]} | self.drawings.alike
         join = self.drawings.joined
         if self.handin[:, self.drawings.surface < 0].any():
-            shown = {both: (BACKGROUND, a) for a in alike if (both := join(BACKGROUND, a))}
+            shown = {
+                both: (mistakes.BACKGROUND, a)
+                for a in alike
+                if (both := join(mistakes.BACKGROUND, a))
+            }
             parts |= shown
             good += self.sifted([*shown], 0, _FEW)
         least, group = self.best(self.sifted(self.sifted(good, 0, _FEW), 1, _FINAL))
@@ -257,9 +287,12 @@ class Search:
         """Those that leave fewest pixels wrong in a sample."""
         if not causes:
             return []
-        off = differing(drawn, self.handin[:, sample.pixels], self.near)
-        left = off @ sample.weights
-        limit = max(min(most * self.number, 2 * _OF_WRONG * self.wrong.sum()), 4)
+        off = difference(drawn, self.handin[:, sample.pixels])
+        if self.lossy:  # what a format does to a few pixels depends on others around them
+            left, limit = np.minimum(off, _FAR) @ sample.weights, np.inf
+        else:
+            left = (off > self.near) @ sample.weights
+            limit = max(min(most * self.number, 2 * _OF_WRONG * self.wrong.sum()), 4)
         order = np.argsort(left, kind="stable")
         return [causes[k] for k in order[left[order] <= limit][:count]]
 
@@ -279,18 +312,18 @@ class Search:
             return least, []
         group = [c for c in left if left[c] < _APART * max(1, least)]
         # Of those, the ones that have the very levels, and no number from the hand-in.
-        levels = {c: self.left(c, 0) for c in group}
+        levels = {c: self.left(c, self.lossy) for c in group}
         exact = max(_APART * min(levels.values()), _OF_ALL * self.number)
         group = [c for c in group if levels[c] <= exact]
-        group = [c for c in group if not {*c} & {*FITTED}] or group
+        group = [c for c in group if not {*c} & {*mistakes.FITTED}] or group
         place = {name: k for k, name in enumerate(self.drawings.table)}
         return least, sorted(group, key=lambda c: [place[kind] for kind in c])
 
     def rounded(self, group: list[Cause]) -> list[Cause]:
         """The same with another way to round, if that gives the very levels."""
         before = self.left(group[0], 0)
-        if self.near and before > _OF_ALL * self.number:
-            for kind in ROUNDINGS:
+        if self.near == 1 and before > _OF_ALL * self.number:
+            for kind in mistakes.ROUNDINGS:
                 cause = (*group[0], kind)
                 if self.drawings.changes(cause) and _APART * self.left(cause, 0) <= before:
                     return [(*c, kind) for c in group]
@@ -332,7 +365,7 @@ class Search:
         d = self.drawings
         if len(d.scene.lights) > _MANY_LIGHTS:
             return 0, []
-        names = list(RIGHT)
+        names = list(mistakes.RIGHT)
         free = {*names[: names.index("centers")], *names[names.index("image") :]}
         for cause in [(), *d.alike]:
             # With mistakes of the camera and of colours.
@@ -344,7 +377,7 @@ class Search:
             found, lit, known = self.lights(np.arange(self.number), cause)
             left = int((~known | (found & ~lit).any(axis=0)).sum())
             if left <= self.most and self.scattered(cause, lit & ~found, lit):
-                return left, [(*cause, SPECKLED)]
+                return left, [(*cause, mistakes.SPECKLED)]
         return 0, []
 
     def scattered(self, cause: Cause, lost: Array, lit: Array) -> bool:
@@ -353,7 +386,7 @@ class Search:
         surface = d.values(["surface"], [d.changes(cause) or {}], self.handin)[0]["surface"]
         differ = expected = 0.0
         for k in range(len(lit)):
-            dots = lost[k].reshape(-1, d.scene.width)
+            dots = lost[k].reshape(-1, d.columns)
             for index in np.unique(surface[lost[k]]):
                 on = ((surface == index) & lit[k]).reshape(dots.shape)
                 share = dots[on].mean()

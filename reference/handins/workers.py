@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from multiprocessing import connection, get_context, parent_process
 from typing import TypeVar
 
-__all__ = ["shared"]
-
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

@@ -115,8 +115,8 @@ def test_a_wrong_picture_is_caught(monkeypatch, mutation, name, ssim_misses):
 BEGINNERS = """
 ambient-.1 diffuse-ignored exponent-2 falloff-2 h-length l-length light-first mirrored
 nl-absolute-diffuse nl-unclipped normal-inwards normal-length-sphere pixel-upper-left flipped
-projDistance-ignored reflection shadow-from-behind shadow-none silhouettes size-minus-1 specular-none
-unshaded viewDir-length window-ignored
+projDistance-ignored reflection shadow-from-behind shadow-none silhouettes size-minus-1
+specular-none unshaded viewDir-length window-ignored
 """
 
 

@@ -24,8 +24,7 @@ from PIL import Image
 from scene_files import overflowing, small_one
 
 from reference.check import CheckResult
-from reference.figures import figures
-from reference.figures import linear
+from reference.figures import figures, linear
 from reference.report import main, page
 
 ROOT = Path(__file__).resolve().parents[2]
