@@ -19,9 +19,6 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import argparse
-import csv
-import io
-import json
 import os
 import shlex
 import sys
@@ -37,6 +34,7 @@ from tqdm import tqdm
 from reference.command import parser, spare_inputs
 from reference.figures import figures, linear, write_comparison
 from reference.handins.alignment import Codes, Diagnosis
+from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import SceneDiagnosis
 from reference.handins.pictures import AGREEING, compare_pictures, worst_pixel
 from reference.handins.reading import (
@@ -48,55 +46,16 @@ from reference.handins.reading import (
     match,
     read_picture,
 )
+from reference.handins.results import MISSING, Result, csv_of, json_of, text_of
 from reference.handins.workers import shared
+from reference.page import Pair
 from tracer import SceneFileError, load_scene
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.process import print_line, print_result
+from tracer.files import atomic_file
 from tracer.messages import printable
 
 __all__ = ["main"]
-
-_MISSING = "missing"
-
-
-class Result(NamedTuple):
-    """What `--json` and `--csv` say of a picture, or of a scene or folder without one."""
-
-    picture: str | None
-    right: str | None
-    agrees: bool = False
-    kind: str | None = None
-    diagnosis: str | None = None
-    ssim: float | None = None
-    rmse: float | None = None
-    max: float | None = None
-    differing: int | None = None
-    worst: tuple[int, int] | None = None
-    comparison: str | None = None
-    error: str | None = None
-
-    @property
-    def word(self) -> str:
-        """The verdict in a word."""
-        if self.error:
-            return "missing" if self.kind == _MISSING else "unread"
-        return "agrees" if self.agrees else "differs"
-
-    def lines(self) -> list[str]:
-        """The result of a picture alone."""
-        figures = [] if self.ssim is None else [self.figures()]
-        comparison = [printable(self.comparison)] if self.comparison else []
-        return [*figures, str(self.diagnosis), *comparison]
-
-    def line(self) -> str:
-        """A line for a list of many."""
-        if self.error:
-            return f"{self.word:8} {self.error}"
-        found = "" if self.ssim is None else f"{self.figures()}  "
-        return f"{self.word:8} {found}{printable(str(self.picture))}: {self.diagnosis}"
-
-    def figures(self) -> str:
-        return f"SSIM {self.ssim:.4f}  RMSE {self.rmse:.2e}  max {self.max:.2e}"
 
 
 class Job(NamedTuple):
@@ -107,6 +66,8 @@ class Job(NamedTuple):
     many: bool
     ssim: float | None
     max: float | None
+    html: bool
+    """Whether its pictures are to be shown in a page."""
 
 
 def tolerance(text: str) -> float:
@@ -126,6 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated")
     where = "write a comparison picture: a file, or a folder, which may end in /"
     add("-o", "--output", type=file_name, metavar="PATH", help=where)
+    add("--html", type=file_name, metavar="OUT.html", help="write one page that shows all of them")
     form = used.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print a list with an object a picture")
     form.add_argument("--csv", action="store_true", help="print the same as a table")
@@ -141,61 +103,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if many and options.output is not None and not is_folder(options.output):
         wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
         used.error(printable(wrong))
-    matched, missing = match(pictures, options.b)
+    matched, nobodys = match(pictures, options.b)
     outputs = _outputs(options, pictures) if options.output else [None] * len(pictures)
+    pages = [Path(options.html)] if options.html else []
     rights = (hand_in.right for hand_in in matched if hand_in.right)
-    spare_inputs(used, filter(None, outputs), (*pictures, *rights))
-    jobs = [Job(hand_in, output, many, options.ssim, options.max)
+    spare_inputs(used, (*filter(None, outputs), *pages), (*pictures, *rights))
+    jobs = [Job(hand_in, output, many, options.ssim, options.max, bool(pages))
             for hand_in, output in zip(matched, outputs, strict=True)]  # fmt: skip
     # Hand-ins of one scene follow one another: what is drawn of it serves all of them.
     jobs.sort(key=lambda job: (str(job.hand_in.right), str(job.hand_in.picture)))
-    judged = tqdm(shared(judge, jobs, lost), total=len(jobs), unit="picture", disable=_quiet(jobs))
-    results = sorted(judged, key=lambda result: str(result.picture))
-    results += [_missing(f"{path}: nobody has handed in a picture of it", right=path)
-                for path in missing]  # fmt: skip
-    if many:
-        results += [_missing(f"{path}: holds no pictures", picture=path)
-                    for path in empty_folders(options.a)]  # fmt: skip
-    counts = Counter(result.word for result in results)
-    if options.json:
-        text = json.dumps([result._asdict() for result in results], indent=1)
-    elif options.csv:
-        table = io.StringIO()
-        csv.writer(table, lineterminator="\n").writerows([Result._fields, *map(_cells, results)])
-        text = table.getvalue().removesuffix("\n")
-    elif many:
-        others = {"missing": "are missing", "unread": "cannot be compared"}
-        told = [f"{counts[word]} {words}" for word, words in others.items() if counts[word]]
-        summary = [f"{counts['agrees']} agree", f"{counts['differs']} differ", *told]
-        lines = [result.line() for result in results]
-        text = "\n".join([*lines, f"{len(pictures)} pictures: {', '.join(summary)}"])
-    else:
-        text = results[0].error or "\n".join(results[0].lines())
-    if counts["unread"] and not many and not (options.json or options.csv):
-        print_line(sys.stderr, text)
-    else:
-        try:
-            print_result(sys.stdout, text)
-        except OSError as error:
-            print_line(sys.stderr, f"<stdout>: cannot be written: {error.strerror or error}")
-            return 3
-    return 3 if counts["unread"] else int(counts["agrees"] < len(results))
+    few = len(jobs) < 3 or sys.stderr is None
+    judged = [
+        *tqdm(shared(judge, jobs, lost), total=len(jobs), unit="picture", disable=few or None)
+    ]
+    pairs = {str(result.picture): pair for result, pair in judged if pair}
+    results = sorted((result for result, _ in judged), key=lambda result: str(result.picture))
+    results += [_missing(None, path, f"{path}: nobody has handed in a picture of it")
+                for path in nobodys]  # fmt: skip
+    results += [_missing(path, None, f"{path}: holds no pictures")
+                for path in (empty_folders(options.a) if many else ())]  # fmt: skip
+    unread = any(result.word == "unread" for result in results)
+    try:
+        where = printable(str(options.html))
+        for path in pages:
+            text = class_page(results, pairs, options.a if many else options.a.parent)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_file(path, b"<!doctype html>") as file:
+                file.write(text.encode())
+        where = "<stdout>"
+        if options.json or options.csv:
+            print_result(sys.stdout, (json_of if options.json else csv_of)(results))
+        elif unread and not many:
+            print_line(sys.stderr, text_of(results, many=False))
+        else:
+            print_result(sys.stdout, text_of(results, many=many))
+    except OSError as error:
+        print_line(sys.stderr, f"{where}: cannot be written: {error.strerror or error}")
+        return 3
+    return 3 if unread else int(not all(result.agrees for result in results))
 
 
-def _quiet(jobs: Sequence[Job]) -> bool | None:
-    """Whether to show no progress: of few pictures; None asks whether a terminal is there."""
-    return True if len(jobs) < 3 or sys.stderr is None else None
-
-
-def _missing(error: str, *, picture: Path | None = None, right: Path | None = None) -> Result:
+def _missing(picture: Path | None, right: Path | None, error: str) -> Result:
     a, b = (None if path is None else str(path) for path in (picture, right))
-    return Result(a, b, kind=_MISSING, error=printable(error))
-
-
-def _cells(result: Result) -> list[object]:
-    """A row for `--csv`, the worst pixel as for --pixel."""
-    worst = None if result.worst is None else ",".join(map(str, result.worst))
-    return [*result._replace(worst=None)[:9], worst, *result[10:]]
+    return Result(a, b, kind=MISSING, error=printable(error))
 
 
 def _outputs(options: argparse.Namespace, pictures: list[Path]) -> list[Path]:
@@ -227,19 +177,20 @@ def _right(path: Path) -> tuple[Codes, Callable[[Picture], Diagnosis], Picture |
     return picture.codes, diagnose, picture
 
 
-def lost(job: Job) -> Result:
+def lost(job: Job) -> tuple[Result, None]:
     """The result of a picture whose process died."""
     picture, right, _ = job.hand_in
     error = printable(f"{picture}: cannot be compared: its process was ended; is memory short?")
-    return Result(str(picture), str(right), error=error)
+    return Result(str(picture), str(right), error=error), None
 
 
-def judge(job: Job) -> Result:
+def judge(job: Job) -> tuple[Result, Pair | None]:
     """Compare a picture; of many, a comparison is written only of those that differ."""
+    pair = None
     picture, right, error = job.hand_in
     result = Result(str(picture), None if right is None else str(right))
     if right is None:
-        return result._replace(error=printable(f"{picture}: {error}"))
+        return result._replace(error=printable(f"{picture}: {error}")), None
     where, what = picture, "read"
     try:
         a = read_picture(picture)
@@ -251,7 +202,7 @@ def judge(job: Job) -> Result:
         text = " ".join([*(() if found.kind == "identical" else notes), found.text])
         result = result._replace(kind=found.kind, diagnosis=text)
         if a.codes.shape != b.shape:
-            return result
+            return result, None
         light = linear(a.codes), linear(b)
         distance = figures(*light)
         same = found.kind in AGREEING
@@ -263,18 +214,20 @@ def judge(job: Job) -> Result:
             agrees=same, ssim=distance.ssim, rmse=distance.rmse, max=distance.max,
             differing=int((a.codes != b).any(axis=2).sum()), worst=worst_pixel(a.codes, b),
         )  # fmt: skip
+        if job.html:
+            pair = pair_of(result, (a.codes, b), light)
         if job.output is not None and not (job.many and same):
             where, what = job.output, "written"
             job.output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(job.output, *light, (printable(picture.name), printable(right.name)))
             result = result._replace(comparison=str(job.output))
     except SceneFileError as fault:
-        return result._replace(error=str(fault))
+        return result._replace(error=str(fault)), None
     except UNREADABLE as fault:
         reason = getattr(fault, "strerror", None) or fault
         if isinstance(fault, MemoryError):
             reason = "not enough memory; compare a part"
         elif isinstance(fault, UnidentifiedImageError):
             reason = "not a picture in a format that is known"
-        return result._replace(error=printable(f"{where}: cannot be {what}: {reason}"))
-    return result
+        return result._replace(error=printable(f"{where}: cannot be {what}: {reason}")), None
+    return result, pair
