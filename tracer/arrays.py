@@ -64,7 +64,7 @@ def scaled(vector: Triple, factor: Floats) -> Triple:
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Points2D at which a mask holds, or numbers are not zero; of any array as if it were flat."""
+    """Places at which a mask holds, or numbers are not zero; of any array as if it were flat."""
     # The same as np.flatnonzero, in a fifth of the time where there are few.
     found: Ints = mask.ravel().nonzero()[0]
     return found

@@ -4,6 +4,7 @@ What lies between the centres of pixels is found, and edges, silhouettes and sha
 known in closed form have their share of a pixel.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -52,9 +53,9 @@ def test_pictures_full_of_outlines_are_lattices():
         assert np.abs(image - mean)[first::2].max() <= 1e-12
 
 
-@pytest.mark.parametrize("dense", [False, True])
-def test_an_offset_of_whole_pixels_moves_the_picture(dense, monkeypatch):
-    monkeypatch.setattr(antialias, "dense", lambda *_: dense)
+@pytest.mark.parametrize("supersample", [-1.0, math.inf])
+def test_an_offset_of_whole_pixels_moves_the_picture(supersample, monkeypatch):
+    monkeypatch.setattr(antialias, "_SUPERSAMPLE", supersample)
     scene = crowd(30, width=48, height=27)
     image, moved = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05
@@ -64,7 +65,7 @@ def test_an_offset_of_whole_pixels_moves_the_picture(dense, monkeypatch):
 
 @pytest.mark.parametrize("slope", [0, 1 / 2, 2 / 3, 3 / 4, 1 / 3, 3 / 2])
 def test_lattices_of_edges_in_their_own_directions(slope, monkeypatch):
-    monkeypatch.setattr(antialias, "_DENSE", -1.0)
+    monkeypatch.setattr(antialias, "_SUPERSAMPLE", -1.0)
     rng = np.random.default_rng(0)
     middles, halves = rng.uniform((-1.2, -1, -4.5), (1.2, 1, -3.5), (60, 3)), (0.02, 0.15)
     boxes = [

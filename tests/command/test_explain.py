@@ -101,14 +101,27 @@ COLOR = "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, wr
 INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
 
 
+GARISH = Lambertian(diffuse=(200, 100, 0))
+ROOM, FLAT = Box(min_pt=(-2, -2, -2), max_pt=(2, 2, 5)), Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
+
+
 @pytest.mark.parametrize(
     ("change", "warning"),
     [
         ({"camera": Camera(view_point=(0, 0, -4))}, NOTHING),
         ({"surfaces": ()}, NOTHING),
-        ({"lights": ()}, DARK),
-        ({"lights": [PointLight(position=(0, 0, 0))]}, DARK),
-        ({"surfaces": [Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]}, COLOR),
+        ({"lights": ()}, "the scene has no light: the picture is black; add <light>"),
+        ({"lights": (), "surfaces": ()}, "the scene has no light"),
+        ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
+        # The eye inside, of a ball and of the first of two boxes.
+        ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
+        ({"surfaces": [Sphere(center=(0, 0, -9)), ROOM, ROOM]}, f"{DARK}: .* inside surface 1:"),
+        # Named by its first user, in the file's order.
+        (
+            {"surfaces": [Sphere(), replace(ROOM, shader=GARISH), Sphere(shader=GARISH)]},
+            "diffuseColor 200 100 0 of surface 1 looks",
+        ),
+        ({"surfaces": [Sphere(shader=GARISH)]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
 )

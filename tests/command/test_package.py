@@ -81,4 +81,8 @@ def test_a_wheel_renders_and_converts(tmp_path):
     where = [python, "-c", "import tracer; print(tracer.__file__)"]
     found = subprocess.run(where, capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert found.stdout.startswith(str(packages))
+    assert {path.name for path in packages.iterdir() if path.is_dir()} == {
+        *("tracer", "converters", "bin"),
+        f"pencil_tracer-{tracer.__version__}.dist-info",
+    }
     assert {"ball.xml.png", "ball.mitsuba.xml"} < {path.name for path in tmp_path.iterdir()}

@@ -122,8 +122,8 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
             ("center", [(1, 2), 3], "must be given in numbers, is [(1, 2), 3]"),
             ("radius", [1, 10**400], "must be finite"),
             ("shader_index", [0, 1], "needs 3, one a surface; has 2"),
-            ("shader_index", [0, 7, -1], "must be places among 2 shaders, has 7"),
-            ("shader_index", [-1, 0, 0], "must be places among 2 shaders, has -1"),
+            ("shader_index", [0, 7, -1], "must be indices of 2 shaders, has 7"),
+            ("shader_index", [-1, 0, 0], "must be indices of 2 shaders, has -1"),
             ("shader_index", [0, 0, 0.5], "must be whole numbers"),
             ("shader_index", ["red"], "must be given in numbers, is ['red']"),
             ("line", [1, 2], "needs 3, one a surface; has 2"),
@@ -139,7 +139,7 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
             "radius: needs 2, as many as center; has 3",
             "shader_index: needs 4, one a surface; has 3",
             "file_index: needs 4, one a surface; has 3",
-            "shader_index: must be places among 0 shaders, has 0",
+            "shader_index: must be indices of 0 shaders, has 0",
         ],
     ),
     (
@@ -221,6 +221,18 @@ def test_surfaces_are_equal_as_sequences_are() -> None:
     assert Surfaces() == Surfaces()
 
 
+def test_surfaces_are_sorted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    surfaces, sorts = Surfaces(**ARRAYS), []
+
+    def argsort(array: np.ndarray) -> np.ndarray:
+        sorts.append(array)
+        return array.argsort()
+
+    monkeypatch.setattr("numpy.argsort", argsort)
+    assert [surfaces[k] for k in (0, 1, -1)] == list(surfaces)
+    assert len(sorts) == 1
+
+
 # In a file and back
 
 
@@ -230,7 +242,7 @@ def test_all_digits_are_saved(tmp_path: Path) -> None:
         camera=Camera(view_point=third, proj_normal=(0, 1e-9, 1), view_height=0.1 + 0.2),
         width=4,
         height=3,
-        lights=[PointLight(position=third, intensity=(1e300, 0.1, 0))],
+        lights=[PointLight(position=third, intensity=(1e75, 0.1, 0))],
         surfaces=[
             Sphere(center=third, radius=1e75, shader=SHINY),
             Box(min_pt=(-1e75, 0, -1 / 3), max_pt=third),

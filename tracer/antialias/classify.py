@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.edge_functions import InverseDepth, Lines, fit_lines, rays
-from tracer.antialias.edges import CellSurfaces, footprints_of, silhouettes
+from tracer.antialias.edges import Apexes, CellSurfaces, footprints_of, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
-from tracer.trace.lighting import ids_of, light_geometry, narrow_highlights, shade
+from tracer.trace.lighting import Shading, light_geometry, narrow_highlights
 from tracer.trace.occlusion import shadow_edges
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import nearest_and_hidden
@@ -72,7 +72,7 @@ class Classification(NamedTuple):
     radiance : (3, n)
         Of the sample in each cell's middle.
     id : (n,)
-        Of object, face and lights there, see `ids_of`; -1 where nothing is surfaces.
+        Of object, face and lights there, see `Shading`; -1 where nothing is seen.
     lines : Lines
         What divides the cells.
     unresolved : (n,)
@@ -90,41 +90,45 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
 
     `cell` (n,): the cell of each sample.
     """
-    radiance, ids = np.zeros((3, cell.size)), np.full(cell.size, -1)
+    radiance, ids = np.empty((3, cell.size)), np.full(cell.size, -1)
     unresolved = np.zeros(cell.size, dtype=np.bool_)
     hits, hidden = nearest_and_hidden(prepared, samples)
-    geometry, hit_cell = light_geometry(hits), cell[hits.sample]
-    facing = geometry.n_dot_l > 0
-    footprint = footprints_of(hits, cells.size)
-    # Cells that see so much of a surface are split anyway: the edges of shadows are not sought.
-    wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
-    unresolved[hit_cell[wide]] = True
-    blocked, found = shadow_edges(hits, facing, np.where(wide, 0, footprint))
-    lit = facing & ~blocked
-    for channel, values in zip(radiance, shade(geometry, lit), strict=True):
-        channel[hit_cell] = values
-    ids[hit_cell] = ids_of(hits, lit)
-    for narrow in narrow_highlights(geometry, facing, footprint):
-        unresolved[hit_cell[narrow]] = True
-    frame, (cell, obj) = prepared.frame, (cells.cell, cells.obj)
-    lights, local = prepared.lights, prepared.local
-    if prepared.grid is not None:  # suns are taken nearer, as there
-        lights = prepared.grid.light[:, :, 0].T
-        local = np.column_stack(frame.to_camera(lights))
-    apexes = np.vstack([lights, frame.eye]), np.vstack([local, np.zeros(3)])
-    d = rays(frame, frame.across(cells.x[cell]), frame.down(cells.y[cell]), cells.size)
-    from_eye = np.full(cell.size, len(prepared.local))
-    surfaces = CellSurfaces(hits, apexes, InverseDepth.of(hits), hit_cell, footprint, cells.size)
-    edges = chain(
-        silhouettes(prepared, apexes, from_eye, cell, obj, d),
-        surfaces.intersections(hidden),
-        surfaces.shadows(*found),
-        surfaces.terminators(geometry.n_dot_l, geometry.length2),
-        surfaces.creases(),
-    )
-    lines, curved = fit_lines(edges, cells.tolerance)
+    hit_cell, footprint = cell[hits.sample], footprints_of(hits, cells.size)
+    surfaces = CellSurfaces(hits, InverseDepth.of(hits), hit_cell, footprint, cells.size)
+    frame, at_eye = prepared.frame, (prepared.frame.eye[None], np.zeros((1, 3)))
+    s, g = frame.across(cells.x[cells.cell]), frame.down(cells.y[cells.cell])
+    pairs = np.zeros_like(cells.cell), cells.cell, cells.obj, rays(frame, s, g, cells.size)
+    seen = silhouettes(prepared, at_eye, *pairs), surfaces.intersections(hidden), surfaces.creases()
+    lines, curved = fit_lines(chain(*seen), cells.tolerance)
     unresolved[curved] = True
+    shading, found = Shading(hits, with_ids=True), [lines]
+    for some in hits.by_lights:
+        geometry = light_geometry(some)
+        facing = geometry.n_dot_l > 0
+        # Cells that see so much of a surface are split anyway: shadows' edges are not sought.
+        wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
+        blocked, edges = shadow_edges(some, facing, np.where(wide, 0, footprint))
+        shading.add(geometry, facing & ~blocked)
+        apexes = _apexes(some.prepared)
+        lit = surfaces.shadows(apexes, *edges), surfaces.terminators(apexes, geometry)
+        lines, curved = fit_lines(chain(*lit), cells.tolerance)
+        found.append(lines)
+        for split in (hit_cell[wide], curved):
+            unresolved[split] = True
+        for narrow in narrow_highlights(geometry, facing, footprint):
+            unresolved[hit_cell[narrow]] = True
+    radiance[:, cell] = shading.at_samples(np.zeros((3, samples.size)))
+    ids[hit_cell] = shading.ids
+    lines = Lines._make(map(np.concatenate, zip(*found, strict=True)))
     return Classification(radiance, ids, lines, unresolved)
+
+
+def _apexes(prepared: PreparedScene) -> Apexes:
+    """The lights; suns are taken nearer, as in their grids."""
+    if prepared.grid is None:
+        return prepared.lights, prepared.local
+    lights = prepared.grid.light[:, :, 0]
+    return lights.T, np.column_stack(prepared.frame.to_camera(lights.T))
 
 
 def curvature(radiance: Floats, ids: Ints, width: int) -> tuple[Floats, Floats]:

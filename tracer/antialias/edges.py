@@ -17,11 +17,12 @@ from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, span
 from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, segment_indices, take3
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
+from tracer.trace.lighting import LightGeometry
 from tracer.trace.samples import spans
 from tracer.world.prepared_scene import PreparedScene
 
 Apexes: TypeAlias = tuple[Floats, Floats]
-"""Where lights are, and last the eye (m, 3): in the scene's axes, and in the camera's."""
+"""Where lights are, or the eye (m, 3): in the scene's axes, and in the camera's."""
 
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
@@ -120,7 +121,6 @@ class CellSurfaces(NamedTuple):
     Attributes
     ----------
     hits : Hits
-    apexes : Apexes
     inverse_depth : InverseDepth
         The surfaces that are seen.
     cell : (n,)
@@ -132,7 +132,6 @@ class CellSurfaces(NamedTuple):
     """
 
     hits: Hits
-    apexes: Apexes
     inverse_depth: InverseDepth
     cell: Ints
     footprint: Floats
@@ -170,20 +169,22 @@ class CellSurfaces(NamedTuple):
             level = np.where(inside == (across[0] > 0), high, low)
             yield self.cell[at[near[flat]]], inverse[:, flat] - across / level
 
-    def shadows(self, light: Ints, point: Ints, occluder: Ints) -> Iterator[EdgeValues]:
+    def shadows(
+        self, apexes: Apexes, light: Ints, point: Ints, occluder: Ints
+    ) -> Iterator[EdgeValues]:
         """Edges of shadows, given lights, hits and objects that may shade around these."""
         d, inverse = self.rays(point)
-        q = map3(lambda d, light: d - light * inverse, d, take3(self.apexes[1].T, light))
+        q = map3(lambda d, light: d - light * inverse, d, take3(apexes[1].T, light))
         cell = self.cell[point]
-        yield from silhouettes(self.hits.prepared, self.apexes, light, cell, occluder, q)
+        yield from silhouettes(self.hits.prepared, apexes, light, cell, occluder, q)
 
-    def terminators(self, n_dot_l: Floats, length2: Floats) -> Iterator[EdgeValues]:
-        """Lines at which lights, and their highlights, begin on spheres: see `LightGeometry`."""
+    def terminators(self, apexes: Apexes, geometry: LightGeometry) -> Iterator[EdgeValues]:
+        """Lines at which lights, and their highlights, begin on spheres."""
         prepared, obj = self.hits.prepared, self.hits.hit_object
         turn = self.footprint * prepared.curvature[obj]
-        light, at = np.nonzero(n_dot_l**2 < turn * turn * length2)
+        light, at = np.nonzero(geometry.n_dot_l**2 < turn * turn * geometry.length2)
         d, inverse = self.rays(at)
-        center, apex = take3(prepared.spheres.local, obj[at]), take3(self.apexes[1].T, light)
+        center, apex = take3(prepared.spheres.local, obj[at]), take3(apexes[1].T, light)
         # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
         n = map3(lambda d, c: d - c * inverse, d, center)
         to_light = map3(lambda d, c: c * inverse - d, d, apex)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter, sleep
-from typing import Any, NoReturn
+from typing import Any
 
 from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
 from tracer.command.process import FAILED, print_line, print_result
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments, jobs = _parsed(argv)
     if arguments.watch:
-        _watch(jobs, arguments)
+        return _watch(jobs, arguments)
     # All of them, whatever becomes of the first.
     return FAILED if [job for job in jobs if not _render(*job, arguments)] else 0
 
@@ -130,10 +130,13 @@ def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]
     return pair
 
 
-def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
-    """Render each scene, and again whenever its file has changed."""
+def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
+    """Render each scene, and again whenever its file has changed.
+
+    Returns the exit status once nobody reads what this prints any more.
+    """
     last, rendered = dict[str, object](), dict[str, object]()
-    while True:
+    while arguments.quiet or not (sys.stdout is None or sys.stdout.closed):
         for scene, output in jobs:
             try:
                 status = os.stat(scene)
@@ -147,6 +150,7 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoRetu
                 rendered[scene] = now
                 _render(scene, output, arguments)
         sleep(_PAUSE)
+    return 0
 
 
 def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:

@@ -53,9 +53,9 @@ def run(module: str) -> NoReturn:
     # Otherwise what could not be printed would be lost without a word.
     for stream in (sys.stdout, sys.stderr):
         try:
-            if stream is not None:
+            if stream is not None and not stream.closed:
                 stream.flush()
-        except (OSError, ValueError):
+        except OSError:
             status = status or FAILED
     # An orderly exit would take NumPy's modules down one by one, and add a tenth to the time of a
     # small picture.
@@ -77,7 +77,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
         If it cannot be printed: the stream is closed, or its disk full.
     """
     if stream is None:
-        raise OSError("standard output is closed")
+        raise OSError("it is closed")
     encoding = stream.encoding or "utf-8"
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)

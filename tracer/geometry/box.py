@@ -242,7 +242,7 @@ class Boxes:
 def _slab(
     low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
-    """Points2D where lines enter and leave the slab between two planes, in units of `d`.
+    """Places where lines enter and leave the slab between two planes, in units of `d`.
 
     `low`, `high`: the planes' places seen from the lines' origins; `d`: the lines' component
     across.  Parallel lines are in it for ever or never; in a plane, for ever if `closed`, never if

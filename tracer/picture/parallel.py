@@ -5,15 +5,17 @@ NumPy's threads wait too much for the interpreter's lock, so processes share a p
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+# These take longer to import than a small picture to draw, and only a pool needs them.
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -67,7 +69,8 @@ def worker_pool(count: int, initializer: Callable[..., None], *arguments: Any) -
     """
     if count < 1:
         return None
-    from concurrent.futures import ProcessPoolExecutor  # takes 20 ms to import
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
 
     # Forks have what is imported and prepared already.
     method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
@@ -87,6 +90,8 @@ def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) 
 
 
 def _end_with_parent() -> None:
+    import multiprocessing
+
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -12,11 +12,10 @@ import operator
 import pickle
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from functools import cached_property, lru_cache, partial
 from itertools import product
 from math import isqrt
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,6 +30,9 @@ from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.lighting import radiance_at
 from tracer.world.prepared_scene import PreparedScene
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 # Infinities and NaN are valid results here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
@@ -139,7 +141,7 @@ def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None
     if processes is None:
         processes = processors() if job.seconds >= _WORTH_A_POOL else 1
     count = min(_integer(processes, "processes"), processors(), len(job.tiles))
-    _ = job.prepared.grid  # forks have it
+    _ = [part.grid for part in job.prepared.by_lights]  # forks have them
     pool = worker_pool(count - 1, _begin_job, job)
     waiting, first = dict[int, Tile](), 0
     try:
@@ -206,10 +208,13 @@ class _RenderJob:
         cost = lit * (_CLASSIFIED_COST if self._classified else self._lattice.size)
         self.seconds = _SECONDS * width * height * cost
         # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
-        times = (_CLASSIFIED if self._classified else 1) / self._lattice.size
-        self._at_once, least = (max(1, int(n * times)) for n in (_TILE_SAMPLES, _LEAST_SAMPLES))
-        size = min(self._at_once, max(least, width * height // _TILES)) if shared else self._at_once
+        times = _CLASSIFIED if self._classified else 1
+        at_once, least = _TILE_SAMPLES * times, _LEAST_SAMPLES * times
+        size = at_once // self._lattice.size
+        if shared:
+            size = min(size, max(least // self._lattice.size, width * height // _TILES))
         size = max(_LEAST_PIXELS, size)
+        self._at_once = max(1, self.prepared.at_once(at_once) // self._lattice.size)
         rows = _pieces(slice(0, height), max(1, size // width))
         self.tiles = list(product(rows, _pieces(slice(0, width), size)))
 
@@ -233,10 +238,9 @@ class _RenderJob:
         rows, columns = part
         out = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
         window = self.prepared.window
-        at_once = self.prepared.at_once(self._at_once)
-        height = max(1, at_once // out.shape[1])
-        pieces = product(_pieces(_overlap(rows, window[0]), height), _pieces(columns, at_once))
-        for piece in pieces:
+        height = max(1, self._at_once // out.shape[1])
+        pieces = _pieces(_overlap(rows, window[0]), height), _pieces(columns, self._at_once)
+        for piece in product(*pieces):
             here = tuple(
                 slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, part, strict=True)
             )

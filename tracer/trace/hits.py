@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,6 +97,11 @@ class Hits(NamedTuple):
     row: Ints
     column: Ints
     samples: Samples
+
+    @property
+    def by_lights(self) -> Iterator[Hits]:
+        """The same hits, some lights at a time: see `PreparedScene.by_lights`."""
+        return (self._replace(prepared=part) for part in self.prepared.by_lights)
 
     @property
     def hit_object(self) -> Ints:

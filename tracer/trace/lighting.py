@@ -59,44 +59,87 @@ class LightGeometry(NamedTuple):
         )
 
 
+class Shading:
+    """Radiance of hits towards the eye, summed up over lights.
+
+    Attributes
+    ----------
+    ids : (n,)
+        A number for the object, its face, and the lights that reach it; only `with_ids`.
+    """
+
+    def __init__(self, hits: Hits, *, with_ids: bool) -> None:
+        self._hits, self._with_ids = hits, with_ids
+        self._glossy = [group.of(hits.prepared.glossy) for group in hits.groups]
+        # Sums over lights of intensity times cosine, and highlight, without the shaders' colours.
+        self._sums = [
+            (np.zeros((3, glossy.size)), np.zeros((3, glossy.size if np.any(glossy) else 0)))
+            for glossy in self._glossy
+        ]
+        ids = [group.repeat_runs(4 * group.obj + group.face) for group in hits.groups if with_ids]
+        self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *ids])
+
+    def add(self, geometry: LightGeometry, lit: Bools) -> None:
+        """Add some lights; `lit` (lights, n): whether they reach hits."""
+        for bit in lit if self._with_ids else ():
+            # An odd factor: with more lights than bits, the first are not shifted out.
+            self.ids = self.ids * 3 + bit
+        parts = zip(self._hits.groups, self._glossy, self._sums, strict=True)
+        for group, glossy, (diffuse, specular) in parts:
+            for number, reached in enumerate(lit[:, group.part]):
+                if not reached.any():
+                    continue
+                intensity = geometry.hits.prepared.intensities[number]
+                n_dot_l, length2 = (
+                    m[number, group.part] for m in (geometry.n_dot_l, geometry.length2)
+                )
+                weight = np.zeros(reached.size)
+                np.divide(n_dot_l, np.sqrt(length2), out=weight, where=reached)
+                _add(diffuse, intensity, weight)
+                if specular.size:
+                    weight, at = np.zeros(reached.size), indices(reached & glossy)
+                    weight[at] = geometry.highlight(number, group, at)
+                    _add(specular, intensity, weight)
+
+    def at_samples(self, out: Floats) -> Floats:
+        """Put the radiance into `out` (3, samples); `add` nothing afterwards."""
+        prepared = self._hits.prepared
+        for group, (diffuse, specular) in zip(self._hits.groups, self._sums, strict=True):
+            for k, channel in enumerate(out):
+                value = diffuse[k] * group.of(prepared.diffuse[k])
+                if specular.size:
+                    value += specular[k] * group.of(prepared.specular[k])
+                channel[group.sample] = value
+        return out
+
+
+def _add(sums: Floats, intensity: Floats, weight: Floats) -> None:
+    for channel, strength in zip(sums, intensity, strict=True):
+        channel += strength * weight
+
+
 def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
     """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
-    geometry, lit = _lit_hits(prepared, samples)
-    return _at_samples(geometry, lit, np.zeros((3, samples.size)) if out is None else out)
+    shading = _shading(nearest_hits(prepared, samples), with_ids=False)
+    return shading.at_samples(np.zeros((3, samples.size)) if out is None else out)
 
 
 def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """`radiance_at` and `ids_of` samples; -1 where nothing is seen."""
-    geometry, lit = _lit_hits(prepared, samples)
-    ids = np.full(samples.size, -1)
-    ids[geometry.hits.sample] = ids_of(geometry.hits, lit)
-    return _at_samples(geometry, lit, np.zeros((3, samples.size))), ids
-
-
-def _lit_hits(prepared: PreparedScene, samples: Samples) -> tuple[LightGeometry, Bools]:
-    """What samples see, and whether lights reach it (lights, n)."""
+    """`radiance_at` and `Shading.ids` of samples; -1 where nothing is seen."""
     hits = nearest_hits(prepared, samples)
-    geometry = light_geometry(hits)
-    lit = geometry.n_dot_l > 0
-    lit &= ~occlusion(hits, lit)
-    return geometry, lit
+    shading, ids = _shading(hits, with_ids=True), np.full(samples.size, -1)
+    ids[hits.sample] = shading.ids
+    return shading.at_samples(np.zeros((3, samples.size))), ids
 
 
-def _at_samples(geometry: LightGeometry, lit: Bools, out: Floats) -> Floats:
-    for channel, values in zip(out, shade(geometry, lit), strict=True):
-        channel[geometry.hits.sample] = values
-    return out
-
-
-def ids_of(hits: Hits, lit: Bools) -> Ints:
-    """A number (n,) for the object, its face, and the lights that reach it: `lit` (lights, n)."""
-    ids = np.empty(hits.p.shape[1], dtype=np.intp)
-    for group in hits.groups:
-        ids[group.part] = group.repeat_runs(group.obj * 4 + group.face)
-    for bit in lit:
-        # An odd factor: with more lights than bits, the first are not shifted out.
-        ids = ids * 3 + bit
-    return ids
+def _shading(hits: Hits, *, with_ids: bool) -> Shading:
+    shading = Shading(hits, with_ids=with_ids)
+    for some in hits.by_lights:
+        geometry = light_geometry(some)
+        lit = geometry.n_dot_l > 0
+        lit &= ~occlusion(some, lit)
+        shading.add(geometry, lit)
+    return shading
 
 
 def light_geometry(hits: Hits) -> LightGeometry:
@@ -118,38 +161,8 @@ def light_geometry(hits: Hits) -> LightGeometry:
     return result
 
 
-def shade(geometry: LightGeometry, lit: Bools) -> Floats:
-    """Radiance (3, n) of hits towards the eye; `lit` (lights, n): whether lights reach them."""
-    prepared = geometry.hits.prepared
-    radiance = np.zeros((3, lit.shape[1]))
-    for group in geometry.hits.groups:
-        glossy = group.of(prepared.glossy)
-        # Sums over lights of intensity times cosine, and highlight, without the shaders' colours.
-        sums = [radiance[:, group.part]]
-        if np.any(glossy):
-            sums.append(np.zeros(sums[0].shape))
-        for number, reached in enumerate(lit[:, group.part]):
-            if not reached.any():
-                continue
-            n_dot_l, length2 = (m[number, group.part] for m in (geometry.n_dot_l, geometry.length2))
-            weights = np.zeros((len(sums), reached.size))
-            np.divide(n_dot_l, np.sqrt(length2), out=weights[0], where=reached)
-            if len(sums) > 1:
-                at = indices(reached & glossy)
-                weights[1, at] = geometry.highlight(number, group, at)
-            for channels, weight in zip(sums, weights, strict=True):
-                for channel, strength in zip(channels, prepared.intensities[number], strict=True):
-                    channel += strength * weight
-        for channels, colors in zip(sums, (prepared.diffuse, prepared.specular), strict=False):
-            for channel, color in zip(channels, colors, strict=True):
-                channel *= group.of(color)
-        if len(sums) > 1:
-            sums[0] += sums[1]
-    return radiance
-
-
 def narrow_highlights(geometry: LightGeometry, facing: Bools, footprint: Floats) -> Iterator[Ints]:
-    """FirstHits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
+    """Hits whose `footprint` (n,) may hold a highlight too narrow for one sample to stand for.
 
     All lights that they face count: one that does not reach a point may reach other parts of its
     footprint.  Around its middle a highlight is the bell exp(-p a^2 / 2), with exponent p, of the

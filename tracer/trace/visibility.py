@@ -23,7 +23,7 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
 
 
 def nearest_and_hidden(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """The `nearest_hits` surfaces, and all that are hidden behind them."""
+    """The `nearest_hits`, and the hits hidden behind them."""
     groups = _candidates(prepared, samples)
     nearest = _nearest(samples, groups)
     hidden = [g.where((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]

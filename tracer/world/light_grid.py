@@ -41,8 +41,8 @@ POSITION_ERROR = 1e-9
 # than `_PAIRS` for each light, or there are more than `_CELLS` in all, cells are larger.
 _SIDE_MOST, _PAIRS, _CELLS = 320, 1 << 21, 1 << 24
 
-# So many listed objects are tried at a time, and the cells of so many are filled at a time.
-_PAIRS_AT_ONCE, _OBJECTS_AT_ONCE = 1 << 17, 1 << 14
+# So many listed objects are tried, and so many cells are visited, at a time.
+_PAIRS_AT_ONCE, _CELLS_AT_ONCE = 1 << 17, 1 << 17
 
 # A field may leave one in so many objects beyond either of its sides.
 _BEYOND = 64
@@ -114,21 +114,22 @@ class LightGrid(NamedTuple):
         wedge = wedge.T.astype(self.wedge.dtype, order="C")
         field = self.field.take(octant * lights + way // count)
         rect = _in_fields(rect, field, self.origin, self.size)
-        ball, cell, corner = _cells(rect, field, self.side)
-        # A pair is found in the first of the cells that it shares.
-        start, stop = (self.first.take(4 * cell + m.take(corner)).astype(np.intp) for m in _SHARED)
-        some = indices(stop > start)
-        ball, start, length = ball.take(some), start.take(some), (stop - start).take(some)
-        for batch in batches(length, _PAIRS_AT_ONCE):
-            which = ball[batch].repeat(length[batch])
-            part = self.listed.take(ranges(start[batch], length[batch]))
-            meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
-            # The eight answers of a row as one integer: much faster than all(axis=1).
-            at = indices(meet.view(np.uint64) == 0x0101010101010101)
-            occluder = self.obj.take(part.take(at))
-            light, which = np.divmod(way.take(which.take(at)), count)
-            kept = indices(occluder != obj.take(which))
-            yield np.array([light.take(kept), which.take(kept), occluder.take(kept)])
+        for ball, cell, corner in _cells(rect, field, self.side):
+            # A pair is found in the first of the cells that it shares.
+            shared = (self.first.take(4 * cell + m.take(corner)) for m in _SHARED)
+            start, stop = (m.astype(np.intp) for m in shared)
+            some = indices(stop > start)
+            ball, start, length = ball.take(some), start.take(some), (stop - start).take(some)
+            for batch in batches(length, _PAIRS_AT_ONCE):
+                which = ball[batch].repeat(length[batch])
+                part = self.listed.take(ranges(start[batch], length[batch]))
+                meet = self.wedge.take(part, axis=0) >= wedge.take(which, axis=0)
+                # The eight answers of a row as one integer: much faster than all(axis=1).
+                at = indices(meet.view(np.uint64) == 0x0101010101010101)
+                occluder = self.obj.take(part.take(at))
+                light, which = np.divmod(way.take(which.take(at)), count)
+                kept = indices(occluder != obj.take(which))
+                yield np.array([light.take(kept), which.take(kept), occluder.take(kept)])
 
 
 def light_grid(
@@ -170,12 +171,10 @@ def light_grid(
     finest = min(position_error.size, _SIDE_MOST**2, _PAIRS / covered, _CELLS / begin.size)
     side = max(1, int(sqrt(finest)))
     filled, first = [], np.zeros(4 * begin.size * side**2 + 1, dtype=np.uint32)
-    for start in range(0, number.size, _OBJECTS_AT_ONCE):  # little memory for many objects
-        these = slice(start, start + _OBJECTS_AT_ONCE)
-        place, cell, corner = _cells(rect[:, these], number[these], side)
+    for part, cell, corner in _cells(rect, number, side):
         cell = 4 * cell + _LIST.take(corner)
         np.add.at(first, cell + 1, np.uint32(1))  # of the same type: twenty times as fast
-        filled.append(cell << 32 | start + place)
+        filled.append(cell << 32 | part)
     # Sorting the pairs, as one number each, is faster than finding their order.
     pairs = np.concatenate(filled)
     del filled, rect, number
@@ -268,18 +267,20 @@ def _in_fields(rect: Floats, field: Ints, origin: Floats, size: Floats) -> Float
     return ((rect.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
 
 
-def _cells(rect: Floats, field: Ints, side: int) -> tuple[Ints, Ints, NDArray[np.uint8]]:
-    """Cells that rectangles (4, n) reach in their fields (n,).
+def _cells(rect: Floats, field: Ints, side: int) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
+    """Cells that rectangles (4, n) reach in their fields (n,), some at a time.
 
-    Returns rectangles, cells, and where these are in them: bit 0 is set in its first column, bit 1
+    Yields rectangles, cells, and where these are in them: bit 0 is set in its first column, bit 1
     in its first row.
     """
     left, right, top, bottom = (side * rect).clip(0, side - 1).astype(np.intp)
     wide, tall = right - left + 1, bottom - top + 1
-    # Column by column of each rectangle.
-    strip, column = segment_indices(wide, left)
-    begin = (field.take(strip) * side + column) * side + top.take(strip)
-    part, cell = segment_indices(tall.take(strip), begin)
-    corner = (column == left.take(strip)).view(np.uint8).take(part)
-    corner |= (cell == begin.take(part)).view(np.uint8) << 1
-    return strip.take(part), cell, corner
+    for batch in batches(wide * tall, _CELLS_AT_ONCE):
+        # Column by column of each rectangle.
+        strip, column = segment_indices(wide[batch], left[batch])
+        strip += batch.start
+        begin = (field.take(strip) * side + column) * side + top.take(strip)
+        part, cell = segment_indices(tall.take(strip), begin)
+        corner = (column == left.take(strip)).view(np.uint8).take(part)
+        corner |= (cell == begin.take(part)).view(np.uint8) << 1
+        yield strip.take(part), cell, corner

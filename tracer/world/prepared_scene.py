@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import copy
 from functools import cached_property
 from math import sqrt
 from typing import TypeAlias
@@ -19,9 +21,9 @@ from tracer.world.light_grid import POSITION_ERROR, LightGrid, light_grid
 Shape: TypeAlias = Spheres | Boxes
 """All objects of one kind; see `Spheres` for what they answer."""
 
-# With more objects than this behind each other, or more lights, fewer samples are taken at a time:
-# memory grows with the pairs of them and samples.
-_DEPTH_COMPLEXITY, _LIGHTS = 8.0, 16.0
+# The most pairs of a sample and an object behind it at a time; the most lights at a time, and pairs
+# of a light and an object; and how much memory lights keep that are prepared.
+_PAIRS, _LIGHTS, _LIT_PAIRS, _KEPT_BYTES = 3 << 18, 4, 1 << 18, 1 << 26
 
 # Pixels across a packet, as a part of the side of the square of pixels that each object has if all
 # share the picture evenly.
@@ -85,6 +87,7 @@ class PreparedScene:
         # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
         pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
         self.packet_pixels = _PART * sqrt(pixels / max(size.size, 1))
+        self._kept, self._kept_bytes = list[PreparedScene](), 0
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
@@ -93,9 +96,28 @@ class PreparedScene:
         return tuple(shape for shape in both if shape.count)
 
     def at_once(self, samples: int) -> int:
-        """Number of samples to take at a time: fewer with many lights, or objects in each."""
-        objects = max(self.depth_complexity / _DEPTH_COMPLEXITY, 1.0)
-        return max(1, int(samples / (objects * max(len(self.lights) / _LIGHTS, 1.0))))
+        """Up to so many samples, or as many as memory allows at a time."""
+        return max(1, min(samples, int(_PAIRS / max(self.depth_complexity, 1.0))))
+
+    @property
+    def by_lights(self) -> Iterator[PreparedScene]:
+        """The scene with some of its lights at a time, as many as memory allows."""
+        step = max(1, min(_LIGHTS, _LIT_PAIRS // max(self.curvature.size, 1)))
+        for number, start in enumerate(range(0, len(self.lights), step)):
+            if number < len(self._kept):
+                yield self._kept[number]
+                continue
+            some, part = slice(start, start + step), copy(self)
+            part.lights, part.local = self.lights[some], self.local[some]
+            part.intensities = self.intensities[some]
+            for name in ("grid", "side", "near_light"):
+                vars(part).pop(name, None)
+            yield part
+            # Preparing the others again takes less time than most of what they are prepared for.
+            if number == len(self._kept) and self._kept_bytes < _KEPT_BYTES:
+                self._kept.append(part)
+                arrays = [part.side, *(part.grid or ())]
+                self._kept_bytes += sum(m.nbytes for m in arrays if isinstance(m, np.ndarray))
 
     @cached_property
     def grid(self) -> LightGrid | None:
