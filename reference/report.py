@@ -74,7 +74,7 @@ def page(
         overview="All scenes",
         head=_HEAD,
         rows=[_row(k, result) for k, result in enumerate(results)],
-        pairs=[_pair(result, comments[result.name]) for result in results],
+        pairs=[_pair(result, comments.get(result.name, "")) for result in results],
         legend="The difference is shown amplified: orange where the tracer is brighter, blue where"
         " it is darker, grey where an edge lies so near the pixel's centre that float32 cannot"
         " decide (masked).",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +54,10 @@ def student_of(picture: str, folder: Path, scene: str) -> str:
     return "/".join(part for part in (*above.parts, before) if part) or folder.name
 
 
+def _named(pair: Pair, folder: Path) -> Pair:
+    return replace(pair, name=os.path.relpath(pair.name, folder))
+
+
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
     """The page as HTML; `pairs` by the names of pictures, `folder` holds all of these."""
     scenes = sorted({Path(result.right).stem for result in results if result.right})
@@ -78,7 +84,7 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
         overview="By student and by scene",
         head=["student", *scenes],
         rows=rows,
-        pairs=[pairs[str(result.picture)] for result in shown],
+        pairs=[_named(pairs[str(result.picture)], folder) for result in shown],
         legend=_LEGEND,
         faults=[str(result.error) for result in results if result.error],
     )
