@@ -16,8 +16,7 @@ from reference.handins.mistakes import SINGLE_PRECISION, UNKNOWN
 from reference.handins.pictures import AGREEING, agreement, featureless, worst_pixel
 from reference.handins.reading import Picture
 from reference.handins.search import Finding, SceneDrawings, Search
-from tracer import Scene
-from tracer.picture.explanation import SurfaceRef
+from tracer import Scene, SurfaceRef
 
 # So many surfaces are named where a picture differs, and so many alternatives.
 _NAMED = 3

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from reference.handins.formulas import Formulas, formula
-from tracer import Scene
-from tracer.picture.explanation import SurfaceRef
+from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
 OWN_SURFACE = "shadow-own"
