@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -46,17 +47,14 @@ PER_PIXEL = ("radiance", "kd", "hit", "n")
 """Formulas that look at each pixel by itself: all that `image` and later ones are computed from."""
 
 
-def _dependents() -> dict[str, set[str]]:
-    """For each formula's name, what is computed from it, itself included."""
-    found = {name: {name} for name in RIGHT}
-    for name in reversed(RIGHT):
-        for other, formula in RIGHT.items():
-            if name in parameters(formula):
-                found[name] |= found[other]
-    return found
-
-
-_DEPENDENTS = _dependents()
+@cache
+def _dependents(names: tuple[str, ...]) -> tuple[str, ...]:
+    """What is computed from some formulas, these included, in the order of computation."""
+    found = {*names}
+    for name, function in RIGHT.items():
+        if not found.isdisjoint(parameters(function)):
+            found.add(name)
+    return tuple(name for name in RIGHT if name in found)
 
 
 class Drawing:
@@ -67,38 +65,45 @@ class Drawing:
 
     def __init__(self, given: dict[str, Any], capacity: int = 3000) -> None:
         self._given, self._capacity = given, capacity
+        self._values: dict[int, Any] = dict(enumerate(given.values()))
+        self._recipes: list[Any] = [None] * len(given)
         self._numbers: dict[Any, int] = {}
-        self._recipes: list[Any] = []
-        self._values: dict[int, Any] = {}
-        self._right: dict[str, Any] = {}
+        self._right = self._versions(RIGHT, {name: k for k, name in enumerate(given)}, {})
+
+    def _versions(
+        self, names: Iterable[str], known: dict[str, int], changes: Formulas
+    ) -> dict[str, int]:
+        """Versions of formulas, and of what is `known`; none of what cannot be computed."""
+        for name in names:
+            formula = changes.get(name, RIGHT[name])
+            used = parameters(formula)
+            if name not in self._given and all(one in known for one in used):
+                recipe = (formula, *[known[one] for one in used])
+                known[name] = self._numbers.setdefault(recipe, len(self._recipes))
+                if known[name] == len(self._recipes):
+                    self._recipes.append(recipe)
+        return known
 
     def get(self, name: str, changes: Formulas) -> Any:
         """Compute a formula, some formulas being replaced."""
-        affected = set().union(*(_DEPENDENTS.get(changed, ()) for changed in changes))
-        return self._value(self._version(name, changes, affected, {}))
+        return self._value(self._changed(changes)[name])
 
-    def _version(self, name: str, changes: Formulas, affected: set[str], known: Any) -> Any:
-        if name in self._given:
-            return name
-        versions = known if name in affected else self._right
-        if name not in versions:
-            formula = changes.get(name, RIGHT[name]) if name in affected else RIGHT[name]
-            arguments = (self._version(x, changes, affected, known) for x in parameters(formula))
-            recipe = (formula, *arguments)
-            if recipe not in self._numbers:
-                self._numbers[recipe] = len(self._recipes)
-                self._recipes.append(recipe)
-            versions[name] = self._numbers[recipe]
-        return versions[name]
+    def _changed(self, changes: Formulas) -> dict[str, int]:
+        return self._versions(_dependents(tuple(changes)), dict(self._right), changes)
 
-    def _value(self, version: Any) -> Any:
-        if isinstance(version, str):
-            return self._given[version]
+    def pairs(self, first: Formulas, others: Iterable[Formulas]) -> Iterator[Array]:
+        """Compute codes (3, n) with some changes and each of others."""
+        known = self._changed(first)
+        for other in others:
+            both = self._versions(_dependents(tuple(other)), dict(known), first | other)
+            yield self._value(both["codes"])
+
+    def _value(self, version: int) -> Any:
         if version not in self._values:
             formula, *arguments = self._recipes[version]
             value = formula(*map(self._value, arguments))
             if len(self._values) > self._capacity:
-                self._values.clear()
+                self._values = dict(enumerate(self._given.values()))
             self._values[version] = value
         return self._values[version]
 

@@ -188,6 +188,7 @@ def formula(expression: str) -> Callable[..., Any]:
     return function
 
 
+@cache
 def parameters(function: Callable[..., Any]) -> tuple[str, ...]:
     """Name what a formula is computed from."""
     code = function.__code__

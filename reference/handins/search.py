@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
-from itertools import combinations
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,7 +27,7 @@ _ENOUGH = 10
 # Pixels of a scene on which single mistakes and pairs are drawn for all hand-ins; how many pairs
 # are drawn on as many pixels of the hand-in, on more of them, and whole.
 _SINGLES, _PAIRS = 2400, 240
-_SOME, _FEW, _FINAL = 500, 80, 16
+_SOME, _FEW, _FINAL = 400, 60, 16
 # Of more surfaces, no single one is left out; of more lights, speckles are not looked for.
 _MANY_SURFACES, _MANY_LIGHTS = 40, 4
 # Rounding decides so many pixels at most, each within so many pixels from its centre.
@@ -173,13 +172,19 @@ class SceneDrawings:
         return hidden | {causes[0]: causes for causes in found.values()}
 
     @cached_property
-    def pairs(self) -> tuple[list[tuple[Cause, Cause, Cause]], Array, Sample]:
-        """All pairs of mistakes that show, drawn on a sample: (pairs, 3, n)."""
+    def pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Sample]:
+        """All pairs of mistakes that show, and these drawn on a sample: (pairs, 3, n)."""
         sample = Sample.of(self.strata, _PAIRS)
+        drawing = self.drawing(np.append(sample.pixels, self.brightest), self.blank)
         heads = [c for c in self.alike if "samples" not in self.table[c[0]]]  # takes too long
-        found = [(both, a, b) for a, b in combinations(heads, 2) if (both := self.joined(a, b))]
-        drawn = self.codes((pair[0] for pair in found), sample, self.blank)
-        return found, np.array([*drawn.values()]), sample
+        found: dict[Cause, tuple[Cause, Cause]] = {}
+        drawn: list[Array] = []
+        for k, a in enumerate(heads):
+            new = {c: (a, b) for b in heads[k + 1 :] if (c := self.joined(a, b)) and c not in found}
+            others = [self.changes(b) or {} for _, b in new.values()]
+            drawn += drawing.pairs(self.changes(a) or {}, others)
+            found |= new
+        return found, np.array(drawn)[..., : len(sample.pixels)], sample
 
     def joined(self, a: Cause, b: Cause) -> Cause | None:
         """Both causes; None if they exclude each other."""
@@ -205,7 +210,8 @@ class Search:
         if differing(right, handin, 1).sum() <= 2:  # rounding, if anything
             self.near = 0
         self.wrong = differing(right, handin, self.near)
-        commonest = np.unique(handin, axis=1, return_counts=True)[1].max()
+        colours = handin.T.astype(np.int32) @ (65536, 256, 1)
+        commonest = np.unique(colours, return_counts=True)[1].max()
         self.most = min(_OF_ALL * self.number, _OF_WRONG * self.wrong.sum(),
                         _OF_SHOWN * (self.number - int(commonest)))  # fmt: skip
         # Half of them wrong.
@@ -263,7 +269,7 @@ class Search:
     def double(self) -> tuple[int, list[Cause]]:
         """Of mistakes that show, one for all that draw the same, all pairs."""
         pairs, drawn, sample = self.drawings.pairs
-        parts = {both: (a, b) for both, a, b in pairs}
+        parts = dict(pairs)
         good = self.good([*parts], drawn, sample, 6 * _OF_ALL, _SOME)
         alike = {mistakes.BACKGROUND: [mistakes.BACKGROUND]} | self.drawings.alike
         join = self.drawings.joined
@@ -298,6 +304,8 @@ class Search:
 
     def sifted(self, causes: list[Cause], size: int, count: int) -> list[Cause]:
         """The best in a sample of the hand-in, half of it wrong."""
+        if len(causes) <= count // 2:
+            return causes
         drawn = self.drawings.codes(causes, self.samples[size], self.handin)
         most = (3 if size == 0 else 2) * _OF_ALL
         return self.good(causes, np.array([*drawn.values()]), self.samples[size], most, count)
