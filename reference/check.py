@@ -46,7 +46,7 @@ from converters.rendering import Rendering, load
 from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
-from reference.compare import Figures, figures, write_comparison
+from reference.figures import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
 from tracer.command.arguments import file_name, is_folder, output_paths
