@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import IO
 
 unfinished: set[str] = set()
-"""Part files and temporary folders, which a process that ends early must remove."""
+"""Part files, which a process that ends early must remove."""
 
 
 @contextmanager

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from probe import Surface, Vector, scene_of
 from scene_files import NAMES, names
-from uniform_grid import no_worse_than_the_uniform_grid, rmse, uniform
+from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
 
 from reference.command import SCENES
+from reference.judges.true_picture import rmse, true_picture
 from reference.workloads import crowd
-from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
+from tracer.trace import visibility
 
 
 def small(name: str) -> Scene:
@@ -166,6 +168,26 @@ def test_tip_of_one_object_in_another():
 def test_silhouettes_and_terminators_are_nearly_exact(name, better):
     # Both are known in closed form, with how light falls off towards them.
     scene = small(name)
-    converged = uniform(scene, 41)
-    ours, grid = (rmse(image, converged) for image in (render(scene, 16), uniform(scene, 4)))
+    truth = true_picture(scene, TRUE).image
+    ours, grid = (rmse(image, truth) for image in (render(scene, 16), uniform(scene, 4)))
     assert ours <= grid / better
+
+
+def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
+    # Forty lights draw their edges everywhere: splitting pixels would take many times the samples.
+    rng, counts, nearest = np.random.default_rng(0), [], visibility._candidates
+    balls = [Sphere(center=c, radius=0.2) for c in rng.uniform((-2, -2, 1), (2, 2, 3), (20, 3))]
+    scene = view(wall(9, 9), *balls, pixels=24)
+    lamps = [PointLight(position=p, intensity=(0.03,) * 3) for p in rng.uniform(-9, 9, (40, 3))]
+    scene = replace(
+        scene, lights=[replace(each, position=(*each.position[:2], 9)) for each in lamps]
+    )
+
+    def noted(prepared, samples):
+        counts.append(samples.size)
+        return nearest(prepared, samples)
+
+    monkeypatch.setattr(visibility, "_candidates", noted)
+    render(scene, 16)
+    assert sum(counts) < 3 * 16 * 24 * 24
+    no_worse_than_the_uniform_grid(scene, numbers=(4, 16))

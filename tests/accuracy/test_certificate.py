@@ -7,6 +7,7 @@ means is held against millions of samples.
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ from probe import scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import small
 
+from reference import command
 from reference.judges import cells, certificate, faces, forms
+from reference.judges import true_picture as truth
 from reference.judges.cells import CellForms
 from reference.judges.certificate import Enclosure, certify
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
-from reference.truth import supersampled
+from reference.judges.true_picture import supersampled, true_picture
 from reference.workloads import crowd, resized
 from tracer import Camera, Scene, Sphere, render
 from tracer.arrays import Floats
@@ -222,3 +225,30 @@ def test_what_cannot_be_certified() -> None:
     for error in (0, -1, np.nan):
         with pytest.raises(ValueError, match="the error must be more than 0, not"):
             certify(scene, error)
+
+
+def test_supersampling_in_parts_is_the_same(monkeypatch: Patch) -> None:
+    scene, at = small("sticks-perspective", 16, 9), np.arange(-3, 4, 2) / 8
+    by_hand = np.mean([render(scene, offset=(x, y)) for x in at for y in at], axis=0)
+    for strip in (truth._STRIP, 4 * 4 * 16 * 2):
+        monkeypatch.setattr(truth, "_STRIP", strip)
+        # The same rays, but for the last bit, that decides no pixel here.
+        np.testing.assert_allclose(supersampled(scene, 4), by_hand, rtol=0, atol=1e-12)
+
+
+def test_true_pictures_are_kept(monkeypatch: Patch, tmp_path: Path) -> None:
+    scene = small("sticks-perspective", 16, 9)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    made = true_picture(scene, 1 / 64)
+    # For this scene, this error and this code.
+    monkeypatch.setattr(truth, "certify", None)
+    kept = true_picture(scene, 1 / 64)
+    for name in ("low", "high", "image", "cells"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(made, name))
+    for code, *other in (
+        (b"changed", scene, 1 / 64),
+        (truth._code(), small("room", 16, 9), 1 / 64),
+    ):
+        monkeypatch.setattr(truth, "_code", lambda code=code: code)
+        with pytest.raises(TypeError):
+            true_picture(*other)

@@ -17,8 +17,8 @@ from scene_files import small
 from converters.variant import LLVM, use
 from reference import benchmark, command, measurements, speed_accuracy
 from reference.benchmark import growth_exponent
+from reference.judges.true_picture import rmse, true_picture
 from reference.measurements import Ratio, Table, Timing, interleaved, measured_on, write_tables
-from reference.truth import Truth, truth_side
 from tracer import render
 
 
@@ -90,6 +90,9 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_
     ours = {int(row[2]): float(row[3]) for row in rows if row[1] == "this tracer"}
     assert sorted(ours) == [1, 4, 9, 16, 36, 144]
     assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
-    truth = Truth.of(scene, truth_side(quick=True))
-    assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
+    truth = true_picture(scene, 1 / 1024).image
+    assert ours[9] == pytest.approx(rmse(render(scene, 9), truth), rel=1e-5)
+    certified = {int(row[2]): float(row[3]) for row in rows if row[1].endswith("certified")}
+    assert sorted(certified) == [8, 32, 128]
+    assert certified[8] > certified[32] > certified[128]
     assert (tmp_path / "speed_accuracy.svg").exists()
