@@ -8,16 +8,11 @@ process tries a small kernel first, once for each process that asks.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
-
-from tracer.files import unfinished
 
 try:
     import mitsuba as mi
@@ -50,23 +45,17 @@ class Choice(NamedTuple):
 
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
-    # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
-    home = Path(tempfile.gettempdir(), f"mitsuba-{os.urandom(8).hex()}")
-    unfinished.add(str(home))
+    # No home: kernels cached there by a good libLLVM would hide that this one is bad.
     try:
-        home.mkdir(0o700)
         child = subprocess.run(
             [sys.executable, "-c", kernel],
-            env=os.environ | {"HOME": str(home)},
+            env=os.environ | {"HOME": os.devnull},
             capture_output=True,
             text=True,
             timeout=timeout,
         )
     except subprocess.TimeoutExpired:
         return Choice(SCALAR, "the libLLVM found here hangs")
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
-        unfinished.discard(str(home))
     if child.returncode == 0:
         return Choice(LLVM, "libLLVM works")
     if child.returncode < 0:

@@ -46,7 +46,7 @@ from converters.rendering import Rendering, load
 from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
-from reference.compare import Figures, figures, write_comparison
+from reference.figures import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
 from tracer.command.arguments import file_name, is_folder, output_paths
@@ -164,8 +164,8 @@ class CheckResult:
             f"{self.name}: {self.verdict}",
             f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
             f" median {f.median:.1e}, RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
-            f"  left out: {self.edges.sum()} edge pixels that differ ({self.edges.mean():.3%})"
-            f" and {self.ties.sum()} ties",
+            f"  left out: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
+            f" ties: {self.ties.sum()}",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
@@ -272,7 +272,9 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     # Where the pictures are too far apart as a whole, the pixels are looked at again, more closely.
     for tolerance in (limits.difference, MAX_MEDIAN):
         differing = difference > tolerance
-        edges = differing & near_edges(scene, rendering.image, limits.shift, tolerance * unit)
+        edges = differing.copy()
+        if differing.any():
+            edges &= near_edges(scene, mitsuba, limits.shift, tolerance * unit)
         if edges.mean() > MAX_EDGES:  # too many to be a matter of rounding: none is excused
             edges = np.zeros_like(edges)
         judged = _judge(scene, image, mitsuba, differing & ~edges, tolerance * unit)

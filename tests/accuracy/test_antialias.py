@@ -16,9 +16,10 @@ from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
 from reference.command import SCENES
 from reference.judges.true_picture import rmse, true_picture
 from reference.workloads import crowd
-from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice
+from tracer.trace import visibility
 
 
 def small(name: str) -> Scene:
@@ -170,3 +171,20 @@ def test_silhouettes_and_terminators_are_nearly_exact(name, better):
     truth = true_picture(scene, TRUE).image
     ours, grid = (rmse(image, truth) for image in (render(scene, 16), uniform(scene, 4)))
     assert ours <= grid / better
+
+
+def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
+    # The edges of forty lights everywhere: to split pixels would take many times the samples.
+    counts, candidates = [], visibility._candidates
+    at = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
+    lights = [PointLight(position=position, intensity=(0.03,) * 3) for position in at]
+    scene = replace(view(wall(9, 9, -1), BALL, pixels=24), lights=lights)
+
+    def noted(prepared, samples):
+        counts.append(samples.size)
+        return candidates(prepared, samples)
+
+    monkeypatch.setattr(visibility, "_candidates", noted)
+    render(scene, 16)
+    assert sum(counts) < 4 * 16 * 24 * 24
+    no_worse_than_the_uniform_grid(scene, numbers=(4, 16))

@@ -326,6 +326,13 @@ def test_eye_on_a_wall(axis, side):
         assert (render(scene) > 0).mean() == share
 
 
+def test_a_window_of_nearly_180_degrees():
+    # The tangent of half of it is more than that of pi / 2 as rounded.
+    camera = Camera(view_point=(0, 0, 0), view_width=1e17, view_height=1e17)
+    scene = scene_of(Sphere(radius=5), camera=camera, size=(8, 8), lights=(0, 0, 0))
+    np.testing.assert_allclose(render(scene), 1, rtol=1e-15)
+
+
 def test_nearly_orthographic():
     # From D = 1e6 the ray through (x, y) of the plane z = 0 makes the angle f = atan(b / D) with
     # the axis, b = |(x, y)|; by the sine rule the normal it meets makes asin(D sin f) - f.  Lights

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
+from itertools import chain, pairwise, product
 from time import process_time
 from unittest.mock import patch
 
@@ -15,13 +15,16 @@ from hypothesis import strategies as st
 from probe import scene_of
 from random_scenes import KINDS, random_scene
 
+from reference.workloads import crowd
 from tracer import Box, Camera, Lambertian, Scene, Sphere, render
+from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
 from tracer.geometry.camera import camera_frame
-from tracer.picture import render as render_module
 from tracer.trace import lighting
 from tracer.trace.lighting import radiance_at
 from tracer.trace.samples import Scattered
+from tracer.world import prepared_scene
+from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene
 
 
@@ -271,9 +274,51 @@ def test_many_plates_behind_each_other(monkeypatch):
         return nearest_hits(prepared, samples)
 
     monkeypatch.setattr(lighting, "nearest_hits", counted)
-    monkeypatch.setattr(render_module, "_TILE_SAMPLES", 40 * 30)
+    monkeypatch.setattr(prepared_scene, "_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
+
+
+@np.errstate(all="ignore")
+def test_runs_are_of_neighbours():
+    # The balls hide parts of the floor's rows: what is left of a row is several runs.
+    scene = crowd(200, width=80, height=45)
+    prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
+    hits = lighting.nearest_hits(prepared, CENTRES.samples(slice(0, 45), slice(0, 80)))
+    for group in hits.groups:
+        starts = np.append(0, group.counts.cumsum())
+        assert (group.counts > 1).any()
+        for start, stop in pairwise(starts):
+            run = group.sample[start:stop]
+            assert np.array_equal(run, np.arange(run[0], run[0] + run.size))
+            assert run[0] // 80 == run[-1] // 80
+
+
+def test_many_lights_are_taken_some_at_a_time(monkeypatch):
+    scene = crowd(40, width=48, height=27)
+    lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
+    scene, groups, query = replace(scene, lights=lights), set(), LightGrid.query
+
+    def noted(self, *arguments):
+        groups.add(self.light.shape[1])
+        return query(self, *arguments)
+
+    monkeypatch.setattr(LightGrid, "query", noted)
+    monkeypatch.setattr(prepared_scene, "_LIGHTS", 9)
+    whole = [render(scene, samples) for samples in (1, 16)]
+    monkeypatch.setattr(prepared_scene, "_LIGHTS", 4)
+    for kept in (0, 1 << 26):
+        monkeypatch.setattr(prepared_scene, "_KEPT_BYTES", kept)
+        for image, samples in zip(whole, (1, 16), strict=True):
+            assert np.array_equal(render(scene, samples), image)
+    assert groups == {9, 4, 1}
+    # Also where all lights together have been prepared before.
+    prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
+    sizes = [
+        {len(m) for m in (part.grid.light[0], part.side, part.near_light)}
+        for part in chain([prepared], prepared.by_lights)
+    ]
+    assert sizes == [{9}, {4}, {4}, {1}]
 
 
 def test_a_hundred_equal_surfaces_take_no_longer_than_one():

@@ -75,6 +75,15 @@ def outlines() -> Iterator[Hard]:
     yield Hard("bead", seen((0, 3, 4), wall(60, -5), bead, size=(96, 72), high=1), 2)
     crossing = random_scene("touching", 111, 36, 24)
     yield Hard("surfaces that cross within pixels", crossing, numbers=(64,))
+    # One box comes out of the other by another face than the middle of the pixel has behind it.
+    view = {"ahead": (0.26, 0, -1), "view_up": (0.12, 1, 0), "size": (32, 24), "wide": 1.6}
+    rooms = box((-9, -9, -5), (9, 9, 9)), red(box((-9, -9, -5.2), (1.3, 9, 9)))
+    yield Hard("room that comes out of a room", seen((0.5, 0, -2), *rooms, **view))
+    view = {"ahead": (-2.1, 2.934, 1.521), "view_up": (0.73, 0.588, 0.35), "size": (16, 12)}
+    dome = red(ball((-0.1337, 0.5724, -0.0658), 3.7835))
+    room = box((-2.1046, -1.4706, -2.5026), (2.8879, 4.0979, 1.1028))
+    scene = seen((-0.215, 0.708, -1.184), room, dome, **view, proj_distance=0.0251, wide=0.0368)
+    yield Hard("room that comes out of a dome", scene, numbers=(16, 64))
     # Rays to its horizon are at right angles to the way to its centre, or nearly.
     for r, up in product((1e4, 6.4e6, 1e8), (0, 0.02, -0.02)):
         planet, view = ball((0, -r, 0), r), {"eye": (0, 2, 0), "ahead": (0, up, -1)}
@@ -190,6 +199,11 @@ def shadows() -> Iterator[Hard]:
         back = wall(9, -1.02, shader=Lambertian(diffuse=(0.3,) * 3))
         scene = seen((0, 1.5, 1), wire, back, size=(32, 32), view_up=(roll, 1, 0))
         yield Hard("wire between rows of samples", scene, 1, (9, 16, 64))
+    # So far away that a ray to it and the scene's own lengths share no digits.
+    plate = box((-0.6, 0.5, -0.5), (0.5, 1.1, 0.7))
+    view = {"eye": (1, 3, 6), "ahead": (-0.2, -0.5, -1), "view_up": (0.1, 1, 0)}
+    scene = seen((4.2e19, 7.1e19, 5.7e19), floor(20), plate, **view, size=(32, 24), wide=0.8)
+    yield Hard("shadow of a distant sun", scene)
     # By a hundredth of a pixel, all along it: two lines, however near each other.
     plate, up = box((-0.3, -0.3, -2), (0.3, 0.3, -1.9)), {"view_up": (0.3, 1, 0)}
     scene = seen((0.004, 0.004, 0), plate, wall(9, -2.5), **up, size=(24, 24))

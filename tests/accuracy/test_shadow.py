@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from probe import Vector, scene_of
 
-from tracer import Box, Camera, Scene, Sphere, render
+from tracer import Box, Camera, PointLight, Scene, Sphere, render
 from tracer.geometry.sphere import Spheres
 from tracer.world import light_grid
 
@@ -47,13 +47,44 @@ def test_suns_and_planets_cost_no_more(far, ground):
 
 
 def test_candidates_are_found_some_at_a_time(monkeypatch):
-    # A crowd in one cell of the light's: memory is not for all pairs at once.
-    scene = balls_under((6e40, 1e41, 7e40), 300, 0.1)
-    whole = render(scene, 16)
+    # A crowd in one cell of the light's, and a ground from which ways to it are in many: memory is
+    # not for all pairs at once.
+    scene = balls_under((0.1, 3, 0.2), 300, 0.1, Sphere(center=(0, -1e6, 0), radius=1e6 - 1))
+    whole, visited, cells = render(scene, 16), [], light_grid._cells
+
+    def noted(*arguments):
+        for found in cells(*arguments):
+            visited.append(found[0].size)
+            yield found
+
+    monkeypatch.setattr(light_grid, "_cells", noted)
     monkeypatch.setattr(light_grid, "_PAIRS_AT_ONCE", 1000)
+    monkeypatch.setattr(light_grid, "_CELLS_AT_ONCE", 1000)
     with candidates_noted() as sizes:
         np.testing.assert_array_equal(render(scene, 16), whole)
-    assert 100 < max(sizes) <= 1000 < sum(sizes)
+    for some in (sizes, visited):
+        assert 100 < max(some) <= 1000 < sum(some)
+
+
+@pytest.mark.usefixtures("pixels_are_split")
+@pytest.mark.parametrize("up", [1e-75, 1e-60, 1.0])
+@pytest.mark.parametrize("high", [1e-75, 1e-60, 0.5])
+def test_no_packet_is_without_end(up, high, monkeypatch):
+    # At the limits of the format a pixel sees a floor over 1e150 times its own width; cells of the
+    # grid that such packets reach would be no numbers if they were infinite.
+    radii, query = [], light_grid.LightGrid.query
+
+    def noted(self, middle, radius, *rest):
+        radii.append(radius)
+        return query(self, middle, radius, *rest)
+
+    monkeypatch.setattr(light_grid.LightGrid, "query", noted)
+    floor, far = Box(min_pt=(-1e75, -1, -1e75), max_pt=(1e75, 0, 1e75)), (0, 1e75, -9e74)
+    ball = Sphere(center=(0, 0.5, -3), radius=0.5)
+    camera = Camera(view_point=(0, up, 0), view_width=1, view_height=high)
+    lights = [PointLight(position=position) for position in (far, (3, 5, 4))]
+    render(scene_of(floor, ball, camera=camera, size=(9, 8), lights=lights), 16)
+    assert np.isfinite(np.concatenate(radii)).all()
 
 
 @pytest.mark.usefixtures("pixels_are_split")

@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -78,8 +79,10 @@ def test_a_full_disk(there, size):
 def test_a_file_that_may_not_be_written(there, monkeypatch):
     """As by a user without privileges, for root may write everything."""
 
-    def refuses(path: str, _mode: str) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", path)
+    def refuses(path: str | int, mode: str) -> IO[Any]:
+        if path == str(there) and mode != "rb":
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return open(path, mode)  # noqa: PTH123
 
     monkeypatch.setattr("tracer.files.open", refuses, raising=False)
     with pytest.raises(PermissionError):

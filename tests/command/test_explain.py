@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +49,13 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
             assert all(any(term) == 0 for term, light in zip(terms, pixel.lights, strict=True)
                        if light.occluders)  # fmt: skip
             assert (pixel.surface is None) == np.isinf(pixel.distance)
+            for light in pixel.lights:
+                if not light.occluders:
+                    diffuse = np.multiply(light.intensity, pixel.kd) * light.n_dot_l
+                    power = max(light.n_dot_h, 0) ** pixel.exponent
+                    np.testing.assert_allclose(diffuse, light.diffuse, rtol=1e-9)
+                    specular = np.multiply(light.intensity, pixel.ks) * power
+                    np.testing.assert_allclose(specular, light.specular, rtol=1e-7, atol=1e-9)
 
 
 def test_an_explanation_names_what_keeps_a_light_out(path):
@@ -77,6 +85,10 @@ def test_the_command_explains_and_writes_no_picture(path):
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
     assert "surface   Sphere 0 (line 5)" in out
+    assert "shader    kd 1 1 1, ks 0 0 0, exponent 1\n" in out
+    assert re.search(r"light 0 \(line 3\): n.l = 0.66\d+, n.h = 0.91\d+, reaches the point\n", out)
+    assert re.search(r"  diffuse   (0.66\d+) \1 \1 = 1 1 1 \* 1 1 1 \* \1\n", out)
+    assert re.search(r"  specular  0 0 0 = 1 1 1 \* 0 0 0 \* 0.91\d+\^1\n", out)
     assert "light 1 (line 4): n.l = -" in out
     assert list(path.parent.iterdir()) == [path]
     for pixel in ("4,9", "9,0"):

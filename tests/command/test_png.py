@@ -82,6 +82,8 @@ def test_what_is_no_image(tmp_path, image, message):
     error = TypeError if image.dtype == np.uint8 else ValueError
     with pytest.raises(error, match=message):
         write_png(tmp_path / "picture.png", image)
+    with pytest.raises(ValueError, match=r"a.jpg: pictures are PNG files; name it .*a.png"):
+        write_png(tmp_path / "a.jpg", np.zeros((1, 1, 3)))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -42,6 +42,14 @@ def test_all_scenes_are_drawn(tmp_path: Path) -> None:
             assert (np.asarray(picture) == tracer.to_codes(tracer.render(scene))).all()
 
 
+def test_a_picture_is_replaced(tmp_path: Path) -> None:
+    for value in (0.0, 1.0):
+        tracer.write_png(tmp_path / "picture.png", np.full((1, 1, 3), value))
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.getpixel((0, 0)) == (255, 255, 255)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
 def test_codes_are_those_of_other_systems() -> None:
     """But for roundings of exp and log, which may differ in the last place."""
     with Image.open(STORED) as picture:

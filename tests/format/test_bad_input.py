@@ -39,31 +39,33 @@ def faults(source: str | bytes | Path) -> list[str]:
 def cases() -> Iterator[tuple[str, str, list[str]]]:
     """Cases of `faults.txt`: as they stand there, contents of files, and what is reported."""
     text = re.sub(r"^\n?# .*\n", "", FAULTS.read_text(encoding="utf-8"), flags=re.M)
-    for case, told in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
+    for case, expected in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
         content = case.removesuffix("\n")
         if content.startswith("+ "):
             content = f"<scene>{EMPTY}\n{re.sub('^[+] ', '', content, flags=re.M)}\n</scene>"
-        yield case, content, re.findall("^=> (.*)", told, re.M)
+        yield case, content, re.findall("^=> (.*)", expected, re.M)
 
 
 def rewrite() -> None:
     """Write what is reported of each case to `faults.txt`."""
     text = FAULTS.read_text(encoding="utf-8")
     warnings.simplefilter("error")
-    for case, content, told in cases():
-        old, new = ("".join(f"=> {line}\n" for line in each) for each in (told, faults(content)))
+    for case, content, expected in cases():
+        old, new = (
+            "".join(f"=> {line}\n" for line in each) for each in (expected, faults(content))
+        )
         text = text.replace(f"\n{case}{old}", f"\n{case}{new}")
     FAULTS.write_text(text, encoding="utf-8")
 
 
-@pytest.mark.parametrize(("content", "told"), [case[1:] for case in cases()])
-def test_wording(content, told):
-    assert faults(content) == told
+@pytest.mark.parametrize(("content", "expected"), [case[1:] for case in cases()])
+def test_wording(content, expected):
+    assert faults(content) == expected
     # In the first line the mark of UTF-16 counts as a column, and remedies are for UTF-8.
-    if not told[-1].startswith("1: not XML") and "encoding=" not in content:
-        same = [re.sub("(not XML.*?);.*", r"\1", line) for line in told]
-        told = faults(content.encode("utf-16"))
-        assert [re.sub("(not XML.*?);.*", r"\1", line) for line in told] == same
+    if not expected[-1].startswith("1: not XML") and "encoding=" not in content:
+        same = [re.sub("(not XML.*?);.*", r"\1", line) for line in expected]
+        expected = faults(content.encode("utf-16"))
+        assert [re.sub("(not XML.*?);.*", r"\1", line) for line in expected] == same
 
 
 # What faults.txt cannot hold: a file, the line, a key part of what is reported.
@@ -105,8 +107,8 @@ OTHERS = [
 
 @pytest.mark.parametrize(("content", "line", "key"), OTHERS)
 def test_line_and_key(content, line, key):
-    told = [fault for fault in faults(content) if re.match(f"{line}: ", fault)]
-    assert [fault for fault in told if re.search(key, fault)] == told[:1]
+    found = [fault for fault in faults(content) if re.match(f"{line}: ", fault)]
+    assert [fault for fault in found if re.search(key, fault)] == found[:1]
 
 
 def test_a_long_stray_text_is_one_fault():
@@ -121,7 +123,7 @@ def test_a_long_stray_text_is_one_fault():
 # Limits
 
 
-def test_the_number_of_faults_told_is_bounded():
+def test_the_number_of_faults_is_bounded():
     lines = faults(f"<scene>{EMPTY}" + "\n<a/>" * 100_000)
     assert lines[1000:] == ["1001: 1000 faults so far; mend these first"]
 
@@ -160,8 +162,8 @@ def test_what_would_eat_memory_or_time(content, fault):
     ids=["entities", "parameters", "a foreign file", "attributes"],
 )
 def test_bombs(declarations):
-    told = faults(f"<!DOCTYPE scene [{declarations}]>\n<scene>&g;</scene>")
-    assert told == ["1: DOCTYPE: declarations are not allowed; write out what entities stand for"]
+    found = faults(f"<!DOCTYPE scene [{declarations}]>\n<scene>&g;</scene>")
+    assert found == ["1: DOCTYPE: declarations are not allowed; write out what entities stand for"]
 
 
 # What is no readable file
@@ -188,12 +190,12 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize(("fault", "make"), UNREADABLE.items())
 def test_no_readable_file(tmp_path, make, fault):
     make(tmp_path / "a.xml")
-    (told,) = faults(tmp_path / "a.xml")
-    assert told.startswith(fault)
+    (found,) = faults(tmp_path / "a.xml")
+    assert found.startswith(fault)
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "expected"),
     [
         ("a\0b", r"a\x00b: a path cannot hold a NUL or half of a surrogate pair; check the path"),
         ("\ud800", r"\ud800: a path cannot hold a NUL or half of a surrogate pair; check the path"),
@@ -202,10 +204,10 @@ def test_no_readable_file(tmp_path, make, fault):
         ("a\nb\x1b[31m.xml", r"a\nb\x1b[31m.xml: cannot be read"),
     ],
 )
-def test_odd_names(name, told):
+def test_odd_names(name, expected):
     with pytest.raises(SceneFileError) as caught:
         load_scene(name)
-    assert str(caught.value).startswith(told)
+    assert str(caught.value).startswith(expected)
     assert str(caught.value).isprintable()
 
 

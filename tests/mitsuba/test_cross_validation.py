@@ -15,7 +15,7 @@ from converters.rendering import Rendering, render_mitsuba
 from converters.variant import SCALAR, use
 from reference import check
 from reference.command import HERE, SCENES
-from reference.compare import figures, write_comparison
+from reference.figures import figures, write_comparison
 from reference.regenerate import FOLDER, WIDTH, load_small, main, manifest, scene_hash, stored
 from tracer import load_scene, render
 

@@ -19,7 +19,7 @@ from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.check import check_scene
 from reference.command import SCENES, own_scenes
-from reference.compare import figures
+from reference.figures import figures
 from reference.regenerate import load_small
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, render
 

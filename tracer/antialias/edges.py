@@ -14,7 +14,19 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from tracer.antialias.edge_functions import EDGES_AT_ONCE, EdgeValues, InverseDepth, rays, span
-from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, scaled, segment_indices, take3
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Triple,
+    dot,
+    indices,
+    map3,
+    scaled,
+    segment_indices,
+    take3,
+)
+from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import LightGeometry
@@ -40,21 +52,31 @@ def pieces(index: Ints) -> Iterator[Ints]:
 def footprints_of(hits: Hits, size: float) -> Floats:
     """Footprints (n,): radii, around all points, of what cells of a size see."""
     frame = hits.prepared.frame
-    # Under this angle, in radians, the eye sees half the diagonal of a cell.
-    angle = 0.5 * size * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
+    angle = _angle(frame, size)
     halves, distance = hits.p[2] * angle, hits.distance
     footprints = np.empty(halves.size)
     for group in hits.groups:
         half = halves[group.part]
         n_dot_v = group.at_samples(group.height) / distance[group.part]
         if group.shape.flat:
-            # The far end of the cell sees the face at a smaller cosine: by up to the angle.
-            n_dot_v *= np.maximum(1 - angle / n_dot_v, _NEARLY)
+            footprints[group.part] = _on_face(half, n_dot_v, angle)
+            continue
         # However small the cosine, from the silhouette a width of `half` covers no more of a
         # sphere than sqrt(2 half radius).
         most = np.sqrt(2 * half / group.of(hits.prepared.curvature))
         footprints[group.part] = np.fmin(half / n_dot_v, most)
     return footprints
+
+
+def _angle(frame: CameraFrame, size: float) -> float:
+    """Under this angle, in radians, the eye sees half the diagonal of a cell."""
+    return 0.5 * size * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
+
+
+def _on_face(half: Floats, n_dot_v: Floats, angle: float) -> Floats:
+    """Footprints on faces: half the cell's diagonal at their distance, over the cosine."""
+    # The far end of the cell sees the face at a smaller cosine: by up to the angle.
+    return half / (n_dot_v * np.maximum(1 - angle / n_dot_v, _NEARLY))
 
 
 def silhouette_pixels(
@@ -158,19 +180,33 @@ class CellSurfaces(NamedTuple):
         at = hit[hidden.sample]
         # What a cell sees of two surfaces that meet there is as near as both footprints reach.
         reach = self.footprint[at] + footprints_of(hidden, self.size)
-        prepared, behind, owner = hidden.prepared, InverseDepth.of(hidden), hidden.hit_object
-        boxes, eye = prepared.boxes, prepared.frame.eye
-        for near in pieces(indices(hidden.distance - self.hits.distance[at] <= reach)):
+        close, behind = hidden.distance - self.hits.distance[at] <= reach, InverseDepth.of(hidden)
+        for near in pieces(indices(close)):
             d, inverse = self.rays(at[near])
             yield self.cell[at[near]], inverse - behind.take(near).inverse(d)
-            # A hidden box may come forward with another face, whose crease is hidden as well.
-            flat = indices(owner[near] >= boxes.first)
-            obj, some = owner[near[flat]], (d[0][:, flat], d[1][:, flat], d[2][:, flat])
-            for k in range(3):
-                across = prepared.frame.scene_component(some, k)
-                low, high = (m[k, obj - boxes.first] - eye[k] for m in (boxes.min_pt, boxes.max_pt))
-                level = np.where(prepared.eye_inside[obj] == (across[0] > 0), high, low)
-                yield self.cell[at[near[flat]]], inverse[:, flat] - across / level
+        yield from self._other_faces(hidden, at, close)
+
+    def _other_faces(self, hidden: Hits, at: Ints, close: Bools) -> Iterator[EdgeValues]:
+        """Where hidden boxes may come forward with another face, whose crease is hidden as well.
+
+        Seen from inside, that face may be near where the hidden one is not `close` (n,).
+        """
+        prepared, owner = hidden.prepared, hidden.hit_object
+        boxes, eye, angle = prepared.boxes, prepared.frame.eye, _angle(prepared.frame, self.size)
+        flat = indices((owner >= boxes.first) & (close | prepared.eye_inside[owner]))
+        obj, p, distance = owner[flat], hidden.p[:, flat], hidden.distance[flat]
+        seen, reach = self.hits.distance[at[flat]], self.footprint[at[flat]]
+        for k in range(3):
+            height = prepared.frame.scene_component(take3(p, slice(None)), k)
+            low, high = (m[k, obj - boxes.first] - eye[k] for m in (boxes.min_pt, boxes.max_pt))
+            level = np.where(prepared.eye_inside[obj] == (height > 0), high, low)
+            farther = level / height
+            footprint = _on_face(farther * p[2] * angle, np.abs(height) / distance, angle)
+            near = np.abs(farther * distance - seen) <= reach + footprint
+            for some in pieces(indices(near)):
+                d, inverse = self.rays(at[flat[some]])
+                across = prepared.frame.scene_component(d, k)
+                yield self.cell[at[flat[some]]], inverse - across / level[some]
 
     def shadows(
         self, apexes: Apexes, light: Ints, point: Ints, occluder: Ints

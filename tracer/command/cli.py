@@ -60,12 +60,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments, jobs = _parsed(argv)
     if arguments.watch:
         return _watch(jobs, arguments)
-    # All of them, whatever becomes of the first.
+    # A list: the first that fails does not keep the others from being rendered.
     return FAILED if [job for job in jobs if not _render(*job, arguments)] else 0
 
 
 def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
-    """The arguments, and the pairs of a scene and its picture."""
+    """Parse the arguments; return them, and pairs of the paths of a scene and its picture."""
     parser = argparse.ArgumentParser(
         prog="tracer",
         description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
@@ -114,7 +114,7 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
 
 
 def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]]:
-    """Type of an argument of two whole numbers with a mark between them."""
+    """Make a parser of arguments that are two whole numbers with a mark between them."""
     number = whole_number(least)
 
     def pair(text: str) -> tuple[int, int]:
@@ -140,7 +140,7 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
                 now = status.st_mtime_ns, status.st_size, status.st_ino
             except OSError:
                 now = None
-            # An editor may not have written all yet: it has, if nothing changes any more.
+            # An editor may write a file in pieces: wait until it stops changing.
             settled = last.get(scene, now) == now
             last[scene] = now
             if settled and rendered.get(scene, ()) != now:
@@ -151,7 +151,7 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
 
 
 def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
-    """Render a scene, or explain its pixel; print what goes wrong, if anything does."""
+    """Render a scene, or explain its pixel; print any fault, and return whether there was none."""
     start, name, quiet = perf_counter(), printable(output), arguments.quiet
     size, remedy = "to read it", "split the scene"
     try:
@@ -209,7 +209,7 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
 
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
-    """The scene in another size; a line is printed if its pixels were square and no longer are."""
+    """Resize a scene; print a line if its pixels were square and no longer are."""
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
     across, down = scene.camera.view_width, scene.camera.view_height
@@ -224,12 +224,12 @@ def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
 
 
 class _Progress:
-    """What is known of a picture while it is rendered; a bar once that takes long.
+    """Progress of a picture, with a bar once it turns out to be slow.
 
     Attributes
     ----------
     black : bool
-        Whether all pixels so far are.
+        Whether all pixels so far are black.
     """
 
     def __init__(self, name: str, pixels: int, *, show: bool) -> None:
@@ -238,7 +238,7 @@ class _Progress:
         self.show = show and not lost and sys.stderr.isatty()
 
     def watch(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
-        """The same tiles."""
+        """Yield the same tiles, and count their pixels."""
         start, done, bar = perf_counter(), 0, None
         try:
             for tile in tiles:
@@ -254,7 +254,7 @@ class _Progress:
                 bar.close()
 
     def _bar(self) -> Any:
-        """A progress bar; False where there can be none: a picture is not to fail by that."""
+        """Make a progress bar; False if there can be none: a picture must not fail for that."""
         # Not installed, or the environment has settings for it that it cannot read.
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # takes longer to import than a small picture to render

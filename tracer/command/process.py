@@ -99,10 +99,5 @@ def _interrupted(_number: int, _frame: object) -> NoReturn:
     """
     for path in unfinished:
         with suppress(OSError):
-            if os.path.isdir(path):
-                import shutil  # takes as long to import as the rest of this module
-
-                shutil.rmtree(path)
-            else:
-                os.unlink(path)
+            os.unlink(path)
     os._exit(INTERRUPTED)

@@ -6,6 +6,8 @@ the root is handed on when it ends.  The limits below keep any file from exhaust
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Callable
 from typing import IO, Any
 from xml.parsers import expat
@@ -39,6 +41,22 @@ class Element(list["Element"]):
     attrib: dict[str, str]
     line: int
     text: str
+
+
+def opened(path: str) -> IO[bytes]:
+    """Open a regular file: a pipe or a device may block, or never end."""
+    try:
+        status = os.stat(path)
+    except ValueError:
+        wrong = "a path cannot hold a NUL or half of a surrogate pair; check the path"
+        raise FatalFault(0, wrong) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FatalFault(0, "is a folder; name a scene file in it")
+    if not stat.S_ISREG(status.st_mode):
+        raise FatalFault(0, "is not a regular file; save the scene to one")
+    if status.st_size > MAX_BYTES:
+        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+    return open(path, "rb")
 
 
 def parse(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import islice
 from typing import Any
 from xml.parsers.expat import errors
@@ -53,14 +53,16 @@ _ERRORS = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
-# Elements of other dialects of the course, and what they are here, where that is known in the
-# element that holds them; "" for what this format does not have.
+# Elements of other dialects of the course, in lower case, and what they are here: the first that
+# the element around them may hold, or "" for what this format does not have.
 _DIALECTS = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
     "up": ("viewUp",),
-    "imagePlane": ("projDistance, viewWidth and viewHeight", ""),
+    "imageplane": ("projDistance, viewWidth and viewHeight", ""),
     **dict.fromkeys(("exposure", "samples", "background", "ambient", "integrator"), ("",)),
+    **{name.lower(): (f'<surface type="{name}">',) for name in ("Sphere", "Box")},
+    **{name.lower(): (f'<shader type="{name}">',) for name in ("Lambertian", "Phong")},
 }
 
 
@@ -116,12 +118,15 @@ def suggestion(known: Iterable[str], match: str | None) -> str:
     return f"known: {', '.join(map(short, names[:9]))}{', ...' * (len(names) > 9)}"
 
 
-def dialect(tag: str, known: Container[str]) -> str | None:
-    """Return what an element of another dialect of the course is here; "" if nothing is."""
-    for here in _DIALECTS.get(tag, ()):
-        if not here or here.split(",")[0] in known:
-            return here
-    return None
+def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
+    """Say what to write for an unknown element, and return the tag that was meant, if any."""
+    for here in _DIALECTS.get(tag.lower(), ()):
+        if not here:
+            return "remove it", None
+        if here.startswith("<") or here.split(",")[0] in known:
+            return f"write {here}", here
+    match = meant(tag, known)
+    return suggestion(known, match), match
 
 
 def not_a_number(word: str) -> str:

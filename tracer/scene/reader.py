@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -24,8 +23,8 @@ import numpy as np
 
 from tracer.messages import printable, quoted, short
 from tracer.scene import model, schema
-from tracer.scene.elements import MAX_BYTES, Element, FatalFault, parse
-from tracer.scene.hints import dialect, meant, not_a_number, suggestion
+from tracer.scene.elements import Element, FatalFault, opened, parse
+from tracer.scene.hints import meant, not_a_number, suggestion, unknown_tag
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import Floats, SceneError, construct_unchecked
 
@@ -72,7 +71,7 @@ def load_scene(
     if not isinstance(name, str):
         name = "<stream>"
     try:
-        with nullcontext(given) if stream else _opened(name) as file:
+        with nullcontext(given) if stream else opened(name) as file:
             reader.read(file)
     except FatalFault as fault:
         reader.faults.append(fault.args)
@@ -86,22 +85,6 @@ def load_scene(
         printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.faults, key=lambda fault: fault[0])
     )
-
-
-def _opened(path: str) -> IO[bytes]:
-    """Open a regular file: a pipe or a device may block, or never end."""
-    try:
-        status = os.stat(path)
-    except ValueError:
-        wrong = "a path cannot hold a NUL or half of a surrogate pair; check the path"
-        raise FatalFault(0, wrong) from None
-    if stat.S_ISDIR(status.st_mode):
-        raise FatalFault(0, "is a folder; name a scene file in it")
-    if not stat.S_ISREG(status.st_mode):
-        raise FatalFault(0, "is not a regular file; save the scene to one")
-    if status.st_size > MAX_BYTES:
-        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
-    return open(path, "rb")
 
 
 # What float() accepts beyond that is not a number of this format: 1_0, nan, infinity.
@@ -247,8 +230,8 @@ class _Reader:
         self.no_parts(element)
         word = r"\s*([-+]?\d{1,18})"
         found = re.fullmatch(rf"{word}\s{word}\s*", element.text, re.ASCII)
+        text = element.text.strip()
         if found is None:
-            text = element.text.strip()
             wrong = f"needs two whole numbers, width and height, as in 640 480; has {quoted(text)}"
             self.report(element, wrong if text.isascii() else not_a_number(text))
             return
@@ -373,15 +356,7 @@ class _Reader:
 
     def unknown(self, element: Element, parent: str, known: Collection[str]) -> str | None:
         """Report an unknown element; return the tag that was meant, if that is clear."""
-        tag = element.tag
-        here, match = dialect(tag, known), meant(tag, known)
-        remedy = suggestion(known, match)
-        for outer, tables in (("surface", self.surfaces), ("shader", self.shaders)):
-            for name in tables:
-                if name.lower() == tag.lower():
-                    remedy = f'write <{outer} type="{name}">'
-        if here is not None:
-            remedy, match = f"write {here}" if here else "remove it", here
+        remedy, match = unknown_tag(element.tag, known)
         self.report(element, f"unknown in {short(parent)}; {remedy}")
         return match
 
