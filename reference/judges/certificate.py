@@ -157,17 +157,17 @@ def enclose(forms: CellForms, error: float) -> Enclosure:
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.full[line], x.size)
     doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
     pairs, lit = _sampled(forms, regions.cell, x, y)
-    light, region = np.nonzero(lit)
+    region, light = np.nonzero(lit.T)
     of, radiance = number[light, pairs[region]], [np.zeros((8, x.size)) for _ in range(3)]
     glossy = np.flatnonzero(faces.glossy[face[of]])
     for form, color, some in (
         (shades.matt, diffuse, slice(None)),
         (shades.shiny, specular, glossy),
     ):
-        at, m, colors = region[some], form.m[:, of[some]], color[:, of[some]]
-        for channel, weight in zip(radiance, colors, strict=True):
-            for row in range(8):
-                channel[row] += sums(at, weight * m[row], x.size)
+        at, which, m = region[some], of[some], form.m[:, of[some]]
+        first = np.flatnonzero(np.diff(at, prepend=-1))
+        for channel, weight in zip(radiance, color[:, which], strict=True):
+            channel[:, at[first]] += np.add.reduceat(weight * m, first, axis=1)
     value = np.array([(m[:Z] * regions.mean).sum(axis=0) for m in radiance])
     off = np.array([np.abs(m[Z]) + m[R] for m in radiance]) + doubt
     unsure = np.flatnonzero(doubt)  # still no less than nothing, and no more than all
