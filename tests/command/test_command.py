@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tqdm
 from PIL import Image
 from running import SCENE, names, run, started
 
@@ -379,27 +380,14 @@ def test_a_slow_picture_does_without_a_bar_that_cannot_be_shown(
         assert image.size == (40, 30)
 
 
-class Bar:
-    """Takes the place of tqdm's, and lists what it shows."""
-
-    def __init__(self, *, total: int, **_options: object) -> None:
-        self.total, self.n = total, 0
-        self.shown: list[object] = []
-        bars.append(self)
-
-    def update(self, n: int) -> None:
-        self.n += n
-        self.shown.append(self.n)
-
-    def close(self) -> None:
-        self.shown.append("closed")
-
-
-bars: list[Bar] = []
-
-
 def test_the_bar_counts_pixels(monkeypatch):
-    bars.clear()
+    shown = []
+
+    class Bar(tqdm.tqdm):
+        def update(self, n: float | None = 1) -> None:
+            super().update(n)
+            shown.append((self.n, self.total))
+
     monkeypatch.setattr("tqdm.tqdm", Bar)
     monkeypatch.setattr(cli, "perf_counter", iter([0, 0.9, 1.1]).__next__)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
@@ -408,8 +396,7 @@ def test_the_bar_counts_pixels(monkeypatch):
     watched = progress.watch(iter(tiles))
     assert [next(watched), next(watched), progress.black] == [*tiles[:2], True]
     assert [*watched, progress.black] == [tiles[2], False]
-    # None before a second has passed.
-    assert [(bar.total, bar.shown) for bar in bars] == [(600, [300, 600, "closed"])]
+    assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 
 WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
