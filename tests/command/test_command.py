@@ -403,7 +403,7 @@ WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
 
 
 @pytest.mark.parametrize(
-    ("file", "window", "size", "told"),
+    ("file", "window", "size", "remedy"),
     [
         ((30, 30), "", "20x10", "--size 20x20 keeps them so"),
         ((32, 18), WINDOW, "321x181", ""),
@@ -411,11 +411,11 @@ WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
         ((40, 30), "", "20x10", ""),  # they are not square in the file
     ],
 )
-def test_a_size_that_makes_pixels_oblong(scene, capsys, file, window, size, told):
+def test_a_size_that_makes_pixels_oblong(scene, capsys, file, window, size, remedy):
     scene.write_text(SCENE.format(*file).replace("</camera>", f"{window}</camera>"))
     assert cli.main([str(scene), "--size", size]) == 0
-    told = told and f"{scene}: pixels are no longer square; {told}\n"
-    assert capsys.readouterr().err == told
+    remedy = remedy and f"{scene}: pixels are no longer square; {remedy}\n"
+    assert capsys.readouterr().err == remedy
     assert cli.main([str(scene), "--size", size, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main([str(scene), "--size", "99999x99999"]) == 1
