@@ -28,7 +28,7 @@ from PIL import Image
 from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
-from reference.handins.pictures import read_picture
+from reference.handins.reading import read_picture
 from reference.judges.certificate import Certificate, certify
 from tracer import SceneFileError, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name

@@ -130,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_file(path, b"<!doctype html>") as file:
                 file.write(text.encode())
-        where = "<stdout>"
+        where = "standard output"
         if options.json or options.csv:
             print_result(sys.stdout, (json_of if options.json else csv_of)(results))
         elif unread and not many:

@@ -31,16 +31,22 @@ _START = 60
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Start processes that Ctrl-C does not reach: it is for the parent, with which they end."""
-    if os.name == "nt":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _undisturbed() -> Iterator[None]:
+    """Start processes that Ctrl-C does not reach: it is for this one, with which they end.
+
+    Nor do they warn: of semaphores, which a process of their own removes if this one cannot.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = "ignore"
+    mask = None if os.name == "nt" else signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        del os.environ["PYTHONWARNINGS"]
+        if before is not None:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def _end_with_parent() -> None:
@@ -58,7 +64,7 @@ def _pool(count: int) -> list[Executor]:
     """So many processes, each with an executor of its own; none if they cannot be had."""
     executors: list[Executor] = []
     try:
-        with _without_interrupts():
+        with _undisturbed():
             ready = []
             for _ in range(count):
                 executors += [ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)]

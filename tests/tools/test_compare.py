@@ -291,7 +291,7 @@ def test_a_result_that_cannot_be_printed_is_no_success(tmp_path: Path) -> None:
             process = command(right, SCENE, form, stdout=full)
             error = process.communicate(timeout=60)[1]
         assert (process.returncode, error.count("\n")) == (3, 1)
-        assert error.startswith("<stdout>: cannot be written: ")
+        assert error.startswith("standard output: cannot be written: ")
 
 
 def test_pipes_are_neither_read_nor_replaced(tmp_path: Path) -> None:

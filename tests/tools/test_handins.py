@@ -82,7 +82,7 @@ def test_the_student_draws_what_the_tracer_does() -> None:
 
 
 def test_few_mistakes_are_found() -> None:
-    found = verdicts("room", 20, 1)
+    found = verdicts("non-square-pixels", 20, 1)
     assert found["wrong"] == 0
     assert found["right"] + found["part"] >= 19
 
