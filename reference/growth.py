@@ -42,7 +42,7 @@ _LOOK_OF = {
 _COUNTS = (100, 300, 1000, 3000, 10_000, 30_000, 100_000)
 
 # With more objects than this, Mitsuba loads a scene only once: it takes many seconds.
-_ONCE = 3000
+_ONCE = 1000
 
 
 def _seconds(count: int) -> Iterator[tuple[str, float]]:
