@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import atan, degrees, isqrt
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
 from converters.camera import Floats, Window, bounds, visible_points, window_of
 from converters.mitsuba_xml import document, element, matrix, plugin, rgb, xyz
-from converters.projectors import Projector, projectors
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
 __all__ = ["SAMPLES", "convert", "exact", "gain", "normalisation", "squared", "stock"]
 
-SAMPLES = {"stock": 64, "stock-lights": 256, "exact": 1}
-"""The flavours, from what any Mitsuba draws to the same picture: samples a pixel, if not given."""
+SAMPLES = {"stock": 64, "exact": 1}
+"""The flavours, a similar picture and the same: samples a pixel, if not given."""
 
 # What overflows is an error when it is written.
 _QUIET = np.errstate(all="ignore")
@@ -41,19 +40,13 @@ _LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
 _THINNEST = _NEAREST = 1e-6
 
 
-def convert(
-    scene: Scene, flavour: str, samples: int | None = None, picture: str = ""
-) -> tuple[str, bytes | None]:
+def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
     """Convert a scene to Mitsuba XML, in a flavour, a key of `SAMPLES`.
 
-    `picture` is the name of a file beside the XML for what the lights of "stock-lights" show.
-    Returns the text, and that file's bytes if there is one.  Raises ValueError for numbers
-    beyond those of float32, and for too many square pixels.
+    Raises ValueError for numbers beyond those of float32, and for too many square pixels.
     """
     count = SAMPLES[flavour] if samples is None else samples
-    if flavour == "exact":
-        return exact(scene, count), None
-    return _stock(scene, count, picture if flavour == "stock-lights" else None)
+    return {"stock": stock, "exact": exact}[flavour](scene, count)
 
 
 class Normalisation(NamedTuple):
@@ -205,58 +198,45 @@ _STOCK = """
 with stock plugins only: it opens in the plain mitsuba command.
 
 The geometry and the camera are exact. Approximate are
-- the lights: {lights};
+- the lights: Mitsuba's fall off with the square of the distance, those of the scene format do
+  not fall off at all. The strength of each is right at one distance, which is given beside it;
 - highlights: Blinn-Phong's (n.h)^p is stood in for by a Beckmann lobe of the same height and
   width, which brightens towards the silhouettes.
-{film}Mitsuba allows no reflectance above 1: all are divided by {gain:g}, lights multiplied.
-{moved}"""
-
-_POINTS = """Mitsuba's fall off with the square of the distance, those of the scene format do
-  not fall off at all. The strength of each is right at one distance, which is told beside it"""
-
-_PROJECTORS = """each is up to six projectors, with a picture that undoes Mitsuba's fall-off where
-  the light falls first; edges of shadows are as fine as its pixels"""
+{notes}"""
 
 _SQUARE = """Its pixels are square: {width} x {height} of them show the window, to within half
 a pixel, not {width} x {given}.
 """
 
-
-def stock(scene: Scene, samples: int = 64) -> str:
-    """By stock plugins, a similar picture: point lights that fall off."""
-    return _stock(scene, samples, None)[0]
+_GAIN = """Mitsuba allows no reflectance above 1, and where there are highlights above 1/2: all are
+divided by {gain:g}, lights multiplied.
+"""
 
 
 @_QUIET
-def _stock(scene: Scene, samples: int, picture: str | None) -> tuple[str, bytes | None]:
-    """By stock plugins, with point lights or, where they have a `picture`, with projectors."""
+def stock(scene: Scene, samples: int = 64) -> str:
+    """By stock plugins, a similar picture: point lights that fall off."""
     place, square, strength = _stock_place(scene), squared(scene), gain(scene.surfaces)
     names, bsdfs = _bsdf_names(scene.surfaces)
-    shown = None
-    if picture is None:
-        seen = visible_points(scene)
-        if not len(seen):
-            seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
-        lights = [_point(light, place, strength, place(seen)) for light in scene.lights]
-    else:
-        found, shown = projectors(scene)
-        lights = [_projector(projector, place, strength, picture) for projector in found]
+    seen = visible_points(scene)
+    if not len(seen):
+        seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
     parts = [
         # Light straight from the lights, of which one is picked at random for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _stock_sensor(square, place, _evenly(samples, len(lights))),
-        *lights,
+        _stock_sensor(square, place, _evenly(samples, len(scene.lights))),
+        *(_point(light, place, strength, place(seen)) for light in scene.lights),
         *(_stock_bsdf(shader, name, strength) for name, shader in bsdfs.items()),
         *_shapes(scene, place, names),
     ]
-    film = _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
-    comment = _STOCK.format(
-        lights=_POINTS if picture is None else _PROJECTORS,
-        film=film if square.height != scene.height else "",
-        gain=strength,
-        moved="" if place.scale == 1 and not place.center.any() else place,
-    )
-    return document(comment, parts), shown
+    notes = ""
+    if square.height != scene.height:
+        notes += _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
+    if strength != 1:
+        notes += _GAIN.format(gain=strength)
+    if place.scale != 1 or place.center.any():
+        notes += str(place)
+    return document(_STOCK.format(notes=notes), parts)
 
 
 def _evenly(samples: int, lights: int) -> int:
@@ -268,7 +248,7 @@ def _evenly(samples: int, lights: int) -> int:
 
 
 def _to_world(window: Window, place: Normalisation) -> str:
-    """Mitsuba's cameras and projectors look along +z with +x to the left and +y up."""
+    """Mitsuba's cameras look along +z with +x to the left and +y up."""
     right, down, ahead = window.axes
     rows = np.column_stack([-right, -down, ahead, place(window.eye)])
     return matrix("to_world", [*rows, (0, 0, 0, 1)])
@@ -312,21 +292,16 @@ def _point(light: PointLight, place: Normalisation, strength: float, seen: Float
     return plugin("emitter", "point", note, at, rgb("intensity", intensity))
 
 
-def _projector(projector: Projector, place: Normalisation, strength: float, picture: str) -> str:
-    zoom = projector.zoom
-    steps = xyz("scale", None, (zoom, zoom, 1)), xyz("translate", None, (*projector[3:], 0))
-    to_uv = element('transform name="to_uv"', *steps)
-    shown = 'texture name="irradiance"'
-    texture = plugin(shown, "bitmap", to_uv, filename=picture, raw=True, filter_type="nearest")
-    to_world = _to_world(window_of(projector.camera), place)
-    scale = strength * projector.brightest * place.scale**2
-    return plugin("emitter", "projector", to_world, texture, fov=90.0, scale=scale)
-
-
 def gain(surfaces: Surfaces) -> float:
-    """What reflectances are divided by: 1, or twice the largest, as blends need them doubled."""
-    used = np.unique(surfaces.shader_index).tolist()
-    return float(np.max([2 * np.array(_lobes(surfaces.shaders[k])) for k in used], initial=1))
+    """What reflectances are divided by: 1, or the largest; those of blends count twice."""
+    used = [surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist()]
+    needed = [(2 if _is_blend(shader) else 1) * np.array(_lobes(shader)) for shader in used]
+    return float(np.max(needed, initial=1))
+
+
+def _is_blend(shader: Shader) -> TypeGuard[Phong]:
+    """Whether two BSDFs are blended, half and half: a diffuse one and a highlight."""
+    return isinstance(shader, Phong) and any(shader.specular)
 
 
 def _lobes(shader: Shader) -> tuple[Floats, Floats]:
@@ -340,7 +315,7 @@ def _lobes(shader: Shader) -> tuple[Floats, Floats]:
 
 def _stock_bsdf(shader: Shader, name: str, strength: float) -> str:
     diffuse, specular = _lobes(shader)
-    if isinstance(shader, Phong) and specular.any():
+    if _is_blend(shader):
         # A Beckmann lobe as wide as the highlight; a blend of weight 0.5 halves both.
         lobe = plugin(
             "bsdf",

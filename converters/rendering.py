@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from math import isqrt
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import NamedTuple
 
@@ -20,7 +18,6 @@ from tracer.files import atomic_file
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 
-_PICTURE = "picture.pfm"
 _EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
 
 # More samples in a picture than Mitsuba counts, in 32 bits, would end in a riddle.
@@ -50,22 +47,17 @@ def render_mitsuba(
             f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
             " use fewer a pixel"
         )
-    return load(*convert(scene, flavour, samples, _PICTURE), variant)().image
+    return load(convert(scene, flavour, samples), variant)().image
 
 
-def load(
-    text: str, picture: bytes | None = None, variant: str | None = None
-) -> Callable[[], Rendering]:
-    """Load a converted scene, and its picture; each call of what is returned renders it."""
+def load(text: str, variant: str | None = None) -> Callable[[], Rendering]:
+    """Load a converted scene; each call of what is returned renders it."""
     chosen = use(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 
     # Otherwise every run would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
-    with TemporaryDirectory() as folder:
-        Path(folder, "scene.xml").write_text(text, encoding="utf-8")
-        Path(folder, _PICTURE).write_bytes(picture or b"")
-        scene = mi.load_file(str(Path(folder, "scene.xml")))
+    scene = mi.load_string(text)
 
     def rendered() -> Rendering:
         start = perf_counter()

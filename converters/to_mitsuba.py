@@ -1,23 +1,18 @@
-"""Turn scene files into Mitsuba 3 scenes, render these, and compare the two renderers.
+"""Turn scene files into Mitsuba 3 scenes, and render these.
 
 python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml
 python -m converters.to_mitsuba --render SCENE.xml ...   writes NAME.mitsuba.png and .exr
-python -m converters.to_mitsuba --check SCENE.xml ...    compares, and writes NAME.check.png
 
 Each takes --flavour:
-  stock         for the plain mitsuba command, in one file (default when converting). Its lights
-                fall off with distance, and its highlights are similar, not the same
-  stock-lights  the same with lights that do not fall off; a second file holds what they show
-  exact         the same picture (default of --render and --check), by small plugins of this
-                project: loads with mitsuba.load_file after "import converters.plugins"
-With --check, exact judges all light, and stock diffuse light by Mitsuba's own parts alone;
-stock-lights only tells how similar it is.
+  stock  for the plain mitsuba command, in one file (default when converting). Its lights fall off
+         with distance, and its highlights are similar, not the same
+  exact  the same picture (default of --render), by small plugins of this project: loads with
+         mitsuba.load_file after "import converters.plugins"
 
-Converting needs no Mitsuba. --render and --check need it ("pip install .[reference]").
+Converting needs no Mitsuba; --render needs it ("pip install .[reference]").
 """
 
-# What imports NumPy or Mitsuba is imported where it is used, so that `run` heeds signals before.
-# Nothing else in this package knows of `reference`, which compares, and which imports it.
+# Mitsuba is imported where it is used: converting needs none.
 
 from __future__ import annotations
 
@@ -29,11 +24,8 @@ if __name__ == "__main__":
 import argparse
 import os
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from converters.mitsuba_xml import WRITTEN
@@ -42,9 +34,9 @@ from tracer.command.process import print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["TROUBLE", "main", "told"]
+__all__ = ["TROUBLE", "describe_error", "main", "print_unwritten", "without_converted"]
 
-_FLAVOURS = "stock", "stock-lights", "exact"
+_FLAVOURS = "stock", "exact"
 
 TROUBLE = (ChildProcessError, ImportError, MemoryError, RuntimeError, ValueError)
 """What the reader, the tracer, the converter and Mitsuba raise over a scene."""
@@ -55,46 +47,41 @@ _Work = Callable[[Path, Path, argparse.Namespace], bool]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Returns 0; 1 where a scene could not be read or written, or a tolerance is broken; 130 if
-    interrupted.  Exits with 2 for wrong usage, 1 in a folder that is gone, 0 for ``--help``.
+    Returns 0, or 1 where a scene could not be read or a file not be written.  Exits with 2 for
+    wrong usage, 1 in a folder that is gone, 0 for ``--help``.
     """
     parser = _parser()
     options = parser.parse_args(arguments)
+    if options.check:
+        parser.error("to compare is a command of its own: python -m reference.check SCENE.xml ...")
     work, usual, ending, files = (
         (_render, "exact", ".mitsuba.png", _png_and_exr)
         if options.render
-        else (_check, "exact", ".check.png", lambda target: (target,))
-        if options.check
-        else (_convert, "stock", ".mitsuba.xml", _xml_and_pfm)
+        else (_convert, "stock", ".mitsuba.xml", lambda target: (target,))
     )
     options.flavour = options.flavour or usual
     suffix = ending if options.flavour == usual else f".{options.flavour}{ending}"
-    scenes = [Path(scene) for scene in options.scenes if not _converted(scene)]
+    scenes = without_converted(options.scenes)
     # A path such as / has no name to replace; reading it will fail later, with a clear message.
     beside = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
     found = output_paths(parser, [*map(str, scenes)], options.output, beside, files)
-    if options.check and options.samples is not None:
-        parser.error("--check compares at the centres of the pixels; it takes no --samples")
-    if options.variant is not None and not (options.render or options.check):
-        parser.error("--variant is for --render and --check; converting needs no Mitsuba")
+    if options.variant is not None and not options.render:
+        parser.error("--variant is for --render; converting needs no Mitsuba")
     try:
-        if (options.render or options.check) and not _ready(options):
+        if options.render and not _ready(options):
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
     except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0 if all(done) else 1
 
 
 def _ready(options: argparse.Namespace) -> bool:
     """Choose Mitsuba's variant; say which it is, or why there is none."""
     try:
-        # And all that these need.
-        import_module("reference.check" if options.check else "converters.rendering")
+        import converters.rendering  # noqa: F401 (and all that it needs)
         from converters.variant import use
 
         choice = use(options.variant)
@@ -107,31 +94,33 @@ def _ready(options: argparse.Namespace) -> bool:
     return True
 
 
-def _converted(scene: str) -> bool:
-    """Whether a file is this command's own output, as in *.xml: it is named, and left out."""
-    written = b""
-    with suppress(OSError, ValueError):
-        if Path(scene).is_file():
-            with Path(scene).open("rb") as file:
-                written = file.read(len(WRITTEN))
-    if written != WRITTEN.encode():
-        return False
-    print_line(sys.stdout, printable(f"{scene}: left out, for it is a converted scene"))
-    return True
+def without_converted(scenes: Sequence[str]) -> list[Path]:
+    """Scene files less this command's own output, as in *.xml; it is named, and left out."""
+    kept = []
+    for scene in scenes:
+        written = b""
+        with suppress(OSError, ValueError):
+            if Path(scene).is_file():
+                with Path(scene).open("rb") as file:
+                    written = file.read(len(WRITTEN))
+        if written == WRITTEN.encode():
+            print_line(sys.stdout, printable(f"{scene}: left out, for it is a converted scene"))
+        else:
+            kept.append(Path(scene))
+    return kept
 
 
-def _pair(first: str, second: str, target: str) -> tuple[Path, Path]:
+def _png_and_exr(target: str) -> tuple[Path, Path]:
     """Two files of these formats, either of which -o may name.
 
     Only what names a format is replaced: room.v1 and room.v2 have each its own.
     """
     path = Path(target)
-    if path.suffix.lower() == second:
-        return path.with_suffix(first), path
-    return path, path.with_suffix(second) if path.suffix.lower() == first else Path(target + second)
-
-
-_xml_and_pfm, _png_and_exr = partial(_pair, ".xml", ".pfm"), partial(_pair, ".png", ".exr")
+    if path.suffix.lower() == ".exr":
+        return path.with_suffix(".png"), path
+    if path.suffix.lower() == ".png":
+        return path, path.with_suffix(".exr")
+    return Path(target + ".png"), Path(target + ".exr")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -154,15 +143,16 @@ def _parser() -> argparse.ArgumentParser:
         "--samples",
         type=whole_number(1),
         metavar="N",
-        help="samples a pixel, which may be rounded up (default: 64 in the stock flavour, 256 in"
-        " stock-lights, the pixel's centre in the exact)",
+        help="samples a pixel, which may be rounded up (default: 64 in the stock flavour, the"
+        " pixel's centre in the exact)",
     )
     parser.add_argument(
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
     )
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--render", action="store_true", help="render with Mitsuba: a PNG and an EXR")
-    what.add_argument("--check", action="store_true", help="compare the tracer with Mitsuba")
+    parser.add_argument(
+        "--render", action="store_true", help="render with Mitsuba: a PNG and an EXR"
+    )
+    parser.add_argument("--check", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 
@@ -173,19 +163,19 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
             target.parent.mkdir(parents=True, exist_ok=True)
         return work(scene, target, options)
     except TROUBLE as error:
-        print_line(sys.stderr, told(scene, error))
+        print_line(sys.stderr, describe_error(scene, error))
     except OSError as error:
-        _print_unwritten(target, error)
+        print_unwritten(target, error)
     return False
 
 
-def told(path: str | os.PathLike[str], error: BaseException) -> str:
+def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
     """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
     from tracer import SceneFileError
 
     if isinstance(error, SceneFileError):
         return str(error)
-    # Of what fails while it renders, drjit says only that it does.
+    # drjit hides the cause behind a RuntimeError.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__
     if isinstance(error, (ChildProcessError, MemoryError)):  # the system kills who takes too much
@@ -195,7 +185,8 @@ def told(path: str | os.PathLike[str], error: BaseException) -> str:
     return printable(f"{os.fspath(path)}: {reason}")
 
 
-def _print_unwritten(path: Path, error: OSError) -> None:
+def print_unwritten(path: Path, error: OSError) -> None:
+    """Say on standard error that a file cannot be written, and why."""
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 
@@ -203,16 +194,10 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> bool:
     from converters.flavours import convert
     from tracer import load_scene
 
-    xml, pfm = _xml_and_pfm(str(target))
-    text, shown = convert(load_scene(path), options.flavour, options.samples, pfm.name)
-    also = ""
-    if shown is not None:
-        also = f" and {pfm.name}"
-        with atomic_file(pfm, b"PF") as file:
-            file.write(shown)
-    with atomic_file(xml, WRITTEN.encode()) as file:
+    text = convert(load_scene(path), options.flavour, options.samples)
+    with atomic_file(target, WRITTEN.encode()) as file:
         file.write(text.encode())
-    print_line(sys.stdout, printable(f"{xml}{also}: {options.flavour} flavour"))
+    print_line(sys.stdout, printable(f"{target}: {options.flavour} flavour"))
     return True
 
 
@@ -226,24 +211,8 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         try:
             write(written, image)
         except OSError as error:
-            _print_unwritten(written, error)
+            print_unwritten(written, error)
             return False
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))
     return True
-
-
-def _check(path: Path, target: Path, options: argparse.Namespace) -> bool:
-    from reference.check import check
-    from reference.compare import write_comparison
-    from tracer import SceneWarning
-
-    # Of a black picture the comparison says enough.
-    warnings.simplefilter("ignore", SceneWarning)
-    result = check(path, options.variant, options.flavour)
-    write_comparison(
-        target, result.tracer, result.mitsuba, labels=("tracer", f"Mitsuba {result.variant}")
-    )
-    print_line(sys.stdout, result.report())
-    print_line(sys.stdout, printable(f"  {target}"))
-    return not result.faults

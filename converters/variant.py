@@ -11,7 +11,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 from functools import cache
 from typing import NamedTuple
 
@@ -46,18 +45,17 @@ class Choice(NamedTuple):
 
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
-    # An empty home: kernels cached there by a good libLLVM would hide that this one is bad.
-    with tempfile.TemporaryDirectory() as home:
-        try:
-            child = subprocess.run(
-                [sys.executable, "-c", kernel],
-                env=os.environ | {"HOME": home},
-                capture_output=True,
-                text=True,
-                timeout=timeout,
-            )
-        except subprocess.TimeoutExpired:
-            return Choice(SCALAR, "the libLLVM found here hangs")
+    # No home: kernels cached there by a good libLLVM would hide that this one is bad.
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", kernel],
+            env=os.environ | {"HOME": os.devnull},
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
+    except subprocess.TimeoutExpired:
+        return Choice(SCALAR, "the libLLVM found here hangs")
     if child.returncode == 0:
         return Choice(LLVM, "libLLVM works")
     if child.returncode < 0:

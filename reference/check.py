@@ -1,14 +1,23 @@
 """Hold the tracer's pictures against Mitsuba's, pixel by pixel, in linear light.
 
-With this project's plugins (the exact flavour) all light is compared; with Mitsuba's own alone
-diffuse light, so that no plugin has a say in what is seen, and by which light.
-``python -m reference.check`` prints how similar the pictures of the stock flavours are.
+    python -m reference.check SCENE.xml ...    writes NAME.check.png
 
-Both sample the pixels' centres.  Mitsuba's float32 may fall on the other side of an edge that runs
-through one: pixels that change by more than `EDGE_CHANGE` when the tracer's sample moves by
-`EDGE_SHIFT` pixels are masked if they differ.  Every other pixel has to agree, or exact arithmetic
-says which of the two errs.  Limits are in units of the brightest pixel where that is more than 1.
+Both sample the pixels' centres.  With --flavour exact (the default) all light is compared, by this
+project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own parts.
+
+The verdict is one of three:
+  agrees     Mitsuba's picture is the tracer's.  Left out are pixels at edges, of which some may
+             differ, and ties: where surfaces coincide, Mitsuba may show the other one.
+  DIFFERS    Exact arithmetic is against the tracer, or the pictures are too far apart as a whole.
+  undecided  Exact arithmetic sides with the tracer: Mitsuba or the converter is wrong.
+
+Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or where
+Mitsuba cannot run, 3 if one is undecided and none is worse.
 """
+
+# An edge pixel changes when the tracer's sample moves by a hair (see `Limits`): there
+# Mitsuba's float32 may fall on the other side.  A tie shows what the oracle sees if it takes the
+# last of surfaces that tie, not the first.  No pixel of the tracer's takes the place of Mitsuba's.
 
 from __future__ import annotations
 
@@ -17,130 +26,178 @@ from tracer.command.process import run
 if __name__ == "__main__":
     run(__spec__.name)
 
+import argparse
+import sys
+import warnings
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
-from converters.rendering import Rendering, load, render_mitsuba
+from converters.rendering import Rendering, load
+from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
 from converters.variant import LLVM, use
-from reference import plain
-from reference.command import need_scenes, own_scenes, parser
-from reference.compare import Figures, figures
-from reference.regenerate import load_small
-from tracer import Lambertian, Scene, Surfaces, load_scene, render
+from reference.command import parser
+from reference.figures import Figures, figures, write_comparison
+from reference.judges import plain
+from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
+from tracer.command.arguments import file_name, is_folder, output_paths
+from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.messages import printable
 
 __all__ = [
+    "STATUS",
     "CheckResult",
+    "Verdict",
     "check",
     "check_diffuse",
     "check_scene",
     "compare",
-    "edge_mask",
     "faults",
     "main",
-    "resemblance",
+    "near_edges",
+    "worst_status",
 ]
 
-EDGE_SHIFT = 0.003  # how far a sample moves, in pixels and both ways, to see if an edge is near
-EDGE_CHANGE = 1e-2  # what change of linear radiance makes an edge
-MAX_MASKED = 0.015  # largest share of a picture that may be masked
-MIN_SSIM = 0.999  # least SSIM of the two pictures, masked pixels included
-MAX_DIFFERENCE = 1e-4  # largest difference in linear radiance outside the mask
-MAX_MEDIAN = 1e-6  # largest median of these differences
+Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
+STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
+"""Exit statuses."""
 
-# Exact arithmetic is slow: of more pixels that differ some are traced, evenly chosen.
-_MOST_ASKED = 500
+
+class Limits(NamedTuple):
+    """What Mitsuba's float32 is allowed."""
+
+    difference: float
+    """Largest difference in linear radiance, in units of the brightest pixel where that is > 1."""
+    shift: float
+    """How far a sample moves, in pixels and both ways, to see if an edge is near."""
+
+
+EXACT = Limits(1e-4, 0.003)
+# The stock camera is float32, and stock shadow rays start above the surface.
+STOCK = Limits(1e-3, 0.03)
+
+MAX_EDGES = 0.015  # largest share of a picture whose edges may differ
+MIN_SSIM = 0.999  # least SSIM
+MAX_MEDIAN = 1e-6  # largest median of the differences
+
+# Exact arithmetic is slow: it is asked about so many pixels at a time, evenly chosen.
+_AT_A_TIME = 100
+
+# How near, relatively and in pixels, is too near for float64 to tell apart.
+_NEAR, _NEAR_SHIFT = 1e-12, 1e-6
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The result of a comparison of two linear pictures, (h, w, 3) float64.
+    """The result of a comparison of two linear pictures, (h, w, 3) float64, and masks (h, w).
 
-    `reference` is Mitsuba's, but the tracer's where exact arithmetic says that Mitsuba errs.
-    `mask` (h, w) marks edge pixels that differ, which do not count.  The figures are of `tracer`
-    against `reference`, outside the mask, in units of the brightest pixel where that is more than
-    1; the SSIM is of the whole picture.  Times are warm where that makes a difference.
+    The figures are of `tracer` against `mitsuba`, in units of the brightest pixel where that is
+    more than 1.  Pixels of `edges` and `ties` count in none, and are equal in both for the SSIM.
+    Times are warm where that makes a difference.
     """
 
     name: str
     tracer: Floats
     mitsuba: Floats
-    reference: Floats
-    mask: Mask
+    edges: Mask
+    """Pixels at edges that differ."""
+    ties: Mask
+    """Pixels that differ, and where exact arithmetic shows both values: surfaces coincide."""
+    differing: Mask
+    """All others that differ."""
+    asked: int
+    """How many of `differing` were traced in exact arithmetic: not all, if the first say enough."""
+    wrong: int
+    """On how many of these exact arithmetic is against the tracer."""
+    first: tuple[int, int] | None
+    """Row and column of the first wrong one; if there is none, of the first one asked about."""
     figures: Figures
     variant: str
     tracer_seconds: float
     mitsuba_seconds: float
-    differing: int = 0
-    """Pixels that differ outside the mask, of which `asked` were traced exactly."""
-    asked: int = 0
-    agreed: int = 0
-    """Pixels among these on which the tracer is right."""
-    judged: bool = True
-    """Whether the pictures are to be the same, and not only similar."""
 
     @property
-    def remark(self) -> str:
-        """What the oracle says of pixels that differ; empty if none does."""
-        if not self.asked:
-            return ""
-        pixels = f"{self.differing} pixel{'s' * (self.differing != 1)}"
-        if self.agreed == self.asked:
-            return f"Mitsuba errs on {pixels}, says exact arithmetic (asked about {self.asked})"
-        asked = f"exact arithmetic, asked about {self.asked} of the {pixels} that differ"
-        return f"{asked}, agrees with the tracer on {self.agreed}"
+    def left_out(self) -> Mask:
+        """Pixels that count in no figure."""
+        return self.edges | self.ties
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """What is out of tolerance; nothing if the pictures agree."""
-        return faults(self.figures, self.mask) if self.judged else ()
+    def verdict(self) -> Verdict:
+        """Whether the two agree, and if not, whether the tracer is at fault."""
+        if self.differing.any():
+            return "DIFFERS" if self.wrong else "undecided"
+        return "DIFFERS" if faults(self.figures) else "agrees"
+
+    @property
+    def remarks(self) -> list[str]:
+        """What there is to say of the verdict, in a sentence each."""
+        row, column = self.first or (0, 0)
+        where = f"{_pixels(self.differing)}, the first at column {column}, row {row}"
+        found = []
+        if self.ties.any():
+            found.append(f"Mitsuba shows the other of surfaces that tie on {_pixels(self.ties)}")
+        if self.wrong:
+            asked = f"exact arithmetic is against the tracer on {self.wrong} of {self.asked}"
+            found.append(f"{asked} pixels that it was asked about; they differ on {where}")
+        elif self.differing.any():
+            asked = f"exact arithmetic, asked about {self.asked}, sides with the tracer"
+            found.append(f"Mitsuba or the converter is wrong on {where}; {asked}")
+        else:
+            found += [f"out of tolerance: {fault}" for fault in faults(self.figures)]
+        return found
 
     def report(self) -> str:
         """The result in a few lines of text."""
         f = self.figures
-        same = "agrees" + " with exact arithmetic" * (self.differing > 0)
-        verdict = "DIFFERS" if self.faults else same if self.judged else "is similar"
         lines = [
-            f"{self.name}: {verdict}",
+            f"{self.name}: {self.verdict}",
             f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
-            f" RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
-            f"  edge pixels that differ, masked: {f.masked} ({self.mask.mean():.3%})",
+            f" median {f.median:.1e}, RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
+            f"  left out: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
+            f" ties: {self.ties.sum()}",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
-        if self.remark:
-            lines.append(f"  {self.remark}")
-        return "\n".join([*lines, *(f"  out of tolerance: {fault}" for fault in self.faults)])
+        return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
 
 
-def faults(measured: Figures, mask: Mask) -> tuple[str, ...]:
-    """Which figures of a comparison are out of tolerance, in words."""
-    ssim, most, median, share = measured.ssim, measured.max, measured.median, float(mask.mean())
+def _pixels(mask: Mask) -> str:
+    count = int(mask.sum())
+    return f"{count:,} pixel{'s' * (count != 1)}"
+
+
+def faults(measured: Figures) -> list[str]:
+    """Say which figures of a comparison are out of tolerance."""
     limits = {
-        f"SSIM {ssim:.5f} is below {MIN_SSIM}": ssim < MIN_SSIM,
-        f"largest difference {most:.1e} exceeds {MAX_DIFFERENCE:.0e}": most > MAX_DIFFERENCE,
-        f"median difference {median:.1e} exceeds {MAX_MEDIAN:.0e}": median > MAX_MEDIAN,
-        f"{share:.2%} of the pixels are masked, more than {MAX_MASKED:.1%}": share > MAX_MASKED,
+        f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}": measured.ssim < MIN_SSIM,
+        f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}": (
+            measured.median > MAX_MEDIAN
+        ),
     }
-    return tuple(fault for fault, broken in limits.items() if broken)
+    return [fault for fault, broken in limits.items() if broken]
 
 
-def edge_mask(scene: Scene, image: Floats) -> Mask:
-    """Pixels (h, w) near an edge: they change when the sample of the tracer's `image` moves."""
-    mask, change = np.zeros(image.shape[:2], dtype=np.bool_), EDGE_CHANGE * _unit(image)
-    for dx, dy in product((-EDGE_SHIFT, EDGE_SHIFT), repeat=2):
-        mask |= np.abs(render(scene, offset=(dx, dy)) - image).max(axis=2) > change
-    return mask
+def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Mask:
+    """Pixels (h, w) that lie between values which the tracer finds when its samples move.
+
+    They move by `shift` pixels, both ways.
+    """
+    aside = (-shift, shift)
+    seen = [render(scene, offset=(dx, dy)) for dx, dy in product(aside, aside)]
+    low, high = np.min(seen, axis=0) - tolerance, np.max(seen, axis=0) + tolerance
+    between: Mask = ((low <= picture) & (picture <= high)).all(axis=2)
+    return between
 
 
 def _unit(image: Floats) -> float:
@@ -151,17 +208,16 @@ def _unit(image: Floats) -> float:
 def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare.
 
-    The exact flavour judges all light, "stock" diffuse light, by stock parts alone; "stock-lights"
-    does not judge.  Raises what `load_scene` and `converters.variant.use` do.
+    The exact flavour compares all light, "stock" diffuse light, by stock parts alone.  Raises what
+    `load_scene` and `converters.variant.use` do.
     """
     scene, name = load_scene(path), printable(path.stem)
-    ways = {"exact": check_scene, "stock": check_diffuse, "stock-lights": resemblance}
-    return ways[flavour](scene, name, variant)
+    return {"exact": check_scene, "stock": check_diffuse}[flavour](scene, name, variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Compare all light, by this project's plugins."""
-    rendered = load(exact(scene), variant=variant)
+    rendered = load(exact(scene), variant)
     if use(variant).variant == LLVM:
         rendered()  # compiles the kernel
     return compare(scene, name, rendered())
@@ -186,75 +242,173 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
         aov.append(parts["direct"])
         parts["multijitter"].set("type", "stratified")
         ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
-        seen = load(ET.tostring(root, encoding="unicode"), variant=variant)().image
+        seen = load(ET.tostring(root, encoding="unicode"), variant)().image
         place, strength = parts["point"].findall("*")
         away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
         unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(matte.surfaces))
         falloff = (away * away).sum(axis=2, keepdims=True) / unit
         image += seen[..., :3] * falloff * light.intensity
     rendering = Rendering(image, use(variant).variant, perf_counter() - start)
-    return compare(matte, f"{name}, diffuse light by stock plugins", rendering)
+    return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def resemblance(
-    scene: Scene, name: str, variant: str | None = None, flavour: str = "stock-lights"
-) -> CheckResult:
-    """Compare the smooth picture with that of a stock flavour, in square pixels, and judge not."""
-    start = perf_counter()
-    image = render_mitsuba(scene, variant=variant, flavour=flavour)
-    rendering = Rendering(image, use(variant).variant, perf_counter() - start)
-    return compare(squared(scene), f"{name}, {flavour} flavour", rendering, judged=False)
-
-
-def compare(scene: Scene, name: str, rendering: Rendering, *, judged: bool = True) -> CheckResult:
+def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Hold the tracer's picture of a scene against one that Mitsuba has made.
 
-    Raises ValueError if a radiance of Mitsuba's is not finite, or every pixel is masked.
+    Raises ValueError if a radiance of either is not finite.
     """
-    if not np.isfinite(rendering.image).all():
+    mitsuba = rendering.image
+    if not np.isfinite(mitsuba).all():
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    samples = 1 if judged else 16
-    render(scene, samples=samples)  # so that the next, which is timed, is warm
+    render(scene)  # so that the next, which is timed, is warm
     start = perf_counter()
-    image = render(scene, samples=samples)
+    image = render(scene)
     seconds = perf_counter() - start
-    reference, unit = rendering.image.copy(), _unit(image) if judged else 1.0
-    differs = (np.abs(image - reference).max(axis=2) > MAX_DIFFERENCE * unit) & judged
-    mask = differs & edge_mask(scene, image) if differs.any() else differs
-    differs &= ~mask
-    pixels = np.argwhere(differs)
-    asked = pixels[:: 1 + len(pixels) // _MOST_ASKED]
-    row, column = asked.T
-    exactly = plain.trace(scene, column + 0.5, row + 0.5, arithmetic="decimal").radiance
-    agrees = np.abs(image[row, column] - exactly).max(axis=1) <= MAX_DIFFERENCE * unit
-    if agrees.all():
-        reference[differs] = image[differs]
+    # Of the darker picture, so that no mistake widens the limits.
+    unit = min(_unit(image), _unit(mitsuba))
+    difference = np.abs(image - mitsuba).max(axis=2) / unit
+    # Where the pictures are too far apart as a whole, the pixels are looked at again, more closely.
+    for tolerance in (limits.difference, MAX_MEDIAN):
+        differing = difference > tolerance
+        edges = differing.copy()
+        if differing.any():
+            edges &= near_edges(scene, mitsuba, limits.shift, tolerance * unit)
+        if edges.mean() > MAX_EDGES:  # too many to be a matter of rounding: none is excused
+            edges = np.zeros_like(edges)
+        judged = _judge(scene, image, mitsuba, differing & ~edges, tolerance * unit)
+        left_out = edges | judged.ties
+        # The tracer takes Mitsuba's pixels where these do not count, never the other way round.
+        shown = np.where(left_out[:, :, None], mitsuba, image)
+        found = figures(shown / unit, mitsuba / unit, None if left_out.all() else left_out)
+        if judged.asked or not faults(found):
+            break
     return CheckResult(
         name=name,
         tracer=image,
-        mitsuba=rendering.image,
-        reference=reference,
-        mask=mask,
-        figures=figures(image / unit, reference / unit, mask),
+        mitsuba=mitsuba,
+        edges=edges,
+        ties=judged.ties,
+        differing=differing & ~left_out,
+        asked=judged.asked,
+        wrong=judged.wrong,
+        first=judged.first,
+        figures=found,
         variant=rendering.variant,
-        differing=len(pixels),
-        asked=len(asked),
-        agreed=int(agrees.sum()),
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
-        judged=judged,
     )
 
 
-def main() -> None:
-    """Print a table of how similar the stock flavours are, in Markdown."""
+class _Judgement(NamedTuple):
+    """See `CheckResult`."""
+
+    ties: Mask
+    asked: int = 0
+    wrong: int = 0
+    first: tuple[int, int] | None = None
+
+
+def _judge(
+    scene: Scene, image: Floats, mitsuba: Floats, differing: Mask, tolerance: float
+) -> _Judgement:
+    """Ask exact arithmetic about pixels that differ, until one is no tie."""
+    pixels, ties = np.argwhere(differing), np.zeros_like(differing)
+    step = -(-len(pixels) // _AT_A_TIME)
+    for k in range(step):
+        rows, columns = at = pixels[k::step].T
+        right, tied = np.zeros((2, len(rows)), dtype=np.bool_)
+        for near, shift in _nearby(scene):
+            first, last = (
+                plain.trace(
+                    near, columns + 0.5 + shift, rows + 0.5 + shift, arithmetic="decimal", ties=of
+                ).radiance
+                for of in plain.TIES
+            )
+            ours, *theirs = (
+                np.abs(picture[rows, columns] - exact).max(axis=1) <= tolerance
+                for picture, exact in ((image, first), (mitsuba, first), (mitsuba, last))
+            )
+            right |= ours
+            tied |= theirs[0] | theirs[1]
+            if right.all():
+                break
+        tied &= right
+        ties[rows[tied], columns[tied]] = True
+        if not tied.all():
+            row, column = at[:, ~tied if right.all() else ~right][:, 0].tolist()
+            return _Judgement(ties, int((~tied).sum()), int((~right).sum()), (row, column))
+    return _Judgement(ties)
+
+
+def _nearby(scene: Scene) -> Iterator[tuple[Scene, float]]:
+    """Yield a scene and others, so near that rounding may tell them apart, and shifts in pixels.
+
+    The tracer is right if it is exact for one of these: that is a near-tie.
+    """
+    yield scene, 0.0
+    for shift in (-_NEAR_SHIFT, _NEAR_SHIFT):
+        yield scene, shift
+    for growth in (1 - _NEAR, 1 + _NEAR):
+        surfaces = (
+            replace(s, radius=s.radius * growth) if isinstance(s, Sphere) else s
+            for s in scene.surfaces
+        )
+        yield replace(scene, surfaces=Surfaces.of(surfaces)), 0.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
     used = parser("reference.check", __doc__)
-    used.parse_args()
-    need_scenes(used)
-    print("| scene | stock | stock-lights |\n|---|---|---|")
-    for path in own_scenes():
-        scene = load_small(path)
-        found = (resemblance(scene, "", None, name) for name in ("stock", "stock-lights"))
-        print(f"| {path.stem} |", " | ".join(f"{f.figures.ssim:.3f}" for f in found), "|")
+    used.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
+    used.add_argument(
+        "-o",
+        "--output",
+        type=file_name,
+        metavar="PATH",
+        help="the comparison to write, or a folder for those of several scenes;"
+        " a folder that ends in / is made if it is missing",
+    )
+    used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
+    used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
+    options = used.parse_args(arguments)
+    scenes = without_converted(options.scenes)
+    ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
+    beside = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
+    targets = output_paths(used, [*map(str, scenes)], options.output, beside)
+    try:
+        choice = use(options.variant)
+    except ImportError as error:
+        print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+        return MISUSED
+    print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
+    # Of a black picture the comparison says enough.
+    warnings.simplefilter("ignore", SceneWarning)
+    results = [_checked(*pair, options) for pair in zip(scenes, map(Path, targets), strict=True)]
+    return worst_status(results)
+
+
+def worst_status(results: Iterable[CheckResult | None]) -> int:
+    """Return the exit status after some comparisons; None is a scene that could not be compared."""
+    statuses = {FAILED if result is None else STATUS[result.verdict] for result in results}
+    return FAILED if FAILED in statuses else max(statuses, default=0)
+
+
+def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult | None:
+    """Check one scene, write the comparison, and print the result, or why there is none."""
+    try:
+        result = check(path, options.variant, options.flavour)
+        if options.output is not None and is_folder(options.output):
+            target.parent.mkdir(parents=True, exist_ok=True)
+        labels = ("tracer", f"Mitsuba {result.variant}")
+        write_comparison(target, result.tracer, result.mitsuba, labels)
+    except TROUBLE as error:
+        print_line(sys.stderr, describe_error(path, error))
+    except OSError as error:
+        print_unwritten(target, error)
+    else:
+        print_line(sys.stdout, result.report())
+        print_line(sys.stdout, printable(f"  {target}"))
+        return result
+    return None

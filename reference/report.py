@@ -4,7 +4,8 @@
 
 The page holds everything it shows, the difference, the figures and the times among it: it opens
 from a file, and asks neither a server nor the network for anything.  Exit status: 0 if all agree,
-1 if not, 2 for wrong usage.
+1 if one differs or cannot be compared, 2 for wrong usage or where Mitsuba cannot run, 3 if one is
+undecided and none is worse (see `reference.check`).
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from tracer.command.process import run
 if __name__ == "__main__":
     run(__spec__.name)
 
-import base64
-import io
 import itertools
 import sys
 import xml.etree.ElementTree as ET
@@ -24,20 +23,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment
 from numpy.typing import NDArray
-from PIL import Image
 from tqdm import tqdm
 
-from converters.to_mitsuba import TROUBLE, told
+from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
-from reference.check import MAX_DIFFERENCE, CheckResult, check
+from reference import page as pages
+from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, spare_inputs
-from reference.compare import amplified
+from reference.figures import amplified
 from reference.measurements import measured_on
+from reference.page import TEMPLATE, Cell, Pair, png
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
-from tracer.command.process import print_line
+from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
@@ -45,12 +44,12 @@ __all__ = ["main", "page"]
 
 # What a report is called in a folder, and how each begins, as the template does.
 _NAME, _HTML = "report.html", b"<!doctype html>"
-TEMPLATE = HERE / "report-template.html"
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
-_MASKED = 0.3
+_LEFT_OUT = 0.3
+_HEAD = ("scene", "verdict", "SSIM", "largest difference", "left out", "tracer's time", "Mitsuba's")
 
 
 def page(
@@ -63,36 +62,81 @@ def page(
 
     `charts` are titles and SVGs; `unread` says what is wrong with scenes that were not compared.
     """
-    environment = Environment(autoescape=True, trim_blocks=True)
-    environment.filters |= {"codes": to_codes, "data": _data, "difference": _difference}
-    environment.filters |= {"png": _png, "time": _time}
-    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    found = {"results": results, "comments": comments, "charts": charts, "unread": unread}
-    return template.render(found, tolerance=f"{MAX_DIFFERENCE:g}", machine=measured_on())
+    count, agree = len(results), sum(result.verdict == "agrees" for result in results)
+    good = bool(results) and agree == count and not unread
+    variants = ", ".join(sorted({result.variant for result in results}))
+    return pages.page(
+        title="Pencil tracer and Mitsuba 3, scene by scene",
+        lead=f"{count} scene{'s' * (count != 1)}, sampled at the pixels' centres by both renderers"
+        " and compared in linear light: away from edges they may differ by at most"
+        f" {EXACT.difference:g}.",
+        verdict="All agree." if good else f"{agree} agree.",
+        good=good,
+        overview="All scenes",
+        head=_HEAD,
+        rows=[_row(k, result) for k, result in enumerate(results)],
+        pairs=[_pair(result, comments.get(result.name, "")) for result in results],
+        legend="The difference is shown amplified: orange where the tracer is brighter, blue where"
+        " it is darker, grey where a pixel is left out: an edge lies so near its centre that"
+        " float32 cannot decide, or surfaces tie.",
+        source=f"Mitsuba {variants}; {measured_on()}",
+        faults=[f"Not compared: {fault}" for fault in unread],
+        charts=charts,
+    )
+
+
+def _row(index: int, result: CheckResult) -> list[list[Cell]]:
+    """A line of the overview."""
+    f, left_out = result.figures, f"{result.left_out.mean():.2%}"
+    texts = f"{f.ssim:.6f}", f"{f.max:.1e}", left_out
+    times = _time(result.tracer_seconds), _time(result.mitsuba_seconds)
+    verdict = Cell(result.verdict, good=result.verdict == "agrees")
+    cells = Cell(result.name, link=index), verdict, *map(Cell, (*texts, *times))
+    return [[cell] for cell in cells]
+
+
+def _pair(result: CheckResult, comment: str) -> Pair:
+    difference, shown = _difference(result)
+    f, good = result.figures, result.verdict == "agrees"
+    remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
+    return Pair(
+        name=result.name,
+        good=good,
+        word=result.verdict,
+        left="tracer",
+        right="Mitsuba",
+        width=result.left_out.shape[1],
+        height=result.left_out.shape[0],
+        left_png=png(to_codes(result.tracer)),
+        right_png=png(to_codes(result.mitsuba)),
+        difference=png(difference),
+        shown=shown,
+        comment=comment,
+        faults=[] if good else remarks,
+        notes=remarks if good else [],
+        figures=(
+            ("SSIM", f"{f.ssim:.6f}"), ("largest difference", f"{f.max:.2e}"),
+            ("99.9th percentile", f"{f.p999:.2e}"), ("RMSE", f"{f.rmse:.2e}"),
+            ("median", f"{f.median:.2e}"), ("pixels over 1e-3", f.over),
+            ("edge pixels left out", result.edges.sum()), ("ties left out", result.ties.sum()),
+            ("tracer's time", _time(result.tracer_seconds)),
+            (f"Mitsuba's ({result.variant})", _time(result.mitsuba_seconds)),
+        ),
+    )  # fmt: skip
 
 
 def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], str]:
-    """The difference as 8-bit codes, masked pixels in grey; and how it is amplified."""
-    kept = np.where(result.mask[:, :, None], result.tracer, result.reference)
+    """The difference as 8-bit codes, grey where pixels are left out; and how it is amplified."""
+    left_out = result.left_out
+    kept = np.where(left_out[:, :, None], result.tracer, result.mitsuba)
     image, gain = amplified(result.tracer, kept)
-    image[result.mask] = _MASKED
+    image[left_out] = _LEFT_OUT
     shown = f"difference × {gain:,.10g}" if gain else "no difference"
     return np.round(255 * image).astype(np.uint8), shown
 
 
 def _time(seconds: float) -> str:
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
-
-
-def _png(codes: NDArray[np.uint8]) -> str:
-    data = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(codes)).save(data, format="PNG", optimize=True)
-    return _data(data.getvalue(), "png")
-
-
-def _data(content: bytes, kind: str) -> str:
-    """A picture as an address that holds it."""
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def _comment(path: Path) -> str:
@@ -104,7 +148,7 @@ def _comment(path: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 1 where a scene cannot be read or a tolerance is broken."""
+    """Run the command line; returns the exit status."""
     used = parser("reference.report", __doc__)
     used.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="(all scenes/)")
     used.add_argument(
@@ -126,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         use(options.variant)
     except ImportError as error:
         print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
-        return 1
+        return MISUSED
     # Scenes of one name are told apart by their paths.
     alike = len({path.stem for path in paths}) < len(paths)
     results, comments, unread = [], {}, []
@@ -136,9 +180,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.append(replace(check(path, options.variant), name=name))
             comments[name] = _comment(path)
         except (*TROUBLE, OSError) as error:
-            unread.append(told(path, error))
+            unread.append(describe_error(path, error))
             print_line(sys.stderr, unread[-1])
-    charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if path.exists()]
+    # The project's charts belong to its own scenes.
+    own = {*paths} <= {*own_scenes()}
+    charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if own and path.exists()]
     text = page(results, comments, charts, unread)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -147,6 +193,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         reason = error.strerror or error
         print_line(sys.stderr, printable(f"{output}: cannot be written: {reason}"))
-        return 1
+        return FAILED
     print_line(sys.stdout, printable(str(output)))
-    return int(bool(unread) or any(result.faults for result in results))
+    return FAILED if unread else worst_status(results)

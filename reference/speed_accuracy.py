@@ -1,9 +1,10 @@
 """The speed-accuracy chart: how long each renderer takes to come how near to the true picture.
 
 ``python -m reference.speed_accuracy`` writes `speed_accuracy.svg` and `.csv` into this folder.  The
-error is the root mean square of the linear radiance, over evenly spread rows of the picture,
-against 129 x 129 samples in every pixel (`reference.truth`).  At each number of samples, four times
-the one before, all methods are timed in turns; those that would take too long stop.
+error is the root mean square in linear radiance, against a certified picture
+(`reference.judges.certificate`).  At each number of samples, four times the one before, all methods
+are timed in turns, the certified tracer at a quarter of the error before.  Those that would take
+too long stop, and those that come so near that the certified picture's own error would count.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ from tqdm import tqdm
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
-from reference import plain, povray
+from reference import povray
 from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import SCENES, built
+from reference.judges import plain
+from reference.judges.certificate import certify
+from reference.judges.true_picture import rmse, supersampled, true_picture
 from reference.measurements import interleaved
-from reference.truth import Truth, supersampled, truth_side
 from reference.workloads import crowd, resized
 from tracer import Scene, load_scene, render, to_codes
 
@@ -40,10 +43,11 @@ __all__ = ["Point", "main", "measure"]
 
 Floats: TypeAlias = NDArray[np.float64]
 
-_OURS, _POVRAY = "this tracer", "POV-Ray adaptive"
+_OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
 _SAMPLERS = {"Mitsuba independent": "independent", "Mitsuba multijitter": "multijitter"}
 _LOOK_OF = {
     _OURS: "tracer",
+    _CERTIFIED: "d",
     "uniform grid": "a",
     "float32, all pairs": "b",
     _POVRAY: "c",
@@ -53,6 +57,9 @@ _LOOK_OF = {
 
 # From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
+
+# The error that the picture is certified to that all others are measured against.
+_TRUE = 1 / 16384
 
 # Seconds for a picture: the next one, with four times the samples, would take too long.
 _LONG = 0.7
@@ -64,8 +71,8 @@ _EIGHT_BITS = 1e-3
 class Point(NamedTuple):
     """One method on one scene, at one number of samples a pixel: a row of the table.
 
-    `error` is the root mean square of the linear radiance error; the median, least and largest
-    time are in seconds.
+    `samples` of the certified tracer is one over the error that it certifies; `error` is the root
+    mean square of the linear radiance error; the median, least and largest time are in seconds.
     """
 
     scene: str
@@ -101,6 +108,7 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
         (_OURS, 1): partial(render, scene, 4**k),
         # With 9, 36, 144, ... samples a pixel: the others have powers of four.
         (_OURS, 9): partial(render, scene, 9 * 4**k),
+        (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
         ("uniform grid", 1): partial(supersampled, scene, 2**k),
         ("float32, all pairs", 1): partial(_all_pairs, scene, 2**k),
     }
@@ -112,7 +120,10 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
 
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
     """Time all methods on one scene, and measure their errors."""
-    truth, target = Truth.of(scene, truth_side(quick)), built("povray.ppm")
+    certified = _TRUE * (16 if quick else 1)
+    truth, target = true_picture(scene, certified).image, built("povray.ppm")
+    # Each of these errs by more than the next.
+    floor = rmse(true_picture(scene, 4 * certified).image, truth)
     long: set[tuple[str, int]] = set() if povray.installed() else {(_POVRAY, 1)}
     for k, (threshold, depth) in enumerate(_ADAPTIVE[: 3 if quick else None]):
         tasks = _tasks(scene, k)
@@ -124,8 +135,10 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             (method, times), picture = key, tasks[key]()
             picture = povray.picture(target) if method == _POVRAY else np.asarray(picture)
             seconds = timing.median, timing.low, timing.high
-            yield Point(name, method, times * 4**k, truth.error(picture), *seconds)
-            if timing.median > _LONG:
+            error = rmse(picture, truth)
+            if error > floor:
+                yield Point(name, method, times * 4**k, error, *seconds)
+            if timing.median > _LONG or error <= floor:
                 long.add(key)
         tasks.clear()  # so that Mitsuba's scene goes before the next comes
 
@@ -156,8 +169,10 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     headline(
         figure,
         "Time against error: lower left is better",
-        "Rendering alone. Error: root mean square in linear radiance. Points: 1, 4, 16, ... samples"
-        " a pixel (this tracer: 9, 36, ... too), or POV-Ray's thresholds.",
+        "Rendering alone. Error: root mean square in linear radiance, against a certified picture."
+        " Points: 1, 4, 16, ... samples a pixel\n"
+        "(this tracer: 9, 36, ... too); POV-Ray's thresholds; for the certified tracer, the error"
+        " that no pixel exceeds.",
     )
     figure.subplots_adjust(0.06, 0.08, 0.99, 0.86, wspace=0.06, hspace=0.2)
     return figure
@@ -165,14 +180,25 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
 
 def _panel(axes: Any, points: Sequence[Point]) -> None:
     """Draw the curves of one scene."""
-    curves: dict[str, dict[float, float]] = defaultdict(dict)
+    curves: dict[str, dict[float, Point]] = defaultdict(dict)
     for point in sorted(points, key=lambda point: point.samples):
-        # Two numbers of samples that make the same picture are one point.
-        curves[point.method][point.error] = point.seconds
+        # Of numbers of samples that make the same picture, the last.
+        curves[point.method][point.error] = point
     for method, curve in curves.items():
-        # This tracer cannot take what lies between two of its points.
-        look = {"drawstyle": "steps-post" if method == _OURS else "default", "label": method}
-        axes.loglog(curve.values(), curve.keys(), **look, **LOOKS[_LOOK_OF[method]])
+        seconds = [point.seconds for point in curve.values()]
+        axes.loglog(seconds, curve.keys(), label=method, **LOOKS[_LOOK_OF[method]])
+        for error, point in curve.items() if method in (_OURS, _CERTIFIED) else ():
+            text, right = str(point.samples), method == _CERTIFIED
+            axes.annotate(
+                f"1/{text}" if right else text,
+                (point.seconds, error),
+                (5, 3) if right else (-5, -3),
+                textcoords="offset points",
+                ha="left" if right else "right",
+                va="bottom" if right else "top",
+                fontsize=6.5,
+                color=LOOKS[_LOOK_OF[method]]["color"],
+            )
     axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
 
 

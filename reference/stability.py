@@ -2,8 +2,8 @@
 
 ``python -m reference.stability`` writes `stability.svg` and `.csv` into this folder.  A point is a
 small picture of a scene that gets harder along the axis, held against arithmetic of 80 digits by
-`reference.plain`, which draws the methods that fail, too: by the largest error of the radiance, or
-by the share of pixels that are decided wrongly.
+`reference.judges.plain`, which draws the methods that fail, too: by the largest error of the
+radiance, or by the share of pixels that are decided wrongly.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from tqdm import tqdm
 import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
-from reference import plain
 from reference.charts import LOOKS, headline, make_chart, plt
+from reference.judges import plain
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render
 
 __all__ = ["METHODS", "PANELS", "Panel", "measure"]

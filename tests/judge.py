@@ -1,11 +1,11 @@
-"""The oracle, `reference.plain` in decimals, asked about pictures of the tracer."""
+"""The oracle, `reference.judges.plain` in decimals, asked about pictures of the tracer."""
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from reference.plain import Seen, trace
+from reference.judges.plain import Seen, trace
 from tracer import Scene, Sphere, render
 from tracer.arrays import Bools, Floats
 

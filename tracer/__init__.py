@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tracer.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from tracer.picture.explanation import Explanation, explain
+    from tracer.picture.explanation import Explanation, LightPart, SurfaceRef, explain
     from tracer.picture.lint import SceneWarning
     from tracer.picture.png import to_codes, write_png
     from tracer.picture.render import render
@@ -28,6 +28,7 @@ __all__ = [
     "Explanation",
     "FirstHits",
     "Lambertian",
+    "LightPart",
     "Phong",
     "PointLight",
     "Scene",
@@ -36,6 +37,7 @@ __all__ = [
     "SceneWarning",
     "Shader",
     "Sphere",
+    "SurfaceRef",
     "Surfaces",
     "explain",
     "first_hits",

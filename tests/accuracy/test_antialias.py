@@ -12,9 +12,10 @@ import pytest
 from probe import Surface, Vector, scene_of
 from random_scenes import random_scene
 from scene_files import NAMES, names
-from uniform_grid import no_worse_than_the_uniform_grid, rmse, uniform
+from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
 
 from reference.command import SCENES
+from reference.judges.true_picture import rmse, true_picture
 from reference.workloads import crowd
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
@@ -168,8 +169,8 @@ def test_tip_of_one_object_in_another():
 def test_silhouettes_and_terminators_are_nearly_exact(name, better):
     # Both are known in closed form, with how light falls off towards them.
     scene = small(name)
-    converged = uniform(scene, 41)
-    ours, grid = (rmse(image, converged) for image in (render(scene, 16), uniform(scene, 4)))
+    truth = true_picture(scene, TRUE).image
+    ours, grid = (rmse(image, truth) for image in (render(scene, 16), uniform(scene, 4)))
     assert ours <= grid / better
 
 

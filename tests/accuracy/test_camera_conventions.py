@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from probe import EPS, colored, scene_of
 
-from reference import plain
+from reference.judges import plain
 from tracer import Box, Camera, Lambertian, Sphere, render
 
 WALL = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))

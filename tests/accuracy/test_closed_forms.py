@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from probe import EPS, colored, moved, one_ray, radiance_along, scene_of
 
-from reference import plain
+from reference.judges import plain
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Sphere, render
 
 BALL = Sphere()

@@ -103,13 +103,18 @@ def test_first_hits_of_nothing():
     assert np.isnan([hits.point[0], hits.normal[0]]).all()
     nowhere = first_hits(seen(BALL), [], [])
     assert (nowhere.surface.shape, nowhere.normal.shape) == ((0,), (0, 3))
+    row, column = np.mgrid[0:3, 0:2] + 0.5
+    picture, one = first_hits(seen(BALL), column, row), first_hits(seen(BALL), 1.5, 2.5)
+    assert (picture.distance.shape, picture.point.shape) == ((3, 2), (3, 2, 3))
+    assert (one.surface.shape, one.normal.shape) == ((), (3,))
+    assert one.distance == picture.distance[2, 1]
 
 
 @pytest.mark.parametrize(
-    ("x", "y"), [([1], [1, 2]), (1, 1), ([[1]], [[1]]), ([np.nan], [1]), ([1], [np.inf])]
+    ("x", "y"), [([1], [1, 2]), (1, [1]), ([[1]], [1]), ([np.nan], [1]), (1, np.inf)]
 )
 def test_positions_that_are_refused(x, y):
-    with pytest.raises(ValueError, match="x and y must be"):
+    with pytest.raises(ValueError, match="x and y must "):
         first_hits(seen(BALL), x, y)
 
 

@@ -17,10 +17,10 @@ from probe import a_direction, colored, moved, scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import NAMES, names, small
 
-from reference import plain
 from reference.command import SCENES, own_scenes
+from reference.judges import plain
 from reference.workloads import resized
-from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render, write_png
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render, write_png
 
 # The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the
 # ground sees points rounded by 2^24 EPS; an eye at 10^-9 over a floor has its points further along.
@@ -61,6 +61,44 @@ def test_a_pixel_is_sure_unless_an_edge_is_a_hair_away_or_surfaces_nearly_coinci
         camera = Camera(view_point=(x + 1e-3, 1, 0), **down)
         scene = scene_of(floor, ground, camera=camera, size=(1, 1), lights=(0, 5, 0))
         assert judge(scene).sure.tolist() == [x > 0]
+
+
+@pytest.mark.parametrize("scale", [1e-60, 1e60])
+def test_the_oracle_sees_scenes_of_any_size(scale):
+    scene = small("one-sphere", 16, 12)
+    exact = plain.render(scene, arithmetic="decimal")
+    assert exact.max() > 0.5
+    scaled = plain.render(moved(scene, scale), arithmetic="decimal")
+    np.testing.assert_allclose(scaled, exact, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_faces_that_tie_are_decided_alike_along_their_edge(inside):
+    """The middle column sees the edge of two faces, and no light reaches that of the first axis."""
+    box = Box(min_pt=(-1, -2, -1), max_pt=(0.5, 2, 1))
+    eye, ahead, light = ((4, 6, 8), (-4, -6, -8), (0.4, 9, 9))
+    if inside:
+        # All that is inside is lit; the two faces as their slopes to the light are.
+        eye, ahead, light = (-0.5, 0, -1), (1, 0.3, 2), (0.499, 0, 0.5)
+    camera = Camera(view_point=eye, view_dir=ahead, proj_distance=4)
+    scene = scene_of(box, camera=camera, size=(25, 25), lights=light)
+    x, y = np.full(15, 12.5), np.arange(5, 20) + 0.5
+    first, last, left, right = (
+        plain.trace(scene, x + aside, y, arithmetic="decimal", ties=ties).radiance[:, 0]
+        for aside, ties in ((0, "first"), (0, "last"), (-0.01, "first"), (0.01, "first"))
+    )
+    np.testing.assert_allclose(first, left if inside else right, atol=0.02)
+    np.testing.assert_allclose(last, right if inside else left, atol=0.02)
+    assert (np.abs(first - last) > 0.1).sum() > 7
+
+
+def test_of_surfaces_that_tie_the_oracle_sees_the_first_or_the_last():
+    shades = [Lambertian(diffuse=color) for color in np.eye(3)]
+    plates = [Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0), shader=shader) for shader in shades]
+    scene = scene_of(*plates, camera=Camera(view_point=(0, 0, 3)), size=(1, 1), lights=(0, 0, 9))
+    for ties, color in (("first", (1, 0, 0)), ("last", (0, 0, 1))):
+        seen = plain.render(scene, arithmetic="decimal", ties=ties)
+        np.testing.assert_allclose(seen[0, 0], color, atol=1e-14)
 
 
 @pytest.mark.parametrize(

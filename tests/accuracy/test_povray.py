@@ -7,8 +7,9 @@ import pytest
 from conftest import need
 from scene_files import names, small
 
-from reference import plain, povray
+from reference import povray
 from reference.command import SCENES
+from reference.judges import plain
 from tracer import Scene, load_scene, render
 from tracer.arrays import Floats
 

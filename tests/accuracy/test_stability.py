@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from converters.variant import LLVM, SCALAR, mi, use
-from reference import command, plain, stability
+from reference import command, stability
+from reference.judges import plain
 from tracer import render
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -22,8 +23,14 @@ PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "
 def started(
     *arguments: object, python: Sequence[str] = ("-m", "tracer"), **options: Any
 ) -> subprocess.Popen[str]:
-    """A process of the tracer, or of other Python code."""
-    options = PIPES | options
+    """A process of the tracer, or of other Python code; it ends after five minutes at most."""
+    prepare = options.pop("preexec_fn", lambda: None)
+
+    def begin() -> None:
+        signal.alarm(300)  # which stays when the program is loaded
+        prepare()
+
+    options = PIPES | {"preexec_fn": begin} | options
     options["env"] = ENVIRONMENT | options.get("env", {})
     return subprocess.Popen([sys.executable, *python, *map(str, arguments)], **options)
 

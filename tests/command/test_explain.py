@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +49,13 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
             assert all(any(term) == 0 for term, light in zip(terms, pixel.lights, strict=True)
                        if light.occluders)  # fmt: skip
             assert (pixel.surface is None) == np.isinf(pixel.distance)
+            for light in pixel.lights:
+                if not light.occluders:
+                    diffuse = np.multiply(light.intensity, pixel.kd) * light.n_dot_l
+                    power = max(light.n_dot_h, 0) ** pixel.exponent
+                    np.testing.assert_allclose(diffuse, light.diffuse, rtol=1e-9)
+                    specular = np.multiply(light.intensity, pixel.ks) * power
+                    np.testing.assert_allclose(specular, light.specular, rtol=1e-7, atol=1e-9)
 
 
 def test_an_explanation_names_what_keeps_a_light_out(path):
@@ -77,6 +85,10 @@ def test_the_command_explains_and_writes_no_picture(path):
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
     assert "surface   Sphere 0 (line 5)" in out
+    assert "shader    kd 1 1 1, ks 0 0 0, exponent 1\n" in out
+    assert re.search(r"light 0 \(line 3\): n.l = 0.66\d+, n.h = 0.91\d+, reaches the point\n", out)
+    assert re.search(r"  diffuse   (0.66\d+) \1 \1 = 1 1 1 \* 1 1 1 \* \1\n", out)
+    assert re.search(r"  specular  0 0 0 = 1 1 1 \* 0 0 0 \* 0.91\d+\^1\n", out)
     assert "light 1 (line 4): n.l = -" in out
     assert list(path.parent.iterdir()) == [path]
     for pixel in ("4,9", "9,0"):
@@ -97,8 +109,13 @@ BALL = Scene(
 
 
 NOTHING, DARK = "no object is in view", "no light reaches anything in view"
-COLOR = "diffuseColor 200 100 0 of surface 0 looks like 0 to 255; for 0 to 1, write 0.784"
+COLOR = "diffuseColor 200 100 0 of surface 1 looks like 0 to 255; for 0 to 1, write 0.784"
 INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
+
+
+GARISH = Lambertian(diffuse=(200, 100, 0))
+CUBE, FLAT = (Box(min_pt=(-1, -1, -z), max_pt=(1, 1, z)) for z in (1, 0))
+WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
 
 
 @pytest.mark.parametrize(
@@ -106,12 +123,21 @@ INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, w
     [
         ({"camera": Camera(view_point=(0, 0, -4))}, NOTHING),
         ({"surfaces": ()}, NOTHING),
-        ({"lights": ()}, DARK),
-        ({"lights": [PointLight(position=(0, 0, 0))]}, DARK),
-        ({"surfaces": [Sphere(shader=Lambertian(diffuse=(200, 100, 0)))]}, COLOR),
+        ({"lights": ()}, "the scene has no light: the picture is black; add <light>"),
+        ({"lights": (), "surfaces": ()}, "the scene has no light"),
+        ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
+        ({"lights": [PointLight(position=(0, 0, 0))], "surfaces": [CUBE]}, "see the lights'"),
+        # In large pictures not every pixel is looked at, but all parts of them are.
+        ({"width": 600, "height": 400, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.4)],
+          "lights": [PointLight(position=(1.5, 0, 0))]}, DARK),
+        # The eye inside, of a ball and of the first of two boxes.
+        ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
+        ({"surfaces": [Sphere(center=(0, 0, -9)), WIDE, TALL]}, f"{DARK}: .* inside surface 1:"),
+        # Named by its first user, in the file's order.
+        ({"surfaces": [FLAT, *2 * [Sphere(shader=GARISH)]]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
     ],
-)
+)  # fmt: skip
 def test_a_scene_hardly_as_meant_warns(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
         render(replace(BALL, **change))
@@ -126,8 +152,8 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         BALL,
         # Brighter than white, as lights may be; and black surfaces, which no light makes brighter.
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
-        replace(BALL, surfaces=[Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1),
-                                    shader=Lambertian(diffuse=(0, 0, 0)))]),
+        replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
+                                Sphere(center=(99, 0, 0))]),
         small("room"),
     ],
 )  # fmt: skip

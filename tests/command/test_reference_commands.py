@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from messages import told
-
-ROOT = Path(__file__).resolve().parents[2]
+from messages import run_python, told
 
 
 @pytest.mark.parametrize(
-    "name", ["ablation", "benchmark", "generate", "regenerate", "report", "sheet", "speed_accuracy"]
+    "name", ["benchmark", "generate", "regenerate", "report", "sheet", "speed_accuracy"]
 )
 def test_a_command_without_the_scenes_says_what_it_needs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
@@ -33,17 +29,21 @@ def test_a_command_without_the_scenes_says_what_it_needs(
 
 
 @pytest.mark.parametrize(
-    "module", ["benchmark", "regenerate", "report", "speed_accuracy", "stability"]
+    ("module", "package"),
+    [
+        *((m, "mitsuba") for m in ("benchmark", "check", "regenerate", "report", "stability")),
+        *((m, "PIL") for m in ("check", "compare", "report", "sheet")),
+        *(("speed_accuracy", package) for package in ("mitsuba", "matplotlib")),
+    ],
 )
-def test_a_command_without_its_packages_says_what_to_install(tmp_path: Path, module: str) -> None:
-    (tmp_path / "mitsuba.py").write_text("raise ModuleNotFoundError('No module named mitsuba')")
-    done = subprocess.run(
-        [sys.executable, "-m", f"reference.{module}"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        check=False,
+def test_a_command_without_its_packages_says_what_to_install(
+    tmp_path: Path, module: str, package: str
+) -> None:
+    missing = f"No module named {package}"
+    (tmp_path / f"{package}.py").write_text(
+        f"raise ModuleNotFoundError({missing!r}, name={package!r})"
     )
-    missing = "No module named mitsuba; install it with pip install -e '.[reference]'\n"
-    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing)
+    done = run_python("-m", f"reference.{module}", PYTHONPATH=str(tmp_path))
+    name = {"PIL": "pillow"}.get(package, package)
+    remedy = f"; install it with python -m pip install {name}\n"
+    assert (done.returncode, done.stdout, told(done.stderr)) == (2, "", missing + remedy)

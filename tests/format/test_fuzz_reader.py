@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
+import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tracer import Scene, SceneFileError, load_scene, save_scene
+from tracer import (
+    Box,
+    Camera,
+    Phong,
+    PointLight,
+    Scene,
+    SceneError,
+    SceneFileError,
+    Sphere,
+    load_scene,
+    render,
+    save_scene,
+)
 
 VALID = b"""<?xml version="1.0" encoding="utf-8"?>
 <!-- everything that the format has -->
@@ -94,3 +108,39 @@ def test_mutated_files(content):
 )
 def test_files_of_anything(content):
     read(content)
+
+
+def valid(made: type, values: dict[str, Any], **needed: Any) -> Any:
+    """An object with these values, or of what it needs alone if they are not allowed."""
+    try:
+        return made(**values, **needed)
+    except SceneError:
+        return made(**needed)
+
+
+SIZES = st.sampled_from([1e-75, 1e-20, 0.5, 1.0, 3.0, 1e20, 1e75])
+AMOUNTS = SIZES | st.sampled_from([0.0, 1e300])
+POINTS, COLORS = (
+    st.tuples(*[each] * 3)
+    for each in (st.builds(float.__mul__, SIZES, st.sampled_from([-1.0, 0.0, 1.0])), AMOUNTS)
+)
+CAMERAS = st.fixed_dictionaries(
+    dict.fromkeys(("view_point", "view_dir", "view_up"), POINTS)
+    | dict.fromkeys(("proj_distance", "view_width", "view_height"), SIZES)
+).map(lambda values: valid(Camera, values))
+LIGHTS = st.builds(lambda p, c: valid(PointLight, {"intensity": c}, position=p), POINTS, COLORS)
+SHADERS = st.fixed_dictionaries({"diffuse": COLORS, "specular": COLORS, "exponent": AMOUNTS}).map(
+    lambda values: valid(Phong, values)
+)
+SURFACES = st.builds(Sphere, center=POINTS, radius=SIZES, shader=SHADERS) | st.builds(
+    lambda a, b, s: Box(min_pt=np.minimum(a, b), max_pt=np.maximum(a, b), shader=s),
+    *(POINTS, POINTS, SHADERS),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(CAMERAS, st.lists(LIGHTS, max_size=4), st.lists(SURFACES, max_size=4))
+def test_pictures_of_extremes_are_finite(camera, lights, surfaces):
+    scene = Scene(width=4, height=3, camera=camera, lights=lights, surfaces=surfaces)
+    assert np.isfinite(render(scene)).all()
+    assert np.isfinite(render(scene, samples=4)).all()

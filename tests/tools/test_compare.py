@@ -1,56 +1,51 @@
-"""The picture comparison: its figures, its picture and its command."""
+"""The picture comparison: its figures, what it reads, and its command."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import os
+import random
 import shutil
+import signal
 import struct
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 import tifffile
-from numpy.typing import NDArray
 from PIL import Image
 from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
-from reference.compare import figures, main, read_picture, write_comparison
+from reference.compare import main
+from reference.figures import figures, write_comparison
+from reference.handins.alignment import Codes
+from reference.handins.reading import read_picture
+from reference.handins.results import Result
+from reference.handins.workers import shared
 from tracer import load_scene, render, to_codes
 
 ROOT = Path(__file__).resolve().parents[2]
-Floats = NDArray[np.float64]
-PNG = b"\x89PNG\r\n\x1a\n"
-Image8 = NDArray[np.uint8]
 Compare = Callable[..., tuple[int, list[str], str]]
-
-
-RIGHT = render(load_scene(SCENES / "four-spheres.xml"))
+SCENE = SCENES / "one-sphere.xml"
+RIGHT = render(load_scene(SCENE))
 CODES = to_codes(RIGHT)
 
 
-def save(path: Path, image: Image8) -> Path:
-    Image.fromarray(np.ascontiguousarray(image)).save(path)
+def save(path: Path, image: Codes, **options: object) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.ascontiguousarray(image)).save(path, **options)
     return path
-
-
-@pytest.fixture
-def black(tmp_path: Path) -> Path:
-    """A small picture that is saved."""
-    return save(tmp_path / "a.png", np.zeros((4, 4, 3), dtype=np.uint8))
-
-
-@pytest.fixture
-def right(tmp_path: Path) -> Path:
-    return save(tmp_path / "b.png", CODES)
 
 
 @pytest.fixture
@@ -68,19 +63,10 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
     return call
 
 
-def run(
-    *arguments: str | Path, module: str = "reference.compare", **environment: str
-) -> tuple[int, str, str]:
-    """A command as a process of its own: its status, output and errors."""
-    done = subprocess.run(
-        [sys.executable, "-m", module, *arguments],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | environment,
-        timeout=60,
-    )
-    return done.returncode, done.stdout, done.stderr
+def command(*arguments: str | Path, **options: object) -> subprocess.Popen[str]:
+    line = [sys.executable, "-m", "reference.compare", *map(str, arguments)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
+    return subprocess.Popen(line, text=True, cwd=ROOT, **pipes)
 
 
 def test_figures_by_hand() -> None:
@@ -91,27 +77,16 @@ def test_figures_by_hand() -> None:
     mask[0, :2] = True
     result = figures(a, b, mask)
     assert (result.max, result.median, result.over, result.masked) == (0.5, 0.0, 2, 2)
-    # 2 of 98 * 3 values are 0.5.
-    assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)
+    assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)  # of 98 * 3 values
     assert result.p999 == 0.5
     shown = a ** (1 / 2.2), b ** (1 / 2.2)
     right = structural_similarity(*shown, channel_axis=2, data_range=1.0)
     assert figures(a, b).ssim == pytest.approx(right, abs=1e-6)
-    # A thousandth of the pixels may differ more.
-    for pixels, p999 in ((1, 0.0), (4, 0.5)):
-        a, b = np.full((40, 50, 3), 0.25), np.full((40, 50, 3), 0.25)
-        a[0, :pixels] += 0.5
-        assert figures(a, b).p999 == p999
-
-
-def test_figures_refuse() -> None:
-    a = np.zeros((8, 8, 3))
-    with pytest.raises(ValueError, match="shapes differ"):
-        figures(a, np.zeros((8, 9, 3)))
-    with pytest.raises(ValueError, match="not finite"):
-        figures(a, np.full((8, 8, 3), np.nan))
+    for wrong, words in ((a[1:], "shapes differ"), (np.nan * a, "not finite")):
+        with pytest.raises(ValueError, match=words):
+            figures(a, wrong)
     with pytest.raises(ValueError, match="every pixel is masked"):
-        figures(a, a, np.ones((8, 8), dtype=np.bool_))
+        figures(a, a, np.ones((10, 10), dtype=np.bool_))
 
 
 def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
@@ -123,9 +98,9 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
     a[:, :100] += 0.04
     a[:, 200:] -= 0.02
     a[19, 150] += 0.4
-    path = tmp_path / "out.png"
-    write_comparison(path, a, b, ("A", "B"))
-    difference = read_picture(path).codes[32:52, 624:924] / 255
+    write_comparison(tmp_path / "out.png", a, b, ("A" * 200, "B"))
+    shown = read_picture(tmp_path / "out.png").codes
+    assert (shown[:32, 308:316] == 250).all()  # a long name stays in its column
     # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
     for row, column, level in (
         (10, 50, (0.8, 0.8 * 0.62, 0)),
@@ -133,273 +108,214 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
         (10, 150, (0, 0, 0)),
         (10, 250, (0.4 * 0.34, 0.4 * 0.71, 0.4 * 0.91)),
     ):
-        np.testing.assert_allclose(difference[row, column], level, atol=1 / 255)
+        np.testing.assert_allclose(shown[32 + row, 624 + column] / 255, level, atol=1 / 255)
 
 
-@pytest.mark.parametrize(("width", "height", "zoom"), [(1, 2000, 1), (100, 150, 2), (8, 6, 38)])
-def test_comparisons_are_enlarged_by_their_longer_side(
-    tmp_path: Path, width: int, height: int, zoom: int
-) -> None:
-    a = np.linspace(0, 1, width * height * 3).reshape(height, width, 3)
-    write_comparison(tmp_path / "out.png", a, a[::-1, ::-1], ("A", "B"))
-    shown = read_picture(tmp_path / "out.png").codes
-    column = max(300, zoom * width)  # the labels fit
-    assert shown.shape == (zoom * height + 2 * 8 + 2 * 24, 3 * column + 4 * 8, 3)
-    panel = shown[8 + 24 : 8 + 24 + zoom * height, 8 : 8 + zoom * width]
-    np.testing.assert_array_equal(panel[::zoom, ::zoom], to_codes(a))
+def deep(order: Literal["<", ">"] | None) -> bytes:
+    """A pixel of 16 bits a channel: a TIFF of a byte order, or a PNG."""
+    if order:
+        data = io.BytesIO()
+        tifffile.imwrite(data, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
+        return data.getvalue()
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(b"\0" + 3 * b"\x12\x34")),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
-def test_exit_status(tmp_path: Path, right: Path, compare: Compare) -> None:
+@pytest.mark.parametrize(
+    "content", [deep(None), deep("<"), deep(">"), b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n"]
+)
+def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "deep"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
+        read_picture(path)
+
+
+def test_formats(tmp_path: Path) -> None:
+    for suffix in ("bmp", "png", "ppm", "tga", "tif", "webp"):
+        lossless = {"lossless": True} if suffix == "webp" else {}
+        picture = read_picture(save(tmp_path / f"a.{suffix}", CODES, **lossless))
+        assert (picture.codes == CODES).all()
+        assert (picture.lossy, picture.note) == (0, "")
+    for suffix, word in (("webp", "WEBP"), ("jpg", "JPEG"), ("gif", "palette")):
+        picture = read_picture(save(tmp_path / f"b.{suffix}", CODES))
+        assert picture.lossy
+        assert word in picture.note
+    grey = read_picture(save(tmp_path / "g.png", np.array([[0, 257, 65535]], dtype=np.uint16)))
+    assert grey.codes[0, :, 1].tolist() == [0, 1, 255]
+    clear = read_picture(save(tmp_path / "c.png", np.dstack([CODES, 0 * CODES[:, :, 0]])))
+    assert not clear.codes.any()
+    assert "transparent" in clear.note
+
+
+def test_exit_status(tmp_path: Path, compare: Compare) -> None:
     a = save(tmp_path / "a.png", to_codes(1.05 * RIGHT))
+    right = save(tmp_path / "b.png", CODES)
     for tolerances, status in {
         "": 1,
         "--max 0.2": 0,
         "--max 1e-4": 1,
         "--ssim 0.9": 0,
         "--ssim 0.9 --max 1e-4": 1,
-        "--ssim 1": 1,
         "--max -1": 2,
     }.items():
         assert compare(a, right, *tolerances.split())[0] == status, tolerances
-    assert compare("only-one.png")[0] == 2
-    assert compare(tmp_path, right, "-o", f"{tmp_path}/no-folder.png")[0] == 2
+    assert compare(a, right)[1][1] == "A is brighter by a factor of 1.05 in linear light."
+    assert compare(right, SCENE)[:2] == (0, compare(right, right)[1])
+    assert compare(tmp_path / "no", right) == (3, [], f"{tmp_path}/no: does not exist\n")
+    assert compare(a, right, "-o", right)[0] == 2
+    assert compare(a, right, "-o", tmp_path / "new" / "c.png")[0] == 1
+    assert (tmp_path / "new" / "c.png").exists()
 
 
-def test_command(tmp_path: Path, right: Path) -> None:
-    status, told, error = run(save(tmp_path / "a.png", CODES[:, ::-1]), right)
-    assert (status, error) == (1, "")
-    figures_line, words, path = told.splitlines()
-    assert figures_line.startswith("SSIM 0.")
-    assert words == "A is mirrored: left and right are swapped."
-    assert Path(path) == tmp_path / "a.compare.png"
-    with Image.open(path) as comparison:
-        assert comparison.size[0] == 3 * 300 + 4 * 8
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\ncut", b"<scene/>"])
+def test_unreadable(tmp_path: Path, compare: Compare, content: bytes) -> None:
+    bad = tmp_path / ("a.xml" if b"scene" in content else "a.png")
+    bad.write_bytes(content)
+    status, told, error = compare(save(tmp_path / "b.png", CODES), bad)
+    assert (status, told) == (3, [])
+    assert all(
+        line.startswith(f"{bad}:") and line.count(str(bad)) == 1 for line in error.splitlines()
+    )
 
 
-def test_a_missing_package_does_not_pass_for_a_difference(tmp_path: Path, black: Path) -> None:
-    (tmp_path / "PIL.py").write_text("raise ModuleNotFoundError('No module named PIL')")
-    told = "No module named PIL; install it with pip install -e '.[reference]'\n"
-    assert run(black, black, PYTHONPATH=str(tmp_path)) == (2, "", told)
+@pytest.fixture
+def hand_ins(tmp_path: Path) -> Path:
+    """A class; one picture is right, one of a level's difference, the others are not."""
+    folder, level = tmp_path / "class", CODES.copy()
+    level[140, 140:160] += 1
+    save(folder / "ada" / "one-sphere.xml.png", CODES)
+    save(folder / "bob" / "deep" / "17_ONE-SPHERE.PNG", level)
+    save(folder / "bob" / "one-sphear.png", CODES)
+    save(folder / "cy" / "one-sphere.png", CODES[:, ::-1])
+    save(folder / "cy" / "one-sphere.compare.png", CODES)
+    (folder / "di").mkdir()
+    for name in ("__MACOSX/one-sphere.png", ".git/one-sphere.png", "cy/._one-sphere.png"):
+        save(folder / name, CODES)
+    (folder / "cy" / "two-boxes.png").write_bytes(b"no picture")
+    (tmp_path / "right").mkdir()
+    for name in ("one-sphere", "two-boxes", "room"):
+        shutil.copy(SCENES / f"{name}.xml", tmp_path / "right")
+    return folder
 
 
-@pytest.mark.parametrize("module", ["reference.charts", "converters.flavours"])
-def test_a_module_that_is_no_command_says_so(module: str) -> None:
-    told = f"{module} is no command; it is only imported by others\n"
-    assert run(module=module) == (2, "", told)
+def test_a_class(hand_ins: Path, compare: Compare) -> None:
+    right = hand_ins.with_name("right")
+    before = sorted(hand_ins.rglob("*"))
+    status, lines, error = compare(hand_ins, right)
+    assert (status, error, sorted(hand_ins.rglob("*"))) == (3, "", before)
+    words = [line.split()[0] for line in lines]
+    assert words == ["agrees", "agrees", "unread", "differs", "unread", "missing", "missing", "5"]
+    assert lines[2].endswith("has this name; did you mean one-sphere.xml?")
+    assert "The picture is mirrored" in lines[3]
+    assert lines[5] == f"missing  {right}/room.xml: nobody has handed in a picture of it"
+    assert lines[6] == f"missing  {hand_ins}/di: holds no pictures"
+    assert lines[7] == "5 pictures: 2 agree, 1 differ, 2 are missing, 2 cannot be compared"
+    out = hand_ins.with_name("out")
+    status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/")
+    found = json.loads("".join(told))
+    assert [*found[0]] == [*Result._fields]
+    assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
+    assert [path.relative_to(out) for path in out.rglob("*.png")] == [
+        Path("cy/one-sphere.compare.png")
+    ]
+    assert found[3]["comparison"] == str(out / "cy" / "one-sphere.compare.png")
+    x, y = found[3]["worst"]
+    size = np.abs(CODES[:, ::-1].astype(int) - CODES).max(axis=2)
+    assert (found[3]["differing"], size[y, x]) == ((size > 0).sum(), size.max())
+    rows = [*csv.DictReader(compare(hand_ins, right, "--csv")[1])]
+    assert rows[3]["worst"] == f"{x},{y}"
+    assert [row["kind"] for row in rows] == [one["kind"] or "" for one in found]
 
 
-@pytest.mark.parametrize(
-    ("name", "note"),
-    [
-        ("a.jpg", ["A is a JPEG, which changes levels: save it as PNG."]),
-        ("a.gif", ["A has a palette, of 256 colours at most: save it as RGB."]),
-        ("a.png", []),
-    ],
-)
-def test_a_format_is_noted_and_hides_nothing(
-    tmp_path: Path, right: Path, compare: Compare, name: str, note: list[str]
-) -> None:
-    status, told, _ = compare(save(tmp_path / name, CODES[::-1]), right, "-o", tmp_path)
-    words = "A is upside down: row 0 should be the top."
-    assert (status, told[1:]) == (1, [*note, words, str(tmp_path / "a.compare.png")])
+def deadly(job: int) -> int:
+    if job == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 10 * job
 
 
-def test_transparency_that_was_not_meant(tmp_path: Path, right: Path, compare: Compare) -> None:
-    clear = save(tmp_path / "a.png", np.dstack([CODES, 0 * CODES[:, :, 0]]))
-    assert not read_picture(clear).codes.any()
-    note = "A is transparent in places, which counts as black: save it as RGB."
-    assert compare(clear, right)[1][1:-1] == [note, "A is black, and B is not."]
+def test_a_worker_that_dies_takes_one_result_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sorted(shared(deadly, range(10), lambda job: -job)) == [
+        -5,
+        *range(0, 50, 10),
+        *range(60, 100, 10),
+    ]
+
+    def none(*_arguments: object) -> None:
+        raise OSError(errno.EAGAIN, "no process")
+
+    monkeypatch.setattr("reference.handins.workers.ProcessPoolExecutor", none)
+    assert [*shared(str, range(10), str)] == [*map(str, range(10))]
 
 
-def test_long_names_stay_in_their_column(tmp_path: Path) -> None:
-    black = np.zeros((40, 40, 3))
-    write_comparison(tmp_path / "c.png", black, black + 0.5, ("x" * 200, "right"))
-    gap = read_picture(tmp_path / "c.png").codes[:32, 328:336]  # panels 8 times as large
-    assert (gap == 250).all()
+def alive(process: int) -> bool:
+    stat = Path(f"/proc/{process}/stat")
+    with suppress(OSError):
+        return stat.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    return False
 
 
-def test_sizes_exit_1(tmp_path: Path, right: Path, compare: Compare) -> None:
-    status, told, _ = compare(save(tmp_path / "a.png", CODES[:10]), right, "--max", "2")
-    assert status == 1
-    assert told[0].startswith("Different sizes")
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for children in /proc")
+@pytest.mark.parametrize("signals", ["TERM", "HUP", "KILL", "INT INT"])
+def test_workers_end_with_the_command(tmp_path: Path, signals: str) -> None:
+    for k in range(40):
+        save(tmp_path / "many" / f"{k}_one-sphere.png", np.maximum(CODES, 6 * k).astype(np.uint8))
+    process = command(tmp_path / "many", SCENE)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    workers: list[int] = []
+    while len(workers) < 3 and process.poll() is None:  # two, and what looks after semaphores
+        workers = [*map(int, children.read_text(encoding="ascii").split())]
+    time.sleep(random.random())
+    for name in signals.split():
+        process.send_signal(getattr(signal, f"SIG{name}"))
+    told, error = process.communicate(timeout=60)
+    end = time.monotonic() + 30
+    while any(map(alive, workers)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not any(map(alive, workers))
+    assert (process.returncode, told) == (-9 if signals == "KILL" else 130, "")
+    assert "Traceback" not in error
 
 
-@pytest.mark.parametrize("what", ["missing", "empty", "cut", "wrong length of a chunk"])
-def test_unreadable(tmp_path: Path, right: Path, compare: Compare, what: str) -> None:
-    whole, bad = right.read_bytes(), tmp_path / "a.png"
-    before, after = whole.split(b"IDAT", 1)
-    wrong = before[:-4] + b"\0\0\0\5IDAT" + after
-    contents = {"empty": b"", "cut": whole[: len(whole) // 2], "wrong length of a chunk": wrong}
-    if what in contents:
-        bad.write_bytes(contents[what])
-    status, told, error = compare(bad, right)
-    assert (status, told, error.count("\n")) == (3, [], 1)
-    assert error.startswith(f"{bad}: cannot be read: ")
+def test_a_result_that_cannot_be_printed_is_no_success(tmp_path: Path) -> None:
+    right = save(tmp_path / "a.png", CODES)
+    for form in ("--json", "--csv"):
+        with Path("/dev/full").open("w", encoding="ascii") as full:
+            process = command(right, SCENE, form, stdout=full)
+            error = process.communicate(timeout=60)[1]
+        assert (process.returncode, error.count("\n")) == (3, 1)
+        assert error.startswith("standard output: cannot be written: ")
 
 
-def test_pipes_are_neither_read_nor_replaced(tmp_path: Path, black: Path) -> None:
+def test_pipes_are_neither_read_nor_replaced(tmp_path: Path) -> None:
     """In processes of their own: opening a pipe that none writes to waits without end."""
-    pipe = tmp_path / "pipe"
+    pipe, right = tmp_path / "pipe", save(tmp_path / "a.png", CODES)
     os.mkfifo(pipe)
-    assert run(black, pipe) == (3, "", f"{pipe}: cannot be read: not a regular file\n")
-    told = f"{pipe}: cannot be written: not a regular file\n"
-    assert run(black, black, "-o", pipe) == (3, "", told)
+    for arguments, what in (((right, pipe), "read"), ((right, right, "-o", pipe), "written")):
+        process = command(*arguments)
+        told = f"{pipe}: cannot be {what}: not a regular file\n"
+        assert (*process.communicate(timeout=60), process.returncode) == ("", told, 3)
     assert pipe.is_fifo()
 
 
 def test_too_little_memory_is_told(
-    black: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
     def fail(*_arguments: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr("reference.compare.figures", fail)
-    told = f"{black}: cannot be compared: not enough memory; compare a part\n"
-    assert compare(black, black) == (3, [], told)
-
-
-def test_grey_of_sixteen_bits_is_read(tmp_path: Path) -> None:
-    path = save(tmp_path / "deep.png", np.array([[0, 257, 65535, 30000]], dtype=np.uint16))
-    assert read_picture(path).codes[0].tolist() == [[k] * 3 for k in (0, 1, 255, 117)]
-
-
-def deep_png() -> bytes:
-    """A pixel of 16 bits in each of red, green and blue."""
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)),
-        (b"IDAT", zlib.compress(b"\0" + 3 * b"\x12\x34")),
-        (b"IEND", b""),
-    )
-    return PNG + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks
-    )
-
-
-def deep_tiff(order: Literal["<", ">"]) -> bytes:
-    """A pixel of 16 bits a channel, in either byte order."""
-    data = io.BytesIO()
-    tifffile.imwrite(data, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
-    return data.getvalue()
-
-
-DEEP = (deep_png(), deep_tiff("<"), deep_tiff(">"), b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n")
-
-
-@pytest.mark.parametrize("content", DEEP, ids=("PNG", "TIFF", "big TIFF", "PPM", "plain PPM"))
-def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "deep"
-    path.write_bytes(content)
-    with Image.open(path) as image:
-        image.load()  # Pillow reads it
-    with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
-        read_picture(path)
-
-
-@pytest.mark.parametrize("suffix", ["bmp", "gif", "png", "ppm", "tga", "tif"])
-def test_eight_bits_are_read(tmp_path: Path, suffix: str) -> None:
-    picture = np.array([[(1, 2, 3), (200, 100, 50)]], dtype=np.uint8)
-    assert (read_picture(save(tmp_path / f"a.{suffix}", picture)).codes == picture).all()
-
-
-def test_a_new_folder_is_made(tmp_path: Path, black: Path, compare: Compare) -> None:
-    assert compare(black, black, "-o", f"{tmp_path}/new/folder/")[0] == 0
-    assert (tmp_path / "new" / "folder" / "a.compare.png").exists()
-
-
-@pytest.fixture
-def hand_ins(tmp_path: Path) -> Path:
-    """Hand-ins of three, in folders of their own, and beside them the right pictures."""
-    others = tmp_path / "class"
-    for folder in ("ada", "bob", "cy", "../right"):
-        (others / folder).mkdir(parents=True)
-    save(others / "ada" / "four-spheres.png", CODES)
-    save(others / "bob" / "four-spheres.xml.png", CODES[::-1])
-    save(others / "bob" / "four-spheres.jpg", CODES[:, ::-1])
-    (others / "cy" / "four-spheres.png").write_bytes(b"no picture")
-    save(others / "cy" / "other.png", CODES)
-    save(tmp_path / "right" / "four-spheres.png", CODES)
-    return others
-
-
-@pytest.mark.parametrize("scene", [False, True])
-def test_a_class(hand_ins: Path, compare: Compare, *, scene: bool) -> None:
-    rights = hand_ins.with_name("right")
-    if scene:
-        (rights / "four-spheres.png").unlink()
-        shutil.copy(SCENES / "four-spheres.xml", rights)
-    status, lines, _ = compare(hand_ins, rights)
-    assert status == 3
-    words = [line.split()[0] for line in lines[:-1]]
-    assert words == ["agrees", "differs", "differs", "unread", "unread"]
-    assert "A is mirrored" in lines[1]
-    assert "A is upside down" in lines[2]
-    assert "has no picture of this name" in lines[4]
-    assert lines[5] == "5 pictures: 1 agree, 2 differ, 2 cannot be compared"
-    written = sorted(str(path.relative_to(hand_ins)) for path in hand_ins.rglob("*.compare.png"))
-    assert written == ["bob/four-spheres.compare.png", "bob/four-spheres.xml.compare.png"]
-    assert compare(hand_ins, rights) == (3, lines, "")  # comparisons are no hand-ins
-
-
-def test_results_for_scripts(hand_ins: Path, compare: Compare, tmp_path: Path) -> None:
-    others, scene = hand_ins / "bob", SCENES / "four-spheres.xml"
-    save(others / "four-spheres.gif", CODES[::-1])
-    status, told, _ = compare(others, scene, "--json", "-o", f"{tmp_path}/new/")
-    found = json.loads("".join(told))
-    names = ["picture", "right", "agrees", "ssim", "max", "diagnosis", "error"]
-    assert (status, [list(one) for one in found]) == (1, 3 * [names])
-    assert found[2]["diagnosis"] == "A is upside down: row 0 should be the top."
-    assert (found[2]["agrees"], found[2]["right"], found[2]["error"]) == (False, str(scene), None)
-    assert 0 < found[2]["ssim"] < 1
-    assert 0 < found[2]["max"] <= 1
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
-        "four-spheres.gif.compare.png",
-        "four-spheres.jpg.compare.png",
-        "four-spheres.xml.compare.png",
-    ]
-    status, told, _ = compare(others, scene, "--csv")
-    rows = list(csv.DictReader(told))
-    assert (status, [row["picture"] for row in rows]) == (1, [one["picture"] for one in found])
-
-
-def test_many_are_shared_by_processes(tmp_path: Path, black: Path, compare: Compare) -> None:
-    """In order, and those that cannot be read are told as ever."""
-    folder = tmp_path / "many"
-    folder.mkdir()
-    for k in range(12):
-        shutil.copy(black, folder / f"{k:02}.png")
-    (folder / "05.png").write_bytes(b"no picture")
-    status, lines, _ = compare(folder, black)
-    assert status == 3
-    for k, line in enumerate(lines[:12]):
-        assert line.startswith("unread" if k == 5 else "agrees")
-        assert f"{folder}/{k:02}.png: " in line
-
-
-def test_a_scene_with_a_fault_is_told(tmp_path: Path, black: Path, compare: Compare) -> None:
-    (tmp_path / "bad.xml").write_text("<scene/>")
-    status, _, error = compare(black, tmp_path / "bad.xml")
-    assert status == 3
-    assert f"{tmp_path}/bad.xml:1" in error
-
-
-@pytest.mark.parametrize(
-    ("b", "output"),
-    [("a.compare.png", []), ("b.png", ["a.png"]), ("b.png", ["link.png"]), ("b.png", ["./b.png"])],
-)
-def test_inputs_are_not_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare, b: str, output: list[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "link.png").symlink_to("b.png")
-    for name, level in (("a.png", 0), (b, 200)):
-        save(tmp_path / name, np.full((4, 4, 3), level, dtype=np.uint8))
-    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.name != "link.png"}
-    status, _, error = compare("a.png", b, *(["-o", *output] if output else []))
-    assert status == 2
-    assert "this would replace an input; choose another with -o" in error
-    assert {path: path.read_bytes() for path in before} == before
+    right = save(tmp_path / "a.png", CODES)
+    told = f"{right}: cannot be compared: not enough memory; compare a part\n"
+    assert compare(right, SCENE) == (3, [], told)
 
 
 def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:
-    assert compare("a.png", "b.png") == (2, [], no_working_folder)
+    assert compare(SCENE, SCENE, "-o", "a.png") == (2, [], no_working_folder)

@@ -1,4 +1,4 @@
-"""Benchmark, ablation and the speed-accuracy chart: complete, and honest in what they compare.
+"""Benchmark and the speed-accuracy chart: complete, and honest in what they compare.
 
 No time is asserted.
 """
@@ -11,16 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from time import sleep
 
-import numpy as np
 import pytest
 from scene_files import small
 
 from converters.variant import LLVM, use
-from reference import ablation, benchmark, command, measurements, speed_accuracy
+from reference import benchmark, command, measurements, speed_accuracy
 from reference.benchmark import growth_exponent
+from reference.judges.true_picture import rmse, true_picture
 from reference.measurements import Ratio, Table, Timing, interleaved, measured_on, write_tables
-from reference.truth import Truth, truth_side
-from reference.workloads import crowd
 from tracer import render
 
 
@@ -77,26 +75,6 @@ def test_benchmark_tables_are_complete(section: benchmark.Section) -> None:
     assert {line.count("|") for line in lines} == {len(table.header) + 1}
 
 
-@pytest.mark.parametrize("part", ablation.ONE_SAMPLE, ids=lambda part: part.name)
-def test_no_part_changes_a_picture_of_one_sample(part: ablation.Part) -> None:
-    for scene in (small("highlights", 96, 54), crowd(300, width=96, height=54)):
-        with ablation.without(part):
-            picture = render(scene)
-        # Highlights from vectors round differently.
-        assert np.abs(picture - render(scene)).max() <= 1e-12
-
-
-@pytest.mark.parametrize("part", ablation.ANTIALIASING, ids=lambda part: part.name)
-def test_antialiasing_without_a_part_is_another_way_to_the_same(part: ablation.Part) -> None:
-    scene = small("room", 96, 54)
-    with ablation.without(part):
-        other = render(scene, samples=16)
-    picture = render(scene, samples=16)
-    error = np.abs(other - picture)
-    assert 0 < error.max() < 0.25  # of the contrast of an edge that is not found
-    assert np.sqrt((error**2).mean()) < 0.012
-
-
 @pytest.mark.slow
 def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(command, "BUILD", tmp_path)
@@ -112,6 +90,9 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_
     ours = {int(row[2]): float(row[3]) for row in rows if row[1] == "this tracer"}
     assert sorted(ours) == [1, 4, 9, 16, 36, 144]
     assert ours[1] > ours[4] > ours[9] >= ours[16] > ours[144]
-    truth = Truth.of(scene, truth_side(quick=True))
-    assert ours[9] == pytest.approx(truth.error(render(scene, 9)), rel=1e-5)
+    truth = true_picture(scene, 1 / 1024).image
+    assert ours[9] == pytest.approx(rmse(render(scene, 9), truth), rel=1e-5)
+    certified = {int(row[2]): float(row[3]) for row in rows if row[1].endswith("certified")}
+    assert sorted(certified) == [8, 32, 128]
+    assert certified[8] > certified[32] > certified[128]
     assert (tmp_path / "speed_accuracy.svg").exists()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter, sleep
-from typing import Any, NoReturn
+from typing import Any
 
 from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
 from tracer.command.process import FAILED, print_line, print_result
@@ -44,9 +44,6 @@ exit status:
 # A bar is shown once a picture turns out to take longer than this, in seconds.
 _SLOW = 1.0
 
-# What makedirs and realpath raise where a file, or a link to nothing, is in place of a folder.
-_NOT_A_FOLDER = FileExistsError, NotADirectoryError
-
 # Seconds between two looks at the scene files, with --watch.
 _PAUSE = 0.1
 
@@ -62,13 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments, jobs = _parsed(argv)
     if arguments.watch:
-        _watch(jobs, arguments)
-    # All of them, whatever becomes of the first.
+        return _watch(jobs, arguments)
+    # A list: the first that fails does not keep the others from being rendered.
     return FAILED if [job for job in jobs if not _render(*job, arguments)] else 0
 
 
 def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
-    """The arguments, and the pairs of a scene and its picture."""
+    """Parse the arguments; return them, and pairs of the paths of a scene and its picture."""
     parser = argparse.ArgumentParser(
         prog="tracer",
         description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
@@ -117,7 +114,7 @@ def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[
 
 
 def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]]:
-    """Type of an argument of two whole numbers with a mark between them."""
+    """Make a parser of arguments that are two whole numbers with a mark between them."""
     number = whole_number(least)
 
     def pair(text: str) -> tuple[int, int]:
@@ -130,27 +127,31 @@ def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]
     return pair
 
 
-def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> NoReturn:
-    """Render each scene, and again whenever its file has changed."""
+def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
+    """Render each scene, and again whenever its file has changed.
+
+    Returns the exit status once nobody reads what this prints any more.
+    """
     last, rendered = dict[str, object](), dict[str, object]()
-    while True:
+    while arguments.quiet or not (sys.stdout is None or sys.stdout.closed):
         for scene, output in jobs:
             try:
                 status = os.stat(scene)
                 now = status.st_mtime_ns, status.st_size, status.st_ino
             except OSError:
                 now = None
-            # An editor may not have written all yet: it has, if nothing changes any more.
+            # An editor may write a file in pieces: wait until it stops changing.
             settled = last.get(scene, now) == now
             last[scene] = now
             if settled and rendered.get(scene, ()) != now:
                 rendered[scene] = now
                 _render(scene, output, arguments)
         sleep(_PAUSE)
+    return 0
 
 
 def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
-    """Render a scene, or explain its pixel; print what goes wrong, if anything does."""
+    """Render a scene, or explain its pixel; print any fault, and return whether there was none."""
     start, name, quiet = perf_counter(), printable(output), arguments.quiet
     size, remedy = "to read it", "split the scene"
     try:
@@ -170,7 +171,11 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
             remedy += " or take fewer samples"
         progress = _Progress(os.path.basename(name), scene.width * scene.height, show=not quiet)
         if arguments.output is not None and is_folder(arguments.output):
-            os.makedirs(arguments.output, exist_ok=True)
+            try:
+                os.makedirs(arguments.output, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):  # it is a file, or a link to nothing
+                name = printable(arguments.output)
+                raise OSError("it is not a folder") from None
         standard = output == "-"
         with open(1, "wb", closefd=False) if standard else atomic_file(output, PNG) as file:
             tiles = render_tiles(scene, arguments.samples, processes=arguments.processes)
@@ -185,14 +190,13 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
     except MemoryError:
         fault = f"{printable(path)}: not enough memory {size}; {remedy}"
     except OSError as error:
-        reason = "is not a folder" if isinstance(error, _NOT_A_FOLDER) else ""
         remedy = "" if arguments.pixel is not None else "; choose another with -o"
-        fault = f"{name}: cannot be written: {reason or error.strerror or error}{remedy}"
+        fault = f"{name}: cannot be written: {error.strerror or error}{remedy}"
     except ValueError as error:
         if arguments.pixel is not None:
             fault = f"{printable(path)}: {error}; columns and rows count from 0"
         else:
-            remedy = "keep the numbers of the scene further from 1e308"
+            remedy = "this is a fault of the tracer; please report it with the scene"
             fault = f"{name}: cannot be written: {error}; {remedy}"
     else:
         if not quiet:
@@ -205,7 +209,7 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
 
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
-    """The scene in another size; a line is printed if its pixels were square and no longer are."""
+    """Resize a scene; print a line if its pixels were square and no longer are."""
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
     across, down = scene.camera.view_width, scene.camera.view_height
@@ -220,20 +224,21 @@ def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
 
 
 class _Progress:
-    """What is known of a picture while it is rendered; a bar once that takes long.
+    """Progress of a picture, with a bar once it turns out to be slow.
 
     Attributes
     ----------
     black : bool
-        Whether all pixels so far are.
+        Whether all pixels so far are black.
     """
 
     def __init__(self, name: str, pixels: int, *, show: bool) -> None:
         self.name, self.pixels, self.black = name, pixels, True
-        self.show = show and sys.stderr is not None and sys.stderr.isatty()
+        lost = sys.stderr is None or sys.stderr.closed
+        self.show = show and not lost and sys.stderr.isatty()
 
     def watch(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
-        """The same tiles."""
+        """Yield the same tiles, and count their pixels."""
         start, done, bar = perf_counter(), 0, None
         try:
             for tile in tiles:
@@ -249,7 +254,7 @@ class _Progress:
                 bar.close()
 
     def _bar(self) -> Any:
-        """A progress bar; False where there can be none: a picture is not to fail by that."""
+        """Make a progress bar; False if there can be none: a picture must not fail for that."""
         # Not installed, or the environment has settings for it that it cannot read.
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # takes longer to import than a small picture to render

@@ -11,23 +11,19 @@ import signal
 import sys
 from contextlib import suppress
 from importlib import import_module
-from time import monotonic
 from typing import NoReturn, TextIO
 
+from tracer.files import unfinished
 from tracer.messages import printable
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit statuses: something could not be done, wrong usage, ended by a signal."""
 
-# Seconds after a signal in which no other counts, so that half-written files can be removed.
-_GRACE = 0.5
-
 
 def run(module: str) -> NoReturn:
     """Import a module and exit with the status that its `main` returns; 130 after a signal.
 
-    A package that is missing is reported in a line, and so is an interrupt that comes while
-    packages are imported: not by a traceback.
+    A package that is missing is reported in a line, not by a traceback.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         number = getattr(signal, name, None)  # not all systems have the last three
@@ -41,30 +37,28 @@ def run(module: str) -> NoReturn:
     gc.set_threshold(50_000)
     status = FAILED
     try:
-        main = import_module(module).main
-        _allow_interrupts(True)
-        status = main() or 0
-    except KeyboardInterrupt:
-        status = INTERRUPTED
+        status = import_module(module).main() or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         status = MISUSED  # in some commands 1 says that pictures differ
     except (ImportError, MemoryError, SystemError) as error:
-        # What NumPy says of a library that cannot be loaded is a page.
-        reason = str(error).strip().rpartition("Original error was: ")[2] or "not enough memory"
+        # NumPy's own message is a page of advice; what caused it names a library.
+        first: BaseException = error
+        while cause := first.__cause__ or first.__context__:
+            first = cause
+        reason = str(first).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else FAILED
-    _allow_interrupts(False)
     # Otherwise what could not be printed would be lost without a word.
     for stream in (sys.stdout, sys.stderr):
         try:
-            if stream is not None:
+            if stream is not None and not stream.closed:
                 stream.flush()
-        except (OSError, ValueError):
+        except OSError:
             status = status or FAILED
     # An orderly exit would take NumPy's modules down one by one, and add a tenth to the time of a
     # small picture.
@@ -73,7 +67,7 @@ def run(module: str) -> NoReturn:
 
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a notice at once, or not at all if that fails: results matter more."""
-    with suppress(OSError, ValueError):
+    with suppress(OSError):
         print_result(stream, text)
 
 
@@ -85,8 +79,8 @@ def print_result(stream: TextIO | None, text: str) -> None:
     OSError
         If it cannot be printed: the stream is closed, or its disk full.
     """
-    if stream is None:
-        raise OSError("standard output is closed")
+    if stream is None or stream.closed:
+        raise OSError("it is closed")
     encoding = stream.encoding or "utf-8"
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
@@ -97,22 +91,13 @@ def print_result(stream: TextIO | None, text: str) -> None:
         raise
 
 
-_interruptible, _ignored_until = False, 0.0
+def _interrupted(_number: int, _frame: object) -> NoReturn:
+    """Leave at once, with nothing half-written and nothing printed.
 
-
-def _allow_interrupts(allowed: bool) -> None:
-    """Let signals raise KeyboardInterrupt: files may be half-written, and all is imported."""
-    global _interruptible
-    _interruptible = allowed
-
-
-def _interrupted(_number: int, _frame: object) -> None:
-    """Leave, with nothing half-written."""
-    # NumPy reports a KeyboardInterrupt during import as an ImportError.
-    if not _interruptible:
-        os._exit(INTERRUPTED)
-    global _ignored_until
-    now = monotonic()
-    if now >= _ignored_until:
-        _ignored_until = now + _GRACE
-        raise KeyboardInterrupt
+    A KeyboardInterrupt would be lost where it is raised in a finalizer or after a fork, and would
+    pass for a fault of NumPy's or of a plugin's where it is raised in one of these.
+    """
+    for path in unfinished:
+        with suppress(OSError):
+            os.unlink(path)
+    os._exit(INTERRUPTED)

@@ -7,15 +7,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Ints, Vector, take3
 from tracer.geometry.camera import camera_frame
 from tracer.picture.png import to_codes
-from tracer.scene.model import Scene, unit
+from tracer.scene.model import Lambertian, Scene, unit
 from tracer.trace.first_hits import FirstHits, first_hits
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import light_geometry, radiance_at
+from tracer.trace.lighting import light_geometry
+from tracer.trace.radiance import radiance_at
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
@@ -58,8 +60,10 @@ class LightPart:
     ----------
     line : int or None
         Where the light stands in its file, if it is from one.
-    n_dot_l : float
-        Cosine between the normal and the direction to the light.
+    intensity : (3,)
+        The light's color.
+    n_dot_l, n_dot_h : float
+        Cosines between the normal and the direction to the light, and the half vector.
     occluders : tuple of SurfaceRef
         What keeps the light from the point: other surfaces, or its own where that faces away, or
         is seen from inside and holds no light.
@@ -68,7 +72,9 @@ class LightPart:
     """
 
     line: int | None
+    intensity: Vector
     n_dot_l: float
+    n_dot_h: float
     occluders: tuple[SurfaceRef, ...]
     diffuse: Vector
     specular: Vector
@@ -90,6 +96,10 @@ class Explanation:
         From the eye; infinite where it meets nothing.
     point, normal : (3,)
         Where it meets the surface, and the unit normal there, towards the eye; NaN for nothing.
+    kd, ks : (3,)
+        The surface's colours, ks of zeros where it is Lambertian, all zeros for nothing.
+    exponent : float
+        The surface's exponent, 1 where it has none.
     lights : tuple of LightPart
         A part for each light of the scene; none where it meets nothing.
     radiance : (3,)
@@ -106,6 +116,9 @@ class Explanation:
     distance: float
     point: Vector
     normal: Vector
+    kd: Vector
+    ks: Vector
+    exponent: float
     lights: tuple[LightPart, ...]
     radiance: Vector
     codes: tuple[int, int, int]
@@ -121,20 +134,32 @@ class Explanation:
             yield f"distance  {self.distance:.9g}"
             yield f"point     {_text(self.point)}"
             yield f"normal    {_text(self.normal)}"
+            yield f"shader    kd {_text(self.kd)}, ks {_text(self.ks)}, exponent {self.exponent:g}"
         for number, light in enumerate(self.lights):
             names = [str(ref) for ref in light.occluders if ref != self.surface]
             names = names or ["the surface itself"] * len(light.occluders)
             how = f"kept out by {', '.join(names)}" if names else "reaches the point"
-            yield f"light {number}{_line(light.line)}: n.l = {light.n_dot_l:.9g}, {how}"
+            nl, nh = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
+            yield f"light {number}{_line(light.line)}: n.l = {nl}, n.h = {nh}, {how}"
             if not names:
-                yield f"  diffuse   {_text(light.diffuse)}"
-                yield f"  specular  {_text(light.specular)}"
+                products = (light.diffuse, self.kd, nl), (light.specular, self.ks, nh)
+                for name, (term, color, cosine) in zip(
+                    ("diffuse", "specular"), products, strict=True
+                ):
+                    power = f"^{self.exponent:g}" if name == "specular" else ""
+                    factors = f"{_text(light.intensity)} * {_text(color)} * {cosine}{power}"
+                    yield f"  {name:8}  {_text(term)} = {factors}"
         yield f"radiance  {_text(self.radiance)}"
         yield f"codes     {' '.join(map(str, self.codes))}"
 
 
 def _line(line: int | None) -> str:
     return "" if line is None else f" (line {line})"
+
+
+def _vector(values: ArrayLike) -> Vector:
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
 
 
 def _text(vector: Vector) -> str:
@@ -169,6 +194,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     across, down = frame.across(np.array(x + 0.5)), frame.down(np.array(y + 0.5))
     direction = np.array(frame.vector_to_scene((across, down, np.array(frame.depth))))
     index = hit.surface.item()
+    shader = scene.surfaces[index].shader if index >= 0 else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
         y=y,
@@ -178,6 +204,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         distance=hit.distance.item(),
         point=tuple(hit.point[0].tolist()),
         normal=tuple(hit.normal[0].tolist()),
+        kd=_vector(shader.diffuse),
+        ks=_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
+        exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(_parts(scene, prepared, nearest_hits(prepared, samples), hit)),
         radiance=tuple(radiance.tolist()),
         codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
@@ -199,10 +228,13 @@ def _parts(
             power = geometry.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
             specular = strength * prepared.specular[:, own] * power
         towards = unit(np.subtract(light.position, hit.point[0]))
+        half = unit(towards + unit(prepared.frame.eye - hit.point[0]))
         refs = scene.surfaces.file_index[occluders].tolist()
         yield LightPart(
             line=light.line,
+            intensity=_vector(light.intensity),
             n_dot_l=float(hit.normal[0] @ towards),
+            n_dot_h=float(hit.normal[0] @ half),
             occluders=tuple(SurfaceRef.of(scene, index) for index in refs),
             diffuse=tuple(diffuse[:, 0].tolist()),
             specular=tuple(specular[:, 0].tolist()),

@@ -5,16 +5,19 @@ NumPy's threads wait too much for the interpreter's lock, so processes share a p
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
+# These take longer to import than a small picture to draw, and only a pool needs them.
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
+
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 # So many items wait in the executor's queue or are done there.
@@ -27,35 +30,35 @@ def processors() -> int:
 
 
 def share(
-    process: Callable[[int], _Result],
-    count: int,
+    process: Callable[[_Item], _Result],
+    items: Sequence[_Item],
     executor: Executor | None,
-    remote: Callable[[int], _Result],
+    remote: Callable[[_Item], _Result],
 ) -> Iterator[tuple[int, _Result]]:
-    """Process the items 0 ... count - 1; yield their numbers and results, in any order.
+    """Process items; yield their indices and results, in any order.
 
     An executor gets the last items, for `remote`, while this process takes the first that nobody
     has.  What fails there, for whatever reason, is done here, and raises its error here.
     """
-    first, last = 0, count
+    first, last = 0, len(items)
     queued = deque[tuple[int, "Future[_Result]"]]()
     while first < last or queued:
         while executor is not None and first < last and len(queued) < _QUEUED:
             try:
-                queued.append((last - 1, executor.submit(remote, last - 1)))
+                queued.append((last - 1, executor.submit(remote, items[last - 1])))
                 last -= 1
             except (RuntimeError, OSError):  # a process has died, or none can be started
                 executor = None
         if first < last:
-            yield first, process(first)
+            yield first, process(items[first])
             first += 1
         while queued and (first >= last or queued[0][1].done()):
-            number, future = queued.popleft()
+            index, future = queued.popleft()
             try:
                 result = future.result()
             except Exception:
-                result = process(number)
-            yield number, result
+                result = process(items[index])
+            yield index, result
 
 
 def worker_pool(count: int, initializer: Callable[..., None], *arguments: Any) -> Executor | None:
@@ -66,7 +69,8 @@ def worker_pool(count: int, initializer: Callable[..., None], *arguments: Any) -
     """
     if count < 1:
         return None
-    from concurrent.futures import ProcessPoolExecutor  # takes 20 ms to import
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
 
     # Forks have what is imported and prepared already.
     method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
@@ -86,6 +90,8 @@ def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) 
 
 
 def _end_with_parent() -> None:
+    import multiprocessing
+
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

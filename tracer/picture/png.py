@@ -42,7 +42,7 @@ def write_png(file: str | os.PathLike[str] | IO[bytes], image: ArrayLike) -> Non
     Raises
     ------
     TypeError, ValueError
-        See `to_codes`; also for a picture of no pixels.
+        See `to_codes`; also for a picture of no pixels, and a name that ends as other files do.
     OSError
         If the file cannot be written, or a file that is there is not a PNG.
     """
@@ -51,6 +51,9 @@ def write_png(file: str | os.PathLike[str] | IO[bytes], image: ArrayLike) -> Non
     rows = max(1, _VALUES_AT_ONCE // (3 * max(1, width)))
     tiles = (compressed(radiance[row : row + rows]) for row in range(0, height, rows))
     if isinstance(file, (str, os.PathLike)):
+        stem, suffix = os.path.splitext(os.fspath(file))
+        if suffix.lower() not in ("", ".png"):
+            raise ValueError(f"{os.fspath(file)}: pictures are PNG files; name it {stem}.png")
         with atomic_file(file, PNG) as stream:
             write_tiles(stream, width, height, tiles)
     else:

@@ -12,11 +12,10 @@ import operator
 import pickle
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from functools import cached_property, lru_cache, partial
 from itertools import product
 from math import isqrt
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,8 +28,11 @@ from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import processors, share, worker_pool
 from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
-from tracer.trace.lighting import radiance_at
+from tracer.trace.radiance import radiance_at
 from tracer.world.prepared_scene import PreparedScene
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 # Infinities and NaN are valid results here: a slab never left, a sphere not met.
 _QUIET = np.errstate(all="ignore")
@@ -47,6 +49,9 @@ _SECONDS, _FEW_OBJECTS, _CLASSIFIED_COST = 1e-8, 8, 10
 
 # A picture that takes less than so many seconds is drawn by one process.
 _WORTH_A_POOL = 0.1
+
+_Part: TypeAlias = tuple[slice, slice]
+"""Rows and columns of a picture."""
 
 # The most samples, and processes: with 1e18 samples a picture would never end.
 _MOST = 999_999_999
@@ -96,8 +101,8 @@ def render(
     remote = partial(_RenderJob.radiance, job)
     # calloc: untouched pages cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
-    for number, radiance in share(job.radiance, len(job.tiles), executor, remote):
-        image[job.tiles[number]] = radiance
+    for index, radiance in share(job.radiance, job.tiles, executor, remote):
+        image[job.tiles[index]] = radiance
     # Row by row: this ends at the first that is not black.
     for warning in scene_warnings(scene, black=not any(row.any() for row in image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
@@ -136,18 +141,19 @@ def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None
     if processes is None:
         processes = processors() if job.seconds >= _WORTH_A_POOL else 1
     count = min(_integer(processes, "processes"), processors(), len(job.tiles))
-    _ = [part.grid for part in job.prepared.by_lights]  # forks have them
+    if count > 1:
+        _ = [part.grid for part in job.prepared.by_lights]  # forks have them
     pool = worker_pool(count - 1, _begin_job, job)
     waiting, first = dict[int, Tile](), 0
     try:
-        for number, tile in share(job.tile, len(job.tiles), pool, _tile_of_job):
-            waiting[number] = tile
+        for index, tile in share(job.tile, job.tiles, pool, _tile_of_job):
+            waiting[index] = tile
             while first in waiting:
                 yield waiting.pop(first)
                 first += 1
     finally:
         if pool:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 def _integer(value: int, name: str) -> int:
@@ -220,27 +226,26 @@ class _RenderJob:
     def _pickled(self) -> bytes:
         return pickle.dumps(self._given)
 
-    def tile(self, number: int) -> Tile:
-        """A tile for a PNG file."""
-        radiance = self.radiance(number)
-        data = compressed(radiance, from_left=self.tiles[number][1].start == 0)
+    def tile(self, part: _Part) -> Tile:
+        """A part of the picture for a PNG file."""
+        radiance = self.radiance(part)
+        data = compressed(radiance, from_left=part[1].start == 0)
         return Tile(data, radiance.size // 3, not radiance.any())
 
     @_QUIET
-    def radiance(self, number: int) -> Floats:
-        """Radiance of a tile (rows, columns, 3)."""
+    def radiance(self, part: _Part) -> Floats:
+        """Radiance of a part of the picture (rows, columns, 3)."""
         keep_heap()
-        rows, columns = self.tiles[number]
+        rows, columns = part
         out = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
         window = self.prepared.window
         height = max(1, self._at_once // out.shape[1])
         pieces = _pieces(_overlap(rows, window[0]), height), _pieces(columns, self._at_once)
-        for part in product(*pieces):
+        for piece in product(*pieces):
             here = tuple(
-                slice(a.start - b.start, a.stop - b.start)
-                for a, b in zip(part, (rows, columns), strict=True)
+                slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, part, strict=True)
             )
-            self._draw(*part, out[here])
+            self._draw(*piece, out[here])
         return out
 
     def _draw(self, rows: slice, columns: slice, out: Floats) -> None:
@@ -274,8 +279,8 @@ def _begin_job(job: _RenderJob) -> None:
     _job = job
 
 
-def _tile_of_job(number: int) -> Tile:
-    return _job.tile(number)
+def _tile_of_job(part: _Part) -> Tile:
+    return _job.tile(part)
 
 
 def _overlap(a: slice, b: slice) -> slice:

@@ -1,12 +1,13 @@
-"""From a scene file to its elements, which know their lines.
+"""Parse a scene file into elements with line numbers.
 
-The file is parsed as a stream, and only a part of its tree is ever held: each child of the root is
-handed on when it ends.  All that is read is held against the limits below, so that no file can
-exhaust memory or time.
+The file is parsed as a stream, and only a part of its tree is in memory at any time: each child of
+the root is handed on when it ends.  The limits below keep any file from exhausting memory or time.
 """
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Callable
 from typing import IO, Any
 from xml.parsers import expat
@@ -21,7 +22,7 @@ MAX_TOKEN = 1 << 20
 MAX_NESTING = 64
 """Deepest nesting, and most children of anything but the scene."""
 
-# Bytes parsed at a time, and what is kept of those before, to find remedies.
+# Bytes parsed at a time, and how many before them are kept to find the cause of an error.
 _READ_BYTES, _TAIL_BYTES = 1 << 14, 1 << 12
 
 # Elements that hold elements, and no text.
@@ -29,17 +30,33 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
 class FatalFault(Exception):  # noqa: N818 - a fault of the file, not of the program
-    """A fault after which the rest of the file is not worth reading: the line or 0, and words."""
+    """A fault that ends the reading of a file: its line, or 0 for none, and the message."""
 
 
 class Element(list["Element"]):
-    """A sequence of its children.  Who makes it sets the slots: faster than a constructor."""
+    """An element, a list of its children.  The parser sets the slots: faster than `__init__`."""
 
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
     line: int
     text: str
+
+
+def opened(path: str) -> IO[bytes]:
+    """Open a regular file: a pipe or a device may block, or never end."""
+    try:
+        status = os.stat(path)
+    except ValueError:
+        wrong = "a path cannot hold a NUL or half of a surrogate pair; check the path"
+        raise FatalFault(0, wrong) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FatalFault(0, "is a folder; name a scene file in it")
+    if not stat.S_ISREG(status.st_mode):
+        raise FatalFault(0, "is not a regular file; save the scene to one")
+    if status.st_size > MAX_BYTES:
+        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+    return open(path, "rb")
 
 
 def parse(
@@ -49,12 +66,17 @@ def parse(
 ) -> None:
     """Parse a scene file: `read_child` gets the root when it begins, each child when it ends.
 
-    Stray text is reported: its line, the tag of what holds it, and what is wrong.  `FatalFault` is
-    raised where the file is not XML any more, or passes a limit; what ended before has been read.
+    `report_at` gets stray text: its line, the tag around it, and the message.
+
+    Raises
+    ------
+    FatalFault
+        Where the file stops being XML or exceeds a limit; children that end before have been read.
     """
     opened: list[Element] = []
-    # Where stray text since the last tag is reported already: a long one comes in pieces.
+    # Stray text since the last tag is reported already if this holds it: long texts come in pieces.
     strayed: Element | None = None
+    encoding = ""
 
     def start(tag: str, attrib: dict[str, str]) -> None:
         nonlocal strayed
@@ -95,6 +117,10 @@ def parse(
             line = parser.CurrentLineNumber - text.count("\n")
             report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
 
+    def declaration(_version: str, declared: str | None, _standalone: int) -> None:
+        nonlocal encoding
+        encoding = declared or ""
+
     def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
         # Entities in others grow exponentially; those of another file would be skipped.
         if declares or system is not None:
@@ -108,6 +134,7 @@ def parse(
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = text
+    parser.XmlDeclHandler = declaration
     parser.StartDoctypeDeclHandler = doctype
     given, latest, chunk = 0, b"", None
     try:
@@ -127,13 +154,13 @@ def parse(
                     raise MemoryError from None
                 at = max(0, parser.ErrorByteIndex - given + len(latest))
                 after = (latest + file.read(_READ_BYTES))[at : at + 256]
-                right = malformed(message, error.lineno, latest[:at], after, opened)
+                right = malformed(message, error.lineno, latest[:at], after, opened, encoding)
                 wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
                 raise FatalFault(error.lineno, wrong) from None
             except (LookupError, ValueError, Warning):
                 if opened:
                     raise
-                # Of the codec that the file asks for.
+                # Raised by the codec that the file names.
                 raise FatalFault(1, "not XML: unknown encoding; save the file as UTF-8") from None
             # Versions of expat before 2.6 take quadratic time over one token.
             if given - parser.CurrentByteIndex > MAX_TOKEN:
@@ -142,4 +169,4 @@ def parse(
             if given > MAX_BYTES:
                 raise FatalFault(0, f"has more than {MAX_BYTES} bytes, which are allowed")
     finally:
-        parser = None  # it holds itself by its handlers: a cycle
+        parser = None  # breaks the cycle of the parser and its handlers

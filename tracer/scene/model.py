@@ -1,8 +1,9 @@
-"""The scene: frozen dataclasses, checked when they are made, and the arrays of its surfaces.
+"""The scene: frozen dataclasses that validate their fields, and the arrays of its surfaces.
 
-Numbers are finite, lengths and coordinates other than 0 from 1e-75 to 1e75 in size, and colours not
-negative; `SceneError` reports all that is wrong, not only the first.  The fields' metadata are the
-table of elements that files are read and written by: see `schema.xml_field`.
+Numbers are finite; all but directions are at most 1e75 in size, and lengths and coordinates other
+than 0 at least 1e-75; colours, intensities and exponents are not negative.  `SceneError` lists
+every fault, not only the first.  The fields' metadata are the table of elements that files are read
+and written by: see `schema.xml_field`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
+from functools import cached_property
 from typing import Any, TypeAlias, overload
 
 import numpy as np
@@ -24,7 +25,7 @@ VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 
 _ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
-# Below this sine or cosine the camera basis has no digit left worth trusting.
+# Below this sine or cosine, too few digits of the camera basis are right.
 _DEGENERATE = 1e-10
 
 
@@ -215,10 +216,10 @@ class Box(Checked):
 
 
 class Surfaces(Sequence[Sphere | Box]):
-    """All surfaces of a scene, as arrays, as they come in thousands; also a sequence of them.
+    """All surfaces of a scene in arrays, and a sequence of `Sphere` and `Box` in the file's order.
 
-    The arrays are read-only copies; where all surfaces are numbered together, spheres come first.
-    Two objects are equal if they are equal as sequences.
+    The arrays are read-only copies; in those of all surfaces, spheres come first.  Two objects are
+    equal if they are equal as sequences.
 
     Parameters
     ----------
@@ -229,16 +230,16 @@ class Surfaces(Sequence[Sphere | Box]):
     shader_index : (S + B,)
         Index of each into `shaders`.
     file_index : (S + B,), optional
-        Place of each in the file: a permutation of 0 ... S + B - 1.
-        Of two surfaces at the same distance, the earlier is seen.
+        Position of each in the file: a permutation of 0 ... S + B - 1.
+        Of two surfaces at the same distance, the one that comes first in the file is visible.
     shaders : tuple of Lambertian or Phong
     line : (S + B,), optional
-        Where each stands in its file; 0 if it is from none.
+        Line of each in its file; 0 if it is not from a file.
 
     Raises
     ------
     SceneError
-        For arrays that do not fit together, or numbers that no sphere or box may have.
+        For arrays whose lengths do not match, or invalid numbers.
     """
 
     def __init__(
@@ -269,7 +270,7 @@ class Surfaces(Sequence[Sphere | Box]):
         self.__setstate__(vars(self))
 
     def _conflicts(self) -> Iterator[str]:
-        """Find arrays that do not fit together, and so cannot be checked further."""
+        """Find arrays whose lengths or indices do not match, so that no more can be validated."""
         every = "one a surface"
         for name, needed, why in (
             ("radius", len(self.center), "as many as center"),
@@ -279,14 +280,14 @@ class Surfaces(Sequence[Sphere | Box]):
             if (count := len(getattr(self, name))) != needed:
                 yield f"{name}: needs {needed}, {why}; has {count}"
         index, count = self.shader_index, len(self.shaders)
-        for place in index[(index < 0) | (index >= count)].tolist()[:1]:
-            yield f"shader_index: must be places among {count} shaders, has {place}"
+        for wrong in index[(index < 0) | (index >= count)].tolist()[:1]:
+            yield f"shader_index: must be indices of {count} shaders, has {wrong}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
             yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
     def _faults(self) -> Iterator[tuple[int, str]]:
-        """Find numbers that no sphere or box may have; tell its place in the file."""
+        """Find invalid numbers; yield the surface's position in the file, and the message."""
         spheres, boxes = np.split(self.file_index, [self.sphere_count])
         balls = {"center": self.center, "radius": self.radius[:, None]}
         corners = {"min_pt": self.min_pt, "max_pt": self.max_pt}
@@ -331,29 +332,38 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @property
     def sphere_count(self) -> int:
-        """How many are spheres."""
+        """Number of spheres."""
         return len(self.radius)
+
+    @cached_property
+    def file_order(self) -> NDArray[np.intp]:
+        """Indices (S + B,) into the arrays, in the file's order: the inverse of `file_index`."""
+        order = np.argsort(self.file_index)
+        order.setflags(write=False)
+        return order
 
     @overload
     def __getitem__(self, index: int) -> Sphere | Box: ...
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
-        at = np.argsort(self.file_index)[index].tolist()
-        return tuple(map(self._surface, at)) if isinstance(index, slice) else self._surface(at)
+        found = self.file_order[index].tolist()
+        if isinstance(index, slice):
+            return tuple(map(self._surface, found))
+        return self._surface(found)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
         return iter(self[:])
 
-    def _surface(self, at: int) -> Sphere | Box:
-        """One by its place in the arrays."""
-        shader, line = self.shaders[self.shader_index[at]], self.line.item(at) or None
-        if at < self.sphere_count:
-            center, radius = tuple(self.center[at].tolist()), self.radius.item(at)
+    def _surface(self, i: int) -> Sphere | Box:
+        """The surface at index `i` of the arrays."""
+        shader, line = self.shaders[self.shader_index[i]], self.line.item(i) or None
+        if i < self.sphere_count:
+            center, radius = tuple(self.center[i].tolist()), self.radius.item(i)
             return schema.construct_unchecked(
                 Sphere, center=center, radius=radius, shader=shader, line=line
             )
-        low, high = (each[at - self.sphere_count].tolist() for each in (self.min_pt, self.max_pt))
+        low, high = (a[i - self.sphere_count].tolist() for a in (self.min_pt, self.max_pt))
         corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
         return schema.construct_unchecked(Box, **corners, shader=shader, line=line)
 
@@ -363,7 +373,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return len(self) == len(other) and all(map(operator.eq, self, other))
 
     def __hash__(self) -> int:
-        # Length and first surface are enough for a hash: all the arrays would take long.
+        # Of the length and the first surface: hashing all the arrays would take long.
         return hash((len(self), self[0] if len(self) else None))
 
     def __repr__(self) -> str:
@@ -375,7 +385,7 @@ _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 @dataclass(frozen=True, slots=True, init=False)
 class Scene(Checked):
-    """What is seen (`surfaces`), by what light, through which camera.
+    """Surfaces, lights, a camera, and the size of the picture.
 
     Parameters
     ----------
@@ -388,7 +398,7 @@ class Scene(Checked):
     Raises
     ------
     SceneError
-        For a picture of no pixels or too many, or parts of the wrong type.
+        For a picture of no pixels or too many, or values of the wrong type.
     """
 
     camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
@@ -397,7 +407,7 @@ class Scene(Checked):
     width: int = field(metadata=xml_field(schema.size))
     height: int = field(metadata=xml_field(schema.size))
 
-    # Written out, as it takes more types than the fields keep.
+    # Written out, as its parameters accept more types than the fields hold.
     def __init__(
         self,
         *,
@@ -419,6 +429,7 @@ class Scene(Checked):
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""
-        # By its name: pictures are made of scenes, so no module here imports one of theirs.
-        png: bytes = import_module("tracer.picture.render").to_png(self)
-        return png
+        # The one import that goes up: Jupyter asks the scene itself for its picture.
+        from tracer.picture.render import to_png
+
+        return to_png(self)

@@ -1,34 +1,41 @@
-"""From a scene file to a :class:`~tracer.scene.model.Scene`.
+"""Read a scene file into a :class:`~tracer.scene.model.Scene`.
 
-Elements become rows of tables, one for each dataclass; numbers are checked when all are there.
+Elements become rows of tables, one table for each dataclass; numbers are validated at the end, in
+arrays.
 
 Each fault is reported in a line of its own, as ``FILE:LINE: element: what is wrong; what would be
-right``, up to the place where the file is no longer XML or passes a limit, or has `MAX_FAULTS`.
+right``, until the file stops being XML, exceeds a limit, or has `MAX_FAULTS`.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import stat
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import MISSING, Field, fields, replace
 from itertools import repeat
 from typing import IO, Any, cast
+from unicodedata import normalize
 
 import numpy as np
 
 from tracer.messages import printable, quoted, short
 from tracer.scene import model, schema
-from tracer.scene.elements import MAX_BYTES, Element, FatalFault, parse
-from tracer.scene.hints import nearest
+from tracer.scene.elements import Element, FatalFault, opened, parse
+from tracer.scene.hints import meant, not_a_number, suggestion, unknown_tag
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import Floats, SceneError, construct_unchecked
 
 MAX_FAULTS = 1_000
 """How many faults are reported before the reader gives up on a file."""
+
+# Of so many unknown shaders the most similar name is sought, which takes milliseconds each.
+_MAX_SEARCHES = 32
+
+# So many words of an element that holds too many are judged one by one.
+_MAX_WORDS = 64
 
 
 class SceneFileError(SceneError):
@@ -64,7 +71,7 @@ def load_scene(
     if not isinstance(name, str):
         name = "<stream>"
     try:
-        with nullcontext(given) if stream else _opened(name) as file:
+        with nullcontext(given) if stream else opened(name) as file:
             reader.read(file)
     except FatalFault as fault:
         reader.faults.append(fault.args)
@@ -73,40 +80,24 @@ def load_scene(
         reader.faults.append((0, f"cannot be read: {reason}; check the path and its permissions"))
     if not reader.faults:
         return reader.scene()
-    # Whatever text comes from the file, a message is one line that any terminal can show.
+    # Text from the file must not break a message into lines, or reach the terminal as controls.
     raise SceneFileError(
         printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.faults, key=lambda fault: fault[0])
     )
 
 
-def _opened(path: str) -> IO[bytes]:
-    """Open a regular file: a pipe or a device may block, or never end."""
-    try:
-        status = os.stat(path)
-    except ValueError:
-        wrong = "no path has a NUL or half of a surrogate pair in it; check the path"
-        raise FatalFault(0, wrong) from None
-    if stat.S_ISDIR(status.st_mode):
-        raise FatalFault(0, "is a folder; name a scene file in it")
-    if not stat.S_ISREG(status.st_mode):
-        raise FatalFault(0, "is not a regular file; save the scene to one")
-    if status.st_size > MAX_BYTES:
-        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
-    return open(path, "rb")
-
-
-# Of the words that float() accepts, those with other characters are no numbers: 1_0, nan, infinity.
+# What float() accepts beyond that is not a number of this format: 1_0, nan, infinity.
 _decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
 
 def _numbers(text: str, count: int) -> Sequence[float]:
-    """The numbers in a text; none unless there are so many, and nothing else."""
+    """The `count` numbers that a text consists of; none if it is anything else."""
+    words = text.split()
     try:
-        found = [*map(float, text.split())]
+        return [*map(float, words)] if len(words) == count and _decimal(text) else ()
     except ValueError:
         return ()
-    return found if len(found) == count and _decimal(text) else ()
 
 
 class _Column:
@@ -127,7 +118,7 @@ class _Column:
         return np.reshape(self.numbers, (-1, self.validator.count))
 
     def values(self) -> Iterable[Any]:
-        """What the object of each row keeps."""
+        """The field's value in the object of each row."""
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # one tuple for all
         rows = self.array().T.tolist()
@@ -142,11 +133,11 @@ class _Table:
         tagged = [field for field in fields(cast(Any, made)) if field.metadata]
         self.tags = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.columns = {field.name: _Column(field) for field in tagged if field.name in numeric}
-        # Of each row the line, the place among all shaders or surfaces, and a surface's shader.
+        # Of each row: the line, the index among all shaders or surfaces, a surface's shader.
         self.lines, self.index, self.shaders = array("i"), array("i"), array("i")
 
     def faults(self) -> Iterator[tuple[int, str, str]]:
-        """Find numbers that make no object: the line, the tag, and what is wrong."""
+        """Find invalid numbers: the line, the tag, and the message."""
         numbers = {name: column.array() for name, column in self.columns.items()}
         for row, name, wrong in schema.faults(self.made, numbers):
             line, tags = self.columns[name].lines[row], self.columns[name].tags
@@ -154,7 +145,7 @@ class _Table:
                 yield abs(line) or self.lines[row], tags[line < 0], _in_tags(wrong)
 
     def objects(self) -> Iterator[Any]:
-        """Make the dataclass of each row, whose numbers are known to be right."""
+        """Make the dataclass of each row, from numbers without faults."""
         values = {name: column.values() for name, column in self.columns.items()}
         if self.made is model.PointLight:
             values["line"] = self.lines
@@ -168,16 +159,18 @@ class _Reader:
     def __init__(self) -> None:
         self.faults: list[tuple[int, str]] = []
         self.seen: dict[str, Element] = {}
+        # Tags of the scene's children that are misspelt: these are not missing.
+        self.misspelt = set[str | None]()
         self.empty = Scene(width=1, height=1)
         self.cameras, self.lights = _Table(model.Camera), _Table(model.PointLight)
         self.shaders = {made.__name__: _Table(made) for made in (model.Lambertian, model.Phong)}
         self.surfaces = {made.__name__: _Table(made) for made in (model.Sphere, model.Box)}
         self.surface_count = 0
-        # A named shader gets its place among all when its name first occurs, referred to or
-        # defined.  Of each place, the line that defines it, or 0; place 0 is white.
-        self.places: dict[str, int] = {}
+        # A named shader gets its index when the name first occurs, in a reference or a definition.
+        # `defined` holds the line of each definition, or 0; shader 0 is the default, white.
+        self.indices: dict[str, int] = {}
         self.defined = array("i", [1])
-        # Of each reference to a shader that was not yet defined, its line and the shader's place.
+        # Line and shader of each reference to a shader that was not defined yet.
         self.references = array("i")
 
     def report_at(self, line: int, tag: str, message: str) -> None:
@@ -211,7 +204,8 @@ class _Reader:
             self.root(element)
         elif tag == "shader":
             self.shader(element)
-            if "name" not in element.attrib:
+            tags = "name", "type"
+            if "name" not in {tag if tag in tags else meant(tag, tags) for tag in element.attrib}:
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.row(self.lights, element)
@@ -220,7 +214,8 @@ class _Reader:
                 self.repeated(element, self.seen[tag])
             self.row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
-            self.unknown(element, "scene", ("camera", "image", "light", "shader", "surface"))
+            known = "camera", "image", "light", "shader", "surface"
+            self.misspelt.add(self.unknown(element, "scene", known))
 
     def root(self, element: Element) -> None:
         if element.tag != "scene":
@@ -235,9 +230,10 @@ class _Reader:
         self.no_parts(element)
         word = r"\s*([-+]?\d{1,18})"
         found = re.fullmatch(rf"{word}\s{word}\s*", element.text, re.ASCII)
+        text = element.text.strip()
         if found is None:
-            wrong = "needs two whole numbers, width and height, as in 640 480"
-            self.report(element, f"{wrong}; has {quoted(element.text.strip())}")
+            wrong = f"needs two whole numbers, width and height, as in 640 480; has {quoted(text)}"
+            self.report(element, wrong if text.isascii() else not_a_number(text))
             return
         try:
             self.empty = Scene(width=int(found[1]), height=int(found[2]))
@@ -247,7 +243,7 @@ class _Reader:
 
     def surface(self, element: Element) -> None:
         table = self.surfaces.get(element.attrib.get("type", ""))
-        if table is None:  # what else it holds cannot be judged, but shaders may be defined there
+        if table is None:  # its other children cannot be judged, but shaders may be defined there
             self.untyped(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
@@ -256,30 +252,30 @@ class _Reader:
         table.index.append(self.surface_count)
         self.surface_count += 1
         shader = self.row(table, element, "type").get("shader")
-        place = 0 if shader is None else self.shader_or_reference(shader)
-        table.shaders.append(place)
-        if shader is not None and not self.defined[place]:
-            self.references.extend((shader.line, place))
+        index = 0 if shader is None else self.shader_or_reference(shader)
+        table.shaders.append(index)
+        if shader is not None and not self.defined[index]:
+            self.references.extend((shader.line, index))
 
     def shader(self, element: Element) -> int:
-        """Read a shader; return its place."""
+        """Read a shader; return its index."""
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        place = self.place(name)
-        if name is not None and self.defined[place]:
-            taken = f"is taken by the shader in line {self.defined[place]}; choose another"
-            self.report(element, f"the name {quoted(name)} {taken}")
+        index = self.shader_index(name)
+        if name is not None and self.defined[index]:
+            wrong = f"is taken by the shader in line {self.defined[index]}; choose another"
+            self.report(element, f"the name {quoted(name)} {wrong}")
         else:
-            self.defined[place] = element.line
+            self.defined[index] = element.line
         if table is None:
             self.untyped(element, self.shaders, "name")
         else:
-            table.index.append(place)
+            table.index.append(index)
             self.row(table, element, "name", "type")
-        return place
+        return index
 
     def shader_or_reference(self, element: Element) -> int:
-        """Read a surface's shader, or a reference to one; return its place."""
+        """Read a surface's shader, or a reference to one; return the shader's index."""
         name = element.attrib.get("ref")
         if name is not None:
             if len(element.attrib) > 1 or element:
@@ -290,38 +286,41 @@ class _Reader:
             self.report(element, f"has a name, but no type; {right}")
         else:
             return self.shader(element)
-        return self.place(name)
+        return self.shader_index(name)
 
-    def place(self, name: str | None) -> int:
-        """Return the place of the shader of this name among all, or a new one."""
+    def shader_index(self, name: str | None) -> int:
+        """Return the index of the shader of this name, a new one if there is none yet."""
         new = len(self.defined)
-        place = new if name is None else self.places.setdefault(name, new)
-        if place == new:
+        index = new if name is None else self.indices.setdefault(name, new)
+        if index == new:
             self.defined.append(0)
-        return place
+        return index
 
     def untyped(self, element: Element, tables: Mapping[str, _Table], *known: str) -> None:
         """Report that the `type` of a shader or surface names none of the tables."""
-        self.no_attributes(element, (*known, "type"))
-        kind = element.attrib.get("type")
-        choice = " or ".join(f'type="{name}"' for name in tables)
-        wrong = f"has no type; add {choice}"
-        if kind is not None:
-            wrong = f"unknown type {quoted(kind)}; {nearest(kind, tables)}"
-        self.report(element, wrong)
+        misspelt = self.no_attributes(element, (*known, "type"))
+        name = element.attrib.get("type")
+        if name is not None:
+            right = suggestion(tables, meant(name, tables))
+            self.report(element, f"unknown type {quoted(name)}; {right}")
+        elif "type" not in misspelt:
+            choice = " or ".join(f'type="{name}"' for name in tables)
+            self.report(element, f"has no type; add {choice}")
 
     def row(self, table: _Table, element: Element, *known: str) -> dict[str, Element]:
-        """Read an element as a row; return its parts by their fields.
+        """Read an element as a row; return its children by their fields.
 
-        Report what it has no field for, and what it lacks.
+        Report children without a field, and required fields without a child.
         """
-        if len(element.attrib) > len(known):
+        if not all(map(known.__contains__, element.attrib)):
             self.no_attributes(element, known, table.tags)
         parts: dict[str, Element] = {}
+        misspelt = set[str | None]()
         for child in element:
             name = table.tags.get(child.tag)
             if name is None:
-                self.unknown(child, element.attrib.get("type", element.tag), table.tags)
+                parent = element.attrib.get("type", element.tag)
+                misspelt.add(self.unknown(child, parent, table.tags))
             elif name in parts:
                 self.repeated(child, parts[name])
             else:
@@ -335,7 +334,7 @@ class _Reader:
                 continue
             column.numbers.extend(column.missing)
             column.lines.append(0)
-            if column.required and tag not in element.attrib:
+            if column.required and tag not in element.attrib and tag not in misspelt:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return parts
 
@@ -346,24 +345,20 @@ class _Reader:
         if found := _numbers(element.text, count):
             return found
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
-        wrong = [word for word in words if not _numbers(word, 1)]
+        wrong = [word for word in words[:_MAX_WORDS] if not _numbers(word, 1)]
         for word in wrong:
-            self.report(
-                element, f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"
-            )
+            self.report(element, not_a_number(word))
         if not wrong and not element:
             self.report(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
         return (np.nan,) * count
 
-    # What stands where it may not
+    # Elements and attributes that are unknown, repeated or out of place
 
-    def unknown(self, element: Element, parent: str, known: Iterable[str]) -> None:
-        remedy = nearest(element.tag, known)
-        for tag, kinds in (("surface", self.surfaces), ("shader", self.shaders)):
-            for kind in kinds:
-                if kind.lower() == element.tag.lower():
-                    remedy = f'write <{tag} type="{kind}">'
+    def unknown(self, element: Element, parent: str, known: Collection[str]) -> str | None:
+        """Report an unknown element; return the tag that was meant, if that is clear."""
+        remedy, match = unknown_tag(element.tag, known)
         self.report(element, f"unknown in {short(parent)}; {remedy}")
+        return match
 
     def repeated(self, element: Element, earlier: Element) -> None:
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
@@ -371,18 +366,25 @@ class _Reader:
 
     def no_attributes(
         self, element: Element, known: Sequence[str] = (), parts: Collection[str] = ()
-    ) -> None:
-        """Note all attributes but those `known`; some stand in place of elements, of its parts."""
+    ) -> set[str | None]:
+        """Report all attributes but those `known`; return which ones were meant.
+
+        `parts` are the tags of an element's children, which may be given as attributes by mistake.
+        """
+        misspelt = set[str | None]()
         for name in element.attrib:
             if name in known:
                 continue
             value = short(element.attrib[name])
             right = f'<shader ref="{value}"/>' if name == "shader" else f"<{name}>{value}</{name}>"
-            remedy = f"write {right} in it" if name in parts else nearest(name, known)
+            match = meant(name, known)
+            misspelt.add(match)
+            remedy = f"write {right} in it" if name in parts else suggestion(known, match)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
+        return misspelt
 
     def no_parts(self, element: Element, *known: str) -> None:
-        """Note all attributes but those `known`, and all elements, in one that holds none."""
+        """Report all attributes but those `known`, and all children."""
         self.no_attributes(element, known)
         for child in element:
             wrong = f"no element may stand in it; remove <{short(child.tag)}>"
@@ -391,25 +393,33 @@ class _Reader:
     # From tables to a scene
 
     def check_whole(self) -> None:
-        """Note what is missing in a whole file: camera, image, and shaders that are referred to."""
+        """Report what a whole file lacks: camera, image, and shaders that it refers to."""
         for tag in ("camera", "image"):
-            if tag not in self.seen:
+            if tag not in self.seen and tag not in self.misspelt:
                 self.report(self.seen["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
-        names = {place: name for name, place in self.places.items()}
-        known = [name for name, place in self.places.items() if self.defined[place]]
-        for line, place in zip(self.references[::2], self.references[1::2], strict=True):
-            if not self.defined[place]:
-                remedy = nearest(names[place], known) if known else "define it"
-                self.report_at(
-                    line, "shader", f"no shader is named {quoted(names[place])}; {remedy}"
-                )
+        undefined = {k: name for name, k in self.indices.items() if not self.defined[k]}
+        known = {name: self.defined[k] for name, k in self.indices.items() if self.defined[k]}
+        same = {normalize("NFC", name): name for name in known} if undefined else {}
+        remedies = dict[int, str]()
+        for line, k in zip(self.references[::2], self.references[1::2], strict=True):
+            if (name := undefined.get(k)) is None:
+                continue
+            if k not in remedies:
+                match = meant(name, known) if len(remedies) < _MAX_SEARCHES else None
+                remedies[k] = suggestion(known, match) if known else "define it"
+                if twin := same.get(normalize("NFC", name)):
+                    remedies[k] = (
+                        f"the name in line {known[twin]} looks the same, but has other Unicode"
+                        " characters (one is composed, one decomposed); copy it from there"
+                    )
+            self.report_at(line, "shader", f"no shader is named {quoted(name)}; {remedies[k]}")
 
     def scene(self) -> Scene:
         """Make the scene of a file without faults."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.defined)
         for table in self.shaders.values():
-            for place, shader in zip(table.index, table.objects(), strict=True):
-                shaders[place] = shader
+            for index, shader in zip(table.index, table.objects(), strict=True):
+                shaders[index] = shader
         tables = self.surfaces.values()
         columns = {name: c.array() for table in tables for name, c in table.columns.items()}
         surfaces = Surfaces(
@@ -424,5 +434,5 @@ class _Reader:
 
 
 def _in_tags(text: str) -> str:
-    """A text in the words of a scene file: tags stand for parameters, viewDir for view_dir."""
+    """Replace the names of parameters in a message by tags: view_dir by viewDir."""
     return re.sub("_([a-z])", lambda found: found[1].upper(), text)

@@ -1,7 +1,7 @@
 """Validators of the values in a scene.
 
-A dataclass field holds its validator, and its tags in a file, in its metadata (`xml_field`).  The
-same rules judge one object (`Checked`), arrays of many (`Surfaces`) and a file: see `faults`.
+The metadata of a dataclass field hold its validator and its tags in a file (`xml_field`).  The same
+rules apply to one object (`Checked`), to arrays (`Surfaces`) and to a file: see `faults`.
 """
 
 from __future__ import annotations
@@ -18,29 +18,30 @@ from numpy.typing import ArrayLike, NDArray
 _Made = TypeVar("_Made")
 Floats: TypeAlias = NDArray[np.float64]
 Columns: TypeAlias = Mapping[str, Floats]
-"""Numbers (n, count) of n objects of one dataclass, by its fields; NaN for what is not given."""
+"""Numbers (n, count) of n objects of one dataclass, by field; NaN for absent ones."""
 Fault: TypeAlias = tuple[int, str, str]
-"""Which of the objects, which field, and what is wrong with it."""
+"""Index of an object, name of the field, and message."""
 
 MAX_PIXELS = 1 << 28
 """Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
 
-# Between these in size are lengths and coordinates other than 0: float64 holds fourth powers.
+# Bounds of the size of lengths and coordinates other than 0, and of colours and exponents from
+# above: float64 holds their fourth powers.
 _SMALLEST, _LARGEST = 1e-75, 1e75
 
 
 def number(value: float) -> str:
-    """A number as a person would write it: 3, 0.5, 1e+20."""
+    """Write a number without a needless ``.0``: 3, 0.5, 1e+20."""
     return f"{value}".removesuffix(".0")
 
 
 class SceneError(ValueError):
-    """An impossible scene; the message is a line for each fault.
+    """An invalid scene; the message has one line for each fault.
 
     Attributes
     ----------
     lines : tuple of str
-        Everything that is wrong: ``parameter: what is wrong; what would be right``.
+        One for each fault: ``parameter: what is wrong; what would be right``.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -61,9 +62,9 @@ _Validator: TypeAlias = Callable[[Any, str], Any]
 
 
 def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
-    """Metadata of a field: its validator, and the tags of the elements that hold it in a file.
+    """Metadata of a field: its validator, and the tags of its elements in a file.
 
-    A validator takes a value and the field's name, and returns the value to keep, or raises
+    A validator takes a value and the field's name, and returns the field's value or raises
     `SceneError`.
     """
     return {"validator": validator, "tags": tags}
@@ -90,24 +91,28 @@ class Checked:
 
     @classmethod
     def conflicts(cls, columns: Columns) -> Iterable[Fault]:
-        """Find objects whose values do not go together, though each is right."""
+        """Find objects whose values are valid one by one, but not together."""
         return ()
 
 
 def construct_unchecked(made: type[_Made], **values: object) -> _Made:
-    """Make an object of a frozen dataclass, of all its values, which are known to be right."""
+    """Make an object of a frozen dataclass from all its values, without validation."""
     new = object.__new__(made)
     for name, value in values.items():
         object.__setattr__(new, name, value)
     return new
 
 
-# A rule: which of the values (n, count) break it, and the message, with the first that does.
+# A rule: a predicate for values (n, count) that break it, and the message about the first of them.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
 _LIMITS = f"lengths other than 0 are from {number(_SMALLEST)} to {number(_LARGEST)}"
 _FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
 _NOT_LARGE: _Rule = (lambda x: abs(x) > _LARGEST, f"{{}} is too large; {_LIMITS}")
+_NOT_HUGE: _Rule = (
+    lambda x: x > _LARGEST,
+    f"{{}} is too large; it is at most {number(_LARGEST)}",
+)
 _NOT_SMALL: _Rule = (lambda x: (abs(x) < _SMALLEST) & (x != 0), f"{{}} is too small; {_LIMITS}")
 _NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
 _POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, is {}")
@@ -118,7 +123,7 @@ _NOT_ZERO: _Rule = (
 
 
 class Numbers:
-    """Validator of so many numbers, under these rules."""
+    """Validator of `count` numbers that must obey some rules."""
 
     def __init__(self, count: int, *rules: _Rule) -> None:
         self.count, self.rules = count, rules
@@ -135,14 +140,14 @@ class Numbers:
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def rows(self, value: ArrayLike, name: str) -> Floats:
-        """Return a copy (n, count), or (n,) of single numbers, which may break the rules."""
+        """Return a copy (n, count), or (n,) of single numbers, without applying the rules."""
         array = _floats(value, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
             raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
-        """Find rows of `values` (n, count) that break a rule; say of each what the first is."""
+        """Find rows of `values` (n, count) that break a rule; yield index and message of each."""
         found: dict[int, str] = {}
         for is_broken, message in self.rules:
             broken = is_broken(values)
@@ -153,13 +158,13 @@ class Numbers:
 
 POINT = Numbers(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
 DIRECTION = Numbers(3, _FINITE, _NOT_ZERO)
-COLOR = Numbers(3, _FINITE, _NOT_NEGATIVE)
+COLOR = Numbers(3, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
-EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE)
+EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def numeric(made: Any) -> dict[str, Numbers]:
-    """Fields of a dataclass that hold numbers, and their validators."""
+    """Return the validators of a dataclass's fields of numbers, by name."""
     validators = {field.name: field.metadata.get("validator") for field in fields(made)}
     return {
         name: validator for name, validator in validators.items() if isinstance(validator, Numbers)
@@ -167,7 +172,7 @@ def numeric(made: Any) -> dict[str, Numbers]:
 
 
 def faults(made: type[Checked], columns: Columns) -> Iterator[Fault]:
-    """Find objects that a dataclass does not allow."""
+    """Find objects of a dataclass that are invalid, in columns of their numbers."""
     for name, validator in numeric(made).items():
         yield from ((i, name, wrong) for i, wrong in validator.faults(columns[name]))
     yield from made.conflicts(columns)
@@ -184,7 +189,7 @@ def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
 
 
 def size(value: int, name: str) -> int:
-    """A number of pixels, as a Python int: products of NumPy's integers may overflow."""
+    """Validate a number of pixels; return a Python int, as products of NumPy's may overflow."""
     try:
         count = int(operator.index(value))
     except TypeError:
@@ -197,7 +202,7 @@ def size(value: int, name: str) -> int:
 
 
 def list_of(*types: type) -> _Validator:
-    """Any number of objects of these types, as a tuple."""
+    """Make a validator of any number of objects of these types; it returns a tuple."""
     right = " or ".join(each.__name__ for each in types)
 
     def validator(values: Iterable[object], name: str) -> tuple[object, ...]:
@@ -214,16 +219,16 @@ def list_of(*types: type) -> _Validator:
 
 
 def one_of(*types: type) -> _Validator:
-    """An object of one of these types."""
+    """Make a validator of one object of these types."""
     many = list_of(*types)
     return lambda value, name: many([value], name)[0]
 
 
 def _floats(value: ArrayLike, name: str) -> Floats:
-    """As an array: a copy."""
+    """Copy numbers into an array."""
     try:
         array = np.asarray(value)
-        # NumPy would read texts, make NaN of None and of times, and drop a part of complex numbers.
+        # NumPy would parse text, turn None and times into NaN, and drop imaginary parts.
         if value is None or array.dtype.kind in "USmMc":
             raise TypeError
         return np.array(array, dtype=np.float64)

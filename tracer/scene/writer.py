@@ -1,4 +1,4 @@
-"""From a scene to a scene file."""
+"""Write a scene file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tracer.files import atomic_file
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers, number
 
-# How scene files begin; Mitsuba's have a version.
+# The beginning of a scene file; Mitsuba's have a version.
 _SCENE = rb"(?s)(\xef\xbb\xbf)?(\s|<\?[^?]*\?>|<!--((?!-->).)*-->)*(<scene\s*/?>|\Z)"
 
 
@@ -58,21 +58,20 @@ def _lines(scene: Scene) -> Iterator[str]:
     # Shaders that several surfaces share have names.
     uses = np.bincount(surfaces.shader_index, minlength=len(surfaces.shaders)).tolist()
     shaders = []
-    for place, shader in enumerate(surfaces.shaders):
-        named = f' name="shader{place}"' if uses[place] > 1 else ""
+    for k, shader in enumerate(surfaces.shaders):
+        named = f' name="shader{k}"' if uses[k] > 1 else ""
         text = f'<shader{named} type="{type(shader).__name__}">{_elements(shader)} </shader>'
         if named:
             yield f"  {text}\n"
-        shaders.append(f'<shader ref="shader{place}"/>' if named else text)
-    places = surfaces.shader_index[np.argsort(surfaces.file_index)].tolist()
-    for place, surface in zip(places, surfaces, strict=True):
-        yield f'  <surface type="{type(surface).__name__}">\n    {shaders[place]}\n'
+        shaders.append(f'<shader ref="shader{k}"/>' if named else text)
+    for k, surface in zip(surfaces.shader_index[surfaces.file_order], surfaces, strict=True):
+        yield f'  <surface type="{type(surface).__name__}">\n    {shaders[k]}\n'
         yield f"   {_elements(surface)}\n  </surface>\n"
     yield "</scene>\n"
 
 
 def _elements(made: Any) -> str:
-    """The elements that hold the numbers of a dataclass."""
+    """Write the numbers of a dataclass as elements."""
     numbers = {
         field.metadata["tags"][0]: np.ravel(value).tolist()
         for field in fields(made)

@@ -24,13 +24,13 @@ class FirstHits:
 
     Attributes
     ----------
-    surface : (n,)
+    surface : (...)
         Index into the scene's surfaces, in the file's order; -1 where a ray hits nothing.
-    distance : (n,)
+    distance : (...)
         From the eye; infinity where a ray hits nothing.
-    normal : (n, 3)
+    normal : (..., 3)
         Unit normal, on the side of the eye; NaN where a ray hits nothing.
-    point : (n, 3)
+    point : (..., 3)
         NaN where a ray hits nothing.
     """
 
@@ -47,37 +47,38 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> FirstHits:
     Parameters
     ----------
     scene : Scene
-    x, y : (n,)
-        In pixels to the right and down from the picture's upper left corner; pixels' centres are
-        at .5.  Positions outside the picture are allowed.
+    x, y : (...)
+        Numbers, or arrays of one shape, in pixels to the right and down from the picture's upper
+        left corner; pixels' centres are at .5.  Positions outside the picture are allowed.
 
     Returns
     -------
     FirstHits
-        Of surfaces at exactly the same distance, the first in the file.
+        In arrays of that shape; of surfaces at exactly the same distance, the first in the file.
 
     Raises
     ------
     ValueError
-        For positions that are not finite, or not two sequences of the same length.
+        For positions that are not finite, or of two shapes.
     """
     across, down = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    if across.ndim != 1 or across.shape != down.shape:
-        shapes = f"{across.shape} and {down.shape}"
-        raise ValueError(f"x and y must be sequences of the same length, have the shapes {shapes}")
+    shape = across.shape
+    if shape != down.shape:
+        raise ValueError(f"x and y must have one shape, have {shape} and {down.shape}")
+    across, down = across.ravel(), down.ravel()
     if not (np.isfinite(across).all() and np.isfinite(down).all()):
         raise ValueError("x and y must be finite")
     frame, n = camera_frame(scene.camera, scene.width, scene.height), across.size
     prepared, file_index = PreparedScene(scene, frame), scene.surfaces.file_index
     normal, point = np.full((2, n, 3), np.nan)
-    found = FirstHits(np.full(n, -1), np.full(n, np.inf), normal, point)
+    surface, distance = np.full(n, -1), np.full(n, np.inf)
     step = prepared.at_once(_RAYS_AT_ONCE)
     for start in range(0, n, step):
         samples, order = Scattered.of(across[start : start + step], down[start : start + step])
         seen = nearest_hits(prepared, samples)
         ray = start + order[seen.sample]
-        found.surface[ray] = file_index[seen.hit_object]
-        found.distance[ray] = seen.distance
+        surface[ray] = file_index[seen.hit_object]
+        distance[ray] = seen.distance
         point[ray] = np.transpose(seen.points(slice(None)))
         for group in seen.groups:
             at = start + order[group.sample]
@@ -86,4 +87,10 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> FirstHits:
                 normal[at, group.repeat_runs(group.face)] = group.repeat_runs(group.sign)
             else:
                 normal[at] = np.transpose(frame.vector_to_scene(group.n))
-    return found
+    vectors = (*shape, 3)
+    return FirstHits(
+        surface.reshape(shape),
+        distance.reshape(shape),
+        normal.reshape(vectors),
+        point.reshape(vectors),
+    )

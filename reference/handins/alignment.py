@@ -17,8 +17,6 @@ from PIL import Image
 from scipy import ndimage, optimize
 from skimage.registration import phase_cross_correlation
 
-__all__ = ["EDGE", "Bools", "Codes", "Diagnosis", "Floats", "Pair", "align", "edges_of", "shared"]
-
 Codes: TypeAlias = NDArray[np.uint8]
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -128,7 +126,7 @@ _ORDERS = np.array(list(permutations(range(3))))
 _TURNS: tuple[tuple[str, str, Callable[[Codes], Codes]], ...] = (
     ("mirrored", "A is mirrored: left and right are swapped.", lambda a: a[:, ::-1]),
     ("flipped", "A is upside down: row 0 should be the top.", lambda a: a[::-1]),
-    ("turned", "A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
+    ("turned-180", "A is turned by 180 degrees.", lambda a: a[::-1, ::-1]),
     ("transposed", "A is transposed: x and y are swapped.", lambda a: a.swapaxes(0, 1)),
 )
 
@@ -156,8 +154,9 @@ def _rearranged(a: Codes, b: Codes) -> tuple[Codes, list[Diagnosis]]:
     best = int(unlike.argmin())
     if unlike[best] < 0.5 * unlike[0] - 1e-3:
         order = _ORDERS[best].tolist()
-        names = ", ".join(("red", "green", "blue")[order.index(channel)] for channel in range(3))
-        found.append(Diagnosis("channels", f"A's channels are in another order: {names}."))
+        names = [("red", "green", "blue")[order.index(channel)] for channel in range(3)]
+        kind = "channels-" + "".join(name[0] for name in names).upper()
+        found.append(Diagnosis(kind, f"A's channels are in another order: {', '.join(names)}."))
         a = a[:, :, order]
     return a, found
 
@@ -169,43 +168,26 @@ def align(a: Codes, b: Codes, noise: int) -> tuple[Pair, list[Diagnosis]]:
     found = background + found
     still = _Motion("", "").pair(a, b, noise)
     before = still.unexplained()
-    for search in (_slid, _far) if before > 0.002 else ():
+    for search, left in ((_near, 0.1), (_far, 0.3)) if before > 0.002 else ():
         if motion := search(a, b, still):
             inverse = np.linalg.inv(motion.matrix).astype(np.float64)
             back = motion._replace(matrix=inverse, shift=-motion.shift)
             moved, opposite = (m.pair(a, b, noise) for m in (motion, back))
             # The leeway that a motion brings would explain something the other way as well.
-            if moved.unexplained() < min(0.3 * before, 0.5 * opposite.unexplained()):
+            if moved.unexplained() < min(left * before, 0.5 * opposite.unexplained()):
                 return moved, [*found, Diagnosis(motion.kind, motion.text)]
     return still, found
 
 
-def _slid(a: Codes, b: Codes, still: Pair) -> _Motion | None:
-    """A shift by half pixels, or a stretch by one, estimated from gradients.
-
-    Along each axis the shift is c + s x, x from -1/2 to 1/2 across the picture, the least squares
-    of A - B = -(c + s x) dI/dx (B. Lucas and T. Kanade, IJCAI 1981).
-    """
+def _near(a: Codes, b: Codes, still: Pair) -> _Motion:
+    """The best shift by up to two pixels, or a stretch by one."""
     height, width = b.shape[:2]
-    if min(height, width) < 4:
-        return None
-    step, curve = _step(b), still.curve().astype(np.float32)
-    there = np.where(b > still.noise, curve[b], b).mean(axis=2)
-    down, across = (gradient[::step, ::step] for gradient in np.gradient(there))
-    x, y = np.linspace(-0.5, 0.5, width)[::step], np.linspace(-0.5, 0.5, height)[::step, None]
-    columns = np.stack([across, across * x, down, down * y]).reshape(4, -1)
-    off = (there - a.mean(axis=2))[::step, ::step].ravel()
-    fit = np.linalg.lstsq(columns.T, off, rcond=1e-3)[0]
-    shift, stretch = np.round(2 * fit[::2]) / 2, np.round(fit[1::2])
-    if shift.any() and np.abs(shift).max() <= 2:
-        return _shift(*shift, slack=0)
-    if np.abs(stretch).max() == 1 and not shift.any():
-        text = (
-            f"A is a pixel {'smaller' if stretch.sum() < 0 else 'larger'} than it should be, about"
-            " its centre: pixel centres lie at (column + 1/2) / width, not at column / (width - 1)."
-        )
-        return _Motion("stretched", text, np.diag(1 - stretch / (width, height)))
-    return None
+    text = "A is a pixel smaller than it should be, about its centre: pixel centres lie at"
+    text += " (column + 1/2) / width, not at column / (width - 1)."
+    tried = [_Motion("size-minus-1", text, np.diag([1 + 1 / width, 1 + 1 / height]))]
+    for steps in ((-2, -1, 0, 1, 2), (-0.5, 0, 0.5)):
+        tried += [_shift(x, y, slack=0) for x in steps for y in steps if x or y]
+    return min(tried, key=lambda motion: motion.pair(a, b, still.noise).unexplained())
 
 
 def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
@@ -248,6 +230,16 @@ def _far(a: Codes, b: Codes, still: Pair) -> _Motion | None:
     return min(found, key=lambda one: one[0])[1] if found else None
 
 
+# Shifts (right, down) that the table of mistakes has as well.
+_SHIFTS = {
+    (0.5, 0): "pixel-left", (0, 0.5): "pixel-upper", (-0.5, 0): "pixel-right",
+    (0, -0.5): "pixel-lower", (0.5, 0.5): "pixel-upper-left", (0.5, -0.5): "pixel-lower-left",
+    (-0.5, 0.5): "pixel-upper-right", (-0.5, -0.5): "pixel-lower-right", (1, 0): "shift-right",
+    (-1, 0): "shift-left", (0, -1): "shift-up", (0, 1): "shift-down", (-1, -1): "shift-left-up",
+    (-1, 1): "shift-left-down", (1, -1): "shift-right-up", (1, 1): "shift-right-down",
+}  # fmt: skip
+
+
 def _shift(*by: float, slack: float = 1) -> _Motion:
     shift = np.round(by) if slack else np.array(by)
     why = "samples belong at the pixels' centres" if (shift % 1).any() else "check viewDir"
@@ -255,7 +247,7 @@ def _shift(*by: float, slack: float = 1) -> _Motion:
     names = {0.5: "half a pixel", 1: "one pixel"}
     parts = [f"{names.get(abs(s), f'{abs(s):g} pixels')} {way[int(s < 0)]}" for s, way in ways if s]
     text = f"A is shifted by {' and '.join(parts)}: {why}."
-    return _Motion("shifted", text, shift=shift, slack=slack)
+    return _Motion(_SHIFTS.get(tuple(shift.tolist()), "shift"), text, shift=shift, slack=slack)
 
 
 def _zoom(*powers: float) -> _Motion:
@@ -266,14 +258,14 @@ def _zoom(*powers: float) -> _Motion:
     size = " and ".join(f"{by:.3g} times as {word}" for by, word, _ in changed)
     check = changed[0][2] if len(changed) == 1 else "the window's size and distance"
     text = f"A shows everything {size} as B, about its centre: check {check}."
-    return _Motion("zoomed", text, np.diag([1 / across, 1 / down]), slack=0.5)
+    return _Motion("zoom", text, np.diag([1 / across, 1 / down]), slack=0.5)
 
 
 def _roll(angle: float) -> _Motion:
     c, s = np.cos(angle), np.sin(angle)
     way = "clockwise" if angle < 0 else "anticlockwise"
     text = f"A is turned by {abs(np.degrees(angle)):.0f} degrees {way}: check viewUp."
-    return _Motion("rolled", text, np.array([[c, -s], [s, c]]), slack=0.5)
+    return _Motion("roll", text, np.array([[c, -s], [s, c]]), slack=0.5)
 
 
 def _grey(image: Codes, size: int) -> Floats:

@@ -5,8 +5,9 @@ is the oracle.  Lengths that agree to 50 digits are equal, since the scene's own
 contact and ties are decided exactly.  In float32, with the textbook's quadratic or with an epsilon
 for shadows, it is what the stability chart (`reference.stability`) shows to fail.
 
-The nearest root t > 0 of a camera ray is seen; of equal ones the first in the file.  With the eye
-inside an object, or on it, that is the far root, and the normal points inwards.
+The nearest root t > 0 of a camera ray is seen; of equal ones the first in the file, and of faces
+of a box that of the first axis.  With the eye inside an object, or on it, that is the far root, and
+the normal points inwards.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import decimal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ from reference.command import parser
 from tracer import Phong, Scene, SceneFileError, Sphere, load_scene, write_png
 from tracer.messages import printable
 
-__all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "Seen", "render", "trace"]
+__all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "TIES", "Seen", "render", "trace"]
 
 Array: TypeAlias = NDArray[Any]
 """Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
@@ -108,7 +109,10 @@ The first leaves out the own object, which is exact, since all are convex.
 """
 
 
-_USUAL = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact"}
+TIES = ("first", "last")
+"""Which of equal roots is seen, in the order of the file, or of a box's axes."""
+
+_USUAL = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact", "ties": "first"}
 
 
 class Seen(NamedTuple):
@@ -122,8 +126,11 @@ class Seen(NamedTuple):
 class _Plain:
     """A scene in numbers of one arithmetic, with the methods to trace it by."""
 
-    def __init__(self, scene: Scene, arithmetic: str, spheres: str, shadows: str) -> None:
+    def __init__(
+        self, scene: Scene, arithmetic: str, spheres: str, shadows: str, ties: str
+    ) -> None:
         self.scene, self.surfaces, self.exact = scene, scene.surfaces[:], shadows == "exact"
+        self.last = ties == "last"
         self.cast, contact = ARITHMETICS[arithmetic]
         self.roots, self.start = SPHERES[spheres], SHADOWS[shadows]
         self.eye = self.cast(scene.camera.view_point)[:, None]
@@ -185,10 +192,13 @@ class _Plain:
         """Find what rays see, and shade it."""
         d = self.rays(x, y)
         nearest, owner = np.broadcast_to(self.cast(np.inf), x.size), np.full(x.size, -1)
-        for i, inside in enumerate(self.inside):
+        length = _norm(d)
+        order = [*enumerate(self.inside)]
+        for i, inside in reversed(order) if self.last else order:
             near, far = self.intersect(i, self.eye, d, closed=True)
             t = far if inside else near
-            closer = (near <= far) & (t > self.none) & (t < nearest * (1 - self.contact))
+            ahead = (near <= far) & (t * length > self.none)
+            closer = ahead & (t < nearest * (1 - self.contact))
             nearest, owner = np.where(closer, t, nearest), np.where(closer, i, owner)
 
         seen = np.flatnonzero(owner >= 0)
@@ -216,7 +226,11 @@ class _Plain:
             outward = (p - a) / b[0]
             return a + b[0] * outward, -outward if inside else outward
         near, far = self.slabs(i, self.eye, d, closed=True)
-        axis, every = far.argmin(axis=0) if inside else near.argmax(axis=0), np.arange(d.shape[1])
+        # Through an edge or a corner, the face of the first axis, or of the last.
+        t, best = (far, far.min(axis=0)) if inside else (near, near.max(axis=0))
+        tied = np.asarray(np.abs(t - best) * _norm(d) <= self.none)
+        axis = 2 - tied[::-1].argmax(axis=0) if self.last else tied.argmax(axis=0)
+        every = np.arange(d.shape[1])
         forward = d[axis, every] > 0
         p[axis, every] = np.where(forward == inside, b[axis, 0], a[axis, 0])
         n = np.zeros_like(p)
@@ -277,7 +291,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> Seen:
     """Trace one ray through each of n places in the picture.
 
     They are pixels `x` (n,) to the right of and `y` below the upper left corner; centres are at
-    + 0.5.  `methods` are `arithmetic`, `spheres` and `shadows`, keys of the tables.
+    + 0.5.  `methods` are `arithmetic`, `spheres`, `shadows` and `ties`, each out of its table.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
         return _Plain(scene, **_USUAL | methods).trace(np.asarray(x), np.asarray(y))
@@ -295,10 +309,12 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
 
 def main() -> None:
     """Render a scene file by the methods that are asked for."""
-    used = parser("reference.plain", __doc__)
+    used = parser("reference.judges.plain", __doc__)
     used.add_argument("scene", type=Path)
     used.add_argument("-o", "--output", type=Path, default=Path("plain.png"), help="%(default)s")
-    for name, choices in (("arithmetic", ARITHMETICS), ("spheres", SPHERES), ("shadows", SHADOWS)):
+    tables: dict[str, Iterable[str]]
+    tables = {"arithmetic": ARITHMETICS, "spheres": SPHERES, "shadows": SHADOWS, "ties": TIES}
+    for name, choices in tables.items():
         used.add_argument(f"--{name}", choices=[*choices], default=_USUAL[name])
     options = vars(used.parse_args())
     path, output = options.pop("scene"), options.pop("output")

@@ -1,0 +1,165 @@
+"""Render a scene with a proof: every pixel's mean radiance lies within a given error.
+
+    python -m reference.certify SCENE.xml --error 1/512 --judge PICTURE.png
+
+writes the antialiased picture, and says how near it is to the true one: in linear radiance, and in
+how many pixels the 8-bit codes are the only ones possible.  See `reference.judges.certificate`.
+Exit status: 0; 1 if a judged picture has codes that are certainly wrong; 2 for wrong usage; 3 if
+something cannot be read, certified or written.
+"""
+
+from __future__ import annotations
+
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
+import argparse
+import io
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from reference.command import parser, spare_inputs
+from reference.handins.reading import read_picture
+from reference.judges.certificate import Certificate, certify
+from tracer import SceneFileError, load_scene, to_codes, write_png
+from tracer.command.arguments import file_name
+from tracer.command.process import print_line, print_result
+from tracer.files import atomic_file
+from tracer.messages import printable
+
+__all__ = ["bounds_chart", "judgement", "main"]
+
+# With `--codes`, pixels whose codes stay open lie within this of where the next code begins.
+_ERROR, _ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
+
+
+def _error(text: str) -> Fraction:
+    """Type of an argument that is a positive number or fraction."""
+    try:
+        error = Fraction(text)
+        if error > 0 and float(error) > 0:
+            return error
+    except (OverflowError, ValueError, ZeroDivisionError):
+        pass
+    raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {text!r}")
+
+
+def _report(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
+    """What is known of a picture, in lines."""
+    off, certain = certificate.error, certificate.certain
+    wide, sure = (int(np.count_nonzero(m)) for m in (off > float(error), certain))
+    lines = [
+        f"{off.size - wide} of {off.size} pixels are within {error}; all within {off.max():.2g}"
+    ]
+    lines.append(f"{sure} of {off.size} pixels have certain codes, {certain.mean():.2%}")
+    if codes:
+        wide = int(np.count_nonzero((off > float(error)) & ~certain))
+    if wide:
+        lines.append(f"{wide} pixels stayed wider than asked: edges graze each other there")
+    return lines
+
+
+def judgement(certificate: Certificate, codes: np.ndarray) -> tuple[int, str]:
+    """How many codes (height, width, 3) of a picture are certainly wrong; and that in words."""
+    low, high = (to_codes(m).astype(int) for m in (certificate.low, certificate.high))
+    wrong = np.maximum(np.maximum(low - codes, codes - high), 0)
+    count = int(np.count_nonzero(wrong))
+    if not count:
+        return 0, "no code is certainly wrong"
+    row, column, channel = np.unravel_index(wrong.argmax(), wrong.shape)
+    where = f"at {column},{row}, where {'RGB'[channel]} is {codes[row, column, channel]}"
+    ends = sorted({low[row, column, channel], high[row, column, channel]})
+    most = f"by up to {wrong.max()}, {where} and must be {' to '.join(map(str, ends))}"
+    return count, f"{count} of {codes.size} codes are certainly wrong, {most}"
+
+
+def bounds_chart(certificate: Certificate) -> bytes:
+    """A PNG file that shows how wide each pixel's bounds are, in factors of two."""
+    from reference.charts import plt  # takes long to import
+
+    width = np.log2(np.maximum(certificate.error, 2.0**-40))
+    height = 7 * certificate.image.shape[0] / certificate.image.shape[1]
+    figure, axes = plt.subplots(figsize=(8.5, max(height, 2) + 0.8), layout="constrained")
+    low, high = max(np.floor(width.min()), -24), np.ceil(width.max())
+    shown = axes.imshow(width, cmap="viridis", vmin=low, vmax=max(high, low + 1))
+    axes.set_title("Mean radiance differs from the picture by no more than")
+    axes.grid(False)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.8)
+    ticks = sorted({round(t) for t in np.linspace(low, max(high, low + 1), 7).tolist()})
+    bar.set_ticks(ticks, labels=[f"1/{2 ** -int(t)}" if t < 0 else f"{2 ** int(t)}" for t in ticks])
+    figure.savefig(made := io.BytesIO(), format="png", dpi=120)
+    plt.close(figure)
+    return made.getvalue()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Certify a scene's picture; return the exit status."""
+    used = parser("reference.certify", __doc__)
+    add = used.add_argument
+    add("scene", type=file_name, metavar="SCENE.xml")
+    text = f"how near to the true mean every pixel has to be (default: {_ERROR}, or"
+    add("--error", type=_error, metavar="E", help=f"{text} {_ERROR_OF_CODES} with --codes)")
+    text = "be content with a pixel as soon as its 8-bit code is the only one possible"
+    add("--codes", action="store_true", help=text)
+    text = "the picture to write (default: SCENE.xml.certified.png)"
+    add("-o", "--output", type=file_name, metavar="OUT.png", help=text)
+    text = "count this picture's codes that are certainly wrong"
+    add("--judge", type=Path, metavar="PICTURE.png", help=text)
+    add("--bounds", type=file_name, metavar="OUT.png", help="draw how wide the bounds are")
+    given = used.parse_args(argv)
+    output = given.output or f"{given.scene}.certified.png"
+    targets = [Path(path) for path in (output, given.bounds) if path]
+    spare_inputs(used, targets, [Path(given.scene), *filter(None, [given.judge])])
+    if len(targets) == 2 and targets[0] == targets[1]:
+        used.error("-o and --bounds: one file cannot be both")
+    error, wrong = given.error or (_ERROR_OF_CODES if given.codes else _ERROR), 0
+    where, what, start = given.scene, "read", perf_counter()
+    try:
+        scene = load_scene(given.scene)
+        if given.judge:
+            where = str(given.judge)
+            judged, wanted = read_picture(given.judge).codes, (scene.height, scene.width, 3)
+            if judged.shape != wanted:
+                sizes = (f"{w} x {h}" for h, w, _ in (judged.shape, wanted))
+                raise ValueError("its size is {}, the scene's {}".format(*sizes))
+        where, what = given.scene, "certified"
+        hidden = None if sys.stderr is None else not sys.stderr.isatty()
+        with tqdm(total=100, unit="%", leave=False, disable=hidden, file=sys.stderr) as bar:
+            made = certify(
+                scene, float(error), codes=given.codes, progress=lambda part: bar.update(100 * part)
+            )
+        lines, seconds = _report(made, error, given.codes), perf_counter() - start
+        if given.judge:
+            wrong, verdict = judgement(made, judged)
+            lines.append(f"{given.judge}: {verdict}")
+        where, what = output, "written"
+        write_png(output, made.image)
+        if given.bounds:
+            where = given.bounds
+            with atomic_file(given.bounds, b"\x89PNG\r\n\x1a\n") as file:
+                file.write(bounds_chart(made))
+        where, what = "standard output", "written"
+        for line in [*lines, f"{output}: {made.cells} cells in {seconds:.2f} s"]:
+            print_result(sys.stdout, printable(line))
+    except SceneFileError as failure:
+        print_line(sys.stderr, str(failure))
+        return 3
+    except (
+        *(MemoryError, OSError, RuntimeError, SyntaxError, ValueError),
+        Image.DecompressionBombError,
+    ) as failure:
+        memory = "not enough memory; make the image smaller"
+        reason = memory if isinstance(failure, MemoryError) else failure
+        reason = getattr(failure, "strerror", None) or reason
+        print_line(sys.stderr, printable(f"{where}: cannot be {what}: {reason}"))
+        return 3
+    return 1 if wrong else 0

@@ -1,0 +1,90 @@
+"""A class in one page: by student and by scene, with each picture beside the right one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from reference import page as pages
+from reference.figures import Floats, amplified
+from reference.handins.alignment import Codes
+from reference.handins.results import Result
+from reference.page import Cell, Pair, png
+
+_LEGEND = (
+    "The difference is shown amplified, in linear light: orange where the hand-in is brighter, blue"
+    " where it is darker.  A ring marks the pixel that differs most."
+)
+
+
+def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
+    """A hand-in and the right picture, of one size."""
+    difference, gain = amplified(*light)
+    return Pair(
+        name=str(result.picture),
+        good=result.agrees,
+        word=result.word,
+        left="hand-in",
+        right="right",
+        width=codes[0].shape[1],
+        height=codes[0].shape[0],
+        left_png=png(codes[0]),
+        right_png=png(codes[1]),
+        difference=png(np.round(255 * difference).astype(np.uint8)),
+        thumbnail=png(codes[0], thumbnail=True),
+        shown=f"difference × {gain:,.10g}" if gain else "no difference",
+        notes=[str(result.diagnosis)],
+        worst=result.worst if result.differing else None,
+        figures=[
+            ("kind", result.kind), ("SSIM", f"{result.ssim:.6f}"), ("RMSE", f"{result.rmse:.2e}"),
+            ("largest difference", f"{result.max:.2e}"), ("pixels that differ", result.differing),
+        ],
+    )  # fmt: skip
+
+
+def student_of(picture: str, folder: Path, scene: str) -> str:
+    """Who handed a picture in: the folders it is in, and what stands before `_NAME`."""
+    path = Path(picture)
+    above = path.parent.relative_to(folder) if path.is_relative_to(folder) else Path()
+    before = path.name[: path.name.lower().rfind(scene)].rstrip("_") if scene else ""
+    return "/".join(part for part in (*above.parts, before) if part) or folder.name
+
+
+def _named(pair: Pair, folder: Path) -> Pair:
+    return replace(pair, name=os.path.relpath(pair.name, folder))
+
+
+def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
+    """The page as HTML; `pairs` by the names of pictures, `folder` holds all of these."""
+    scenes = sorted({Path(result.right).stem for result in results if result.right})
+    cells: dict[str, dict[str, list[Cell]]] = {}
+    shown = [result for result in results if result.picture in pairs]
+    for result in results:
+        scene = Path(result.right).stem if result.right else ""
+        if not result.picture or not scene:
+            continue
+        student = student_of(result.picture, folder, scene.lower())
+        pair = pairs.get(result.picture)
+        link = shown.index(result) if pair else None
+        cell = Cell(result.word, link, result.agrees, pair.thumbnail if pair else None)
+        cells.setdefault(student, {}).setdefault(scene, []).append(cell)
+    nothing = [Cell("nothing", good=False)]
+    rows = [[[Cell(student)], *(of.get(scene, nothing) for scene in scenes)]
+            for student, of in sorted(cells.items())]  # fmt: skip
+    agree = sum(result.agrees for result in results)
+    return pages.page(
+        title=f"Hand-ins in {folder}",
+        lead=f"{len(shown)} pictures of {len(cells)} students and {len(scenes)} scenes.",
+        verdict=f"{agree} agree.",
+        good=agree == len(results),
+        overview="By student and by scene",
+        head=["student", *scenes],
+        rows=rows,
+        pairs=[_named(pairs[str(result.picture)], folder) for result in shown],
+        legend=_LEGEND,
+        faults=[str(result.error) for result in results if result.error],
+    )

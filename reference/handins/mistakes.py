@@ -1,0 +1,77 @@
+"""The table of mistakes, as the page `mistakes.md` lists them: which formulas each replaces.
+
+General ones come before special ones: of those that draw the same, they are named in this order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from reference.handins.formulas import Formulas, formula
+from tracer import Scene, SurfaceRef
+
+_PAGE = Path(__file__).with_name("mistakes.md")
+OWN_SURFACE = "shadow-own"
+"""Not a mistake: tracers whose shadow rays test the surface itself draw some others differently."""
+FITTED = ("gamma", "brightness", "ambient")
+"""Their numbers are read from the hand-in: they are named only where no other draws it."""
+BACKGROUND: tuple[str, ...] = ("background",)
+OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
+"""They show where light is beyond 1, which another mistake may bring about."""
+ROUNDINGS = ("levels-truncated", "levels-256", "levels-256-wrapped")
+SPECKLED = "shadow-speckles"
+"""Not drawn: which pixels are speckled depends on rounding."""
+SPECKLED_TEXT = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+SINGLE_PRECISION = "single-precision"
+"""Not drawn: rounding decides each pixel that differs."""
+UNKNOWN = "unknown"
+
+
+class Mistake(NamedTuple):
+    """A sentence on what is wrong, and the formulas that draw it."""
+
+    text: str
+    formulas: Formulas
+
+
+def _rows() -> Iterator[list[str]]:
+    """The cells of all tables of the page, less their heads; code without its backticks."""
+    for line in _PAGE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("| `"):
+            yield [cell.strip(" `") for cell in line.strip("|").split("|")]
+
+
+RIGHT: Formulas = {row[0]: formula(row[1]) for row in _rows() if len(row) == 2}
+"""The right picture, in the order of computation."""
+_MISTAKES = [row for row in _rows() if len(row) == 3]
+
+
+def read(formulas: str) -> Formulas:
+    """Read what a mistake changes, as in `x = column / width; y = row / height`."""
+    pairs = (part.split(" = ", 1) for part in formulas.split("; "))
+    return {name: formula(expression) for name, expression in pairs}
+
+
+def offset(x: float, y: float) -> Formulas:
+    """Samples at (x, y) of each pixel, in place of its centre (0.5, 0.5)."""
+    return read(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
+
+
+def mistakes_of(scene: Scene, *, each_surface: bool = True) -> dict[str, Mistake]:
+    """The table for a scene: what stands for any light or surface, {k}, is there for each of them.
+
+    They are numbered from 0, as `tracer --pixel` does.
+    """
+    surfaces = range(len(scene.surfaces) if each_surface else 0)
+    named = {"{surface}": [str(SurfaceRef.of(scene, k)) for k in surfaces]}
+    lines = [f" (line {light.line})" if light.line else "" for light in scene.lights]
+    named["{light}"] = [f"Light {k}{line}" for k, line in enumerate(lines)]
+    found = {}
+    for kind, text, formulas in _MISTAKES:
+        word = next((word for word in named if word in text), "{}")
+        for k, name in enumerate(named.get(word, [""])):
+            one = Mistake(text.replace(word, name), read(formulas.replace("{k}", str(k))))
+            found[kind.replace("{k}", str(k))] = one
+    return found

@@ -1,0 +1,204 @@
+"""A scene as its certificate takes it: faces, lights and occluders, in the camera's axes.
+
+All that is taken of the tracer's inside is taken here: the prepared scene, its light grid, and
+single samples, of which only *what* they see counts, and *which* lights reach that.
+
+A face is a sphere or a rectangle of a box.  A ray d from the eye meets it at t d.  For a sphere
+around c of radius r let p = |c|^2 - r^2 (`power`).  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)), the
+near hit from outside and the far one from inside, so that
+
+    1 / t = k.d + s    with k = c / p and s^2 = w^2 (r^2 d^2 - |c x d|^2), w = 1 / p.
+
+For a plane e.p = l it is k.d with k = e / l.
+
+The height of a point q over the tangent plane, divided by t, is a.d + b / t.  With the normal
+g (t d - c) / r, where g = 1 outside and -1 inside, and t^2 d^2 = 2 t c.d - p, it has
+a = g (q - c) / r and b = g (p - c.q) / r.  For a plane that faces the eye, a = 0 and
+b = -sign(l) (e.q - l).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reference.judges.arrays import Bools, Floats, Ints
+from tracer import Scene
+from tracer.geometry.camera import camera_frame
+from tracer.geometry.silhouette import silhouette_planes
+from tracer.trace.lighting import light_geometry
+from tracer.trace.occlusion import occlusion
+from tracer.trace.samples import Scattered
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
+
+# Faces may meet unless they are apart by this part of their coordinates: far more than rounding.
+_APART = 1e-9
+
+
+class Faces:
+    """The faces (f,) and lights (m,) of a scene, and its objects (n,), spheres first.
+
+    Attributes
+    ----------
+    lights : (m, 3)
+    dead : (m,)
+        Lights that reach nothing seen: beyond an object around the eye, or inside another.
+    center, radius, power : (3, spheres) and (spheres,)
+    owner, flat, order : (f,)
+        The object that a face is of, whether it is a rectangle, and the object's place in the file.
+    plane : (f,)
+        The same number for rectangles in one plane: the first in the file is seen.
+    k, w, a, b : (3, f), (f,), (3, m + 1, spheres) and (m + 1, f)
+        See the module.  The last point q is the eye.
+    rim : (4, 3, f)
+        A rectangle is seen where rim.d >= 0 for all four.
+    low, high : (3, f)
+        Bounding boxes in the scene's axes.
+    to_center, reach2 : (3, m, spheres) and (m, spheres)
+        From lights to centres, and squared lengths of tangents.
+    normal, offset, edge : (9, 3, m, boxes) and (9, m, boxes)
+        A box keeps a light from p if normal.p + offset >= 0 for its three planes towards the light
+        and six through the light and its silhouette; whether that is an edge of its shadow.
+    edge_on : (m, boxes)
+        Whether the light is in the plane of a flat box, which then shades nothing.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.frame = frame = camera_frame(scene.camera, scene.width, scene.height)
+        self.prepared = prepared = PreparedScene(scene, frame)
+        balls, boxes = prepared.spheres, prepared.boxes
+        self.spheres, self.count, self.lights = balls.count, prepared.repeated.size, prepared.local
+        self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
+        low, high = (m - frame.eye[:, None] for m in (boxes.min_pt, boxes.max_pt))
+        inside = prepared.eye_inside
+        on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
+        if np.any(self.power == 0) or on.any():
+            raise ValueError("the eye is on a surface; move it off")
+        self._add_faces(low, high, np.where(inside[self.spheres :], 1, -1))
+        self._add_shadows(low, high)
+        side, (x, y, z) = prepared.side.copy(), prepared.lights.T[:, :, None]
+        some = np.arange(self.spheres, self.count)
+        # A light on a box's face is not beyond it.
+        side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
+        self.dead = np.any(np.where(inside, side > 0, side < 0), axis=1)
+        self.may_block = ~inside & ~prepared.repeated
+        own = self.owner
+        self.order, self.glossy = prepared.surfaces.file_index[own], prepared.glossy[own]
+        self.diffuse, self.specular = prepared.diffuse[:, own], prepared.specular[:, own]
+        self.exponent, self.error = prepared.exponent[own], prepared.position_error[own]
+
+    def _add_faces(self, low: Floats, high: Floats, inward: Ints) -> None:
+        """List spheres, then rectangles that face the eye; `inward` (boxes,): 1 around the eye."""
+        prepared, axes, n = self.prepared, self.frame.axes, self.spheres
+        c, r, power = self.center, self.radius, self.power
+        to = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None] - c[:, None]
+        g = np.where(power > 0, 1.0, -1.0)
+        # p - c.q is -(c.(q - c) + r^2), and p itself for the eye.
+        b = np.append(-(c[:, None] * to[:, :-1]).sum(axis=0) - r * r, power[None], axis=0)
+        self.a, zero, number = g * to / r, np.zeros(n), np.arange(n)
+        rim = np.zeros((4, 3, n))
+        faces: list[tuple[NDArray[Any], ...]] = [
+            (c / power, 1 / power, g * b / r, rim, number, zero + 3, zero, number + 1, zero)
+        ]
+        points = np.append(prepared.lights, self.frame.eye[None], axis=0) - self.frame.eye
+        for axis, far in np.ndindex(3, 2):
+            corner, i, j = (high if far else low)[axis], (axis + 1) % 3, (axis + 2) % 3
+            facing = np.sign(corner) == np.where(far, inward, -inward)
+            at = np.flatnonzero(facing & (low[i] < high[i]) & (low[j] < high[j]))
+            level, e, zero = corner[at], axes[:, axis], np.zeros(at.size)
+            s = np.sign(level)
+            # On the plane, e_q.p >= end where e_q.d |l| >= sign(l) end e.d.
+            rim = np.array(
+                [
+                    side * (np.outer(axes[:, q], np.abs(level)) - np.outer(e, end[q, at] * s))
+                    for q in (i, j)
+                    for end, side in ((low, 1), (high, -1))
+                ]
+            )
+            height = -s * (points[:, axis, None] - level)
+            place = (prepared.boxes.max_pt if far else prepared.boxes.min_pt)[axis, at]
+            numbers = at + n, zero + axis, s, zero, place
+            faces.append((e[:, None] / level, zero, height, rim, *numbers))
+        joined = [np.concatenate(m, axis=-1) for m in zip(*faces, strict=True)]
+        self.k, self.w, self.b, self.rim, owner, axis_of, sign, alone, place = joined
+        self.owner, axis_of = owner.astype(np.intp), axis_of.astype(np.intp)
+        self.flat = axis_of < 3
+        keys = np.array([axis_of, alone, place])
+        self.plane: Ints = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
+        self._number = np.zeros((self.count, 4, 2), dtype=np.intp)
+        self._number[self.owner, axis_of, (sign > 0).astype(int)] = np.arange(self.owner.size)
+        center, at = prepared.spheres.center, np.flatnonzero(self.flat)
+        ends = (center - r, prepared.boxes.min_pt), (center + r, prepared.boxes.max_pt)
+        self.low, self.high = (np.concatenate(m, axis=1)[:, self.owner] for m in ends)
+        self.low[axis_of[at], at] = self.high[axis_of[at], at] = place[at]
+
+    def _add_shadows(self, low: Floats, high: Floats) -> None:
+        """Prepare bounds of shadows; `low`, `high` (3, boxes): corners as seen from the eye."""
+        frame = self.frame
+        self.to_center = self.center[:, None] - self.lights.T[:, :, None]
+        away = np.sqrt((self.to_center**2).sum(axis=0))
+        self.reach2 = np.maximum((away - self.radius) * (away + self.radius), 0)
+        lights = (self.prepared.lights - frame.eye).T[:, :, None]
+        low, high = low[:, None] - lights, high[:, None] - lights
+        side = np.where(low >= 0, 1.0, np.where(high <= 0, -1.0, 0.0))
+        near = side[:, None] * frame.axes.T[:, :, None, None]
+        near_offset = -side * (np.where(side > 0, low, high) + lights)
+        planes = silhouette_planes(low.reshape(3, -1), high.reshape(3, -1))
+        cone = np.array(frame.vector_to_camera(planes)).reshape(3, 6, *side.shape[1:])
+        self.normal = np.append(near, cone.swapaxes(0, 1), axis=0)
+        cone_offset = -np.einsum("kjmb,mk->jmb", cone, self.lights)
+        self.offset = np.append(near_offset, cone_offset, axis=0)
+        # What crosses a plane towards the light is in the box, unless the light is on the plane.
+        on_plane = (low == 0) | (high == 0)
+        self.edge = np.append(on_plane, np.ones(cone_offset.shape, dtype=np.bool_), axis=0)
+        self.edge_on = np.any((low == 0) & (high == 0), axis=0)
+
+    def apart(self, f: Ints, g: Ints) -> Bools:
+        """Whether faces cannot meet: then one is in front wherever both are seen."""
+        gap = np.maximum(self.low[:, f] - self.high[:, g], self.low[:, g] - self.high[:, f])
+        size = sum(np.abs(m[:, i]).max(axis=0) for m in (self.low, self.high) for i in (f, g))
+        same = (self.owner[f] == self.owner[g]) | (self.plane[f] == self.plane[g])
+        return np.asarray(same | (gap.max(axis=0) > _APART * size))
+
+    def capsules(self, middle: Floats, half: Floats, rows: Ints) -> tuple[Bools, Bools]:
+        """Whether occluders may, and whether they do, keep lights from all of boxes (3, n).
+
+        `rows` (3, m): lights, boxes and occluders.
+        """
+        light, box, occluder = rows
+        meets, cuts = np.zeros((2, light.size), dtype=np.bool_)
+        radius = np.sqrt((half * half).sum(axis=0))
+        for shape in self.prepared.shapes:
+            at = np.flatnonzero((occluder >= self.spheres) == shape.flat)
+            (a, b, c), (x, y, z) = middle[:, box[at]], self.prepared.lights[light[at]].T
+            ball, end = (a, b, c), (x, y, z)
+            meets[at], cuts[at] = shape.capsules(occluder[at], ball, end, radius[box[at]])
+        return meets, cuts
+
+    def candidates(self, middle: Floats, half: Floats, face: Ints, asked: Bools) -> Iterator[Ints]:
+        """Rows as in `capsules` of all that may come between lights and boxes around faces (n,).
+
+        `asked` (lights, n): which lights.  In several octants the light grid may find the same.
+        """
+        grid = self.prepared.grid
+        if grid is not None and asked.any():
+            for rows in grid.query(middle, half[:, None], self.owner[face], asked):
+                yield rows[:, self.may_block[rows[2]]]
+
+    def trace(self, x: Floats, y: Floats) -> tuple[Ints, Bools]:
+        """Faces (n,) seen at points of the picture, or -1; and which lights reach them (m, n)."""
+        samples, order = Scattered.of(x, y)
+        hits = nearest_hits(self.prepared, samples)
+        reached = light_geometry(hits).n_dot_l > 0
+        reached &= ~occlusion(hits, reached)
+        at, face = order[hits.sample], np.full(x.size, -1)
+        lit = np.zeros((len(self.lights), x.size), dtype=np.bool_)
+        lit[:, at] = reached
+        for group in hits.groups:
+            below = np.broadcast_to(group.sign < 0, group.obj.shape).astype(np.intp)
+            face[at[group.part]] = group.repeat_runs(self._number[group.obj, group.face, below])
+        return face, lit

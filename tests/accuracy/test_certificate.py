@@ -1,0 +1,254 @@
+"""The certificate is sound: nowhere in a cell is radiance what the cell rules out.
+
+Single samples at random points tell, for what a cell says of its points is strict.  What it says of
+means is held against millions of samples.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pytest
+from probe import scene_of
+from random_scenes import KINDS, random_scene
+from scene_files import small
+
+from reference import command
+from reference.judges import cells, certificate, faces, forms
+from reference.judges import true_picture as truth
+from reference.judges.cells import CellForms
+from reference.judges.certificate import Enclosure, certify
+from reference.judges.faces import Faces
+from reference.judges.forms import Form, R, Z
+from reference.judges.true_picture import supersampled, true_picture
+from reference.workloads import crowd, resized
+from tracer import Camera, Scene, Sphere, render
+from tracer.arrays import Floats
+from tracer.trace.radiance import radiance_at
+from tracer.trace.samples import Scattered
+
+HARD = [kind for kind in KINDS if kind != "crowd"]
+
+Patch = pytest.MonkeyPatch
+
+
+class Points:
+    """Holds every enclosure against single samples, at four random points of each cell.
+
+    `worst`: the most that radiance was farther from the form of its region than the form's radius,
+    the region's doubt, and what may change in strips that hold the point; `count`: of points.
+    """
+
+    def __init__(self, monkeypatch: Patch) -> None:
+        self.worst, self.count, self.rng = -np.inf, 0, np.random.default_rng(0)
+        enclose = certificate.enclose
+
+        def checked(forms: CellForms, error: float) -> Enclosure:
+            result = enclose(forms, error)
+            for _ in range(4):
+                self.check(forms, result)
+            return result
+
+        monkeypatch.setattr(certificate, "enclose", checked)
+
+    def check(self, forms: CellForms, result: Enclosure) -> None:
+        lines, regions, n = result.lines, result.regions, forms.cells.x.size
+        x, y = self.rng.uniform(-1, 1, (2, n))
+        half = forms.cells.size / 2
+        samples, order = Scattered.of(forms.cells.x + half * x, forms.cells.y + half * y)
+        radiance = np.empty((3, n))
+        radiance[:, order] = radiance_at(forms.faces.prepared, samples)
+        first = lines.cell.searchsorted(np.arange(n + 1))
+        signs, allowed = np.zeros(n, dtype=int), result.loose.copy()
+        for bit in range(int(np.diff(first).max(initial=0))):
+            at = np.flatnonzero(first[:-1] + bit < first[1:])
+            line = first[at] + bit
+            z = lines.a[line] * x[at] + lines.b[line] * y[at] + lines.c[line]
+            signs[at] |= (z > 0) << bit
+            allowed[at] += (np.abs(z) <= lines.half[line]) * lines.jump[line]
+        # Regions are sorted by cell and signs; very small ones may be missing.
+        keys, wanted = 32 * regions.cell + regions.signs, 32 * np.arange(n) + signs
+        place = np.append(keys, -1)[keys.searchsorted(wanted)] == wanted
+        at, found = np.flatnonzero(place), keys.searchsorted(wanted[place])
+        powers = np.array([np.ones(n), x, y, x * x, x * y, y * y])[:, at]
+        for channel, form, most in zip(radiance, result.radiance, result.most, strict=True):
+            off = form.radius[found] + result.doubt[found] + allowed[at]
+            value = (form.m[:Z, found] * powers).sum(axis=0)
+            excess = np.append(np.abs(channel[at] - value) - off, channel - most)
+            self.worst = excess.max(initial=self.worst)
+        self.count += n
+
+
+def scenes(kinds: list[str], seeds: range) -> Iterator[Scene]:
+    for seed in seeds:
+        yield from (random_scene(kind, seed) for kind in kinds)
+
+
+def sound(monkeypatch: Patch, some: Iterator[Scene], error: float = 1 / 32) -> int:
+    """Certify scenes, but those with the eye on a surface; the number of points that were held."""
+    points = Points(monkeypatch)
+    for scene in some:
+        try:
+            certify(scene, error)
+        except ValueError as refused:
+            if "the eye is on a surface" not in str(refused):
+                raise
+        assert points.worst <= 1e-9
+    return points.count
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_points(kind: str, monkeypatch: Patch) -> None:
+    assert sound(monkeypatch, scenes([kind], range(6))) > 400
+
+
+def test_points_of_crowds(monkeypatch: Patch) -> None:
+    pictures = resized(crowd(200), 32, 18), small("sunflower", 16, 16), small("many-objects")
+    assert sound(monkeypatch, iter(pictures)) > 50_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_of_many_scenes(kind: str, monkeypatch: Patch) -> None:
+    assert sound(monkeypatch, scenes([kind], range(6, 16 if kind == "crowd" else 116))) > 10_000
+
+
+def faulty(name: str, monkeypatch: Patch) -> None:
+    """Plant a fault."""
+    of = CellForms
+
+    def wrap(owner: object, function: str, change: Callable[..., object]) -> None:
+        real = getattr(owner, function)
+        monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
+
+    def narrower(form: Form, *_: object) -> Form:
+        form.m[R] *= 0.7
+        return form
+
+    def scaled_cone(result: tuple[Floats, Floats], c: Floats, *_: object) -> tuple[Floats, Floats]:
+        result[0][forms.C] -= 1e-4 * np.abs(result[0][forms.C])
+        return result
+
+    def no_cones(_: None, self: faces.Faces, *__: object) -> None:
+        self.normal[5:] = 0
+
+    def no_terminators(_: None, self: CellForms) -> None:
+        self.edges = [edges for edges in self.edges if not edges.terminator.all()]
+
+    def no_edges(_: object, self: CellForms) -> object:
+        del self.edges[-1]
+        return _
+
+    if name == "narrow powers":
+        wrap(Form, "power", narrower)
+    elif name == "narrow products":
+        wrap(Form, "__mul__", narrower)
+    elif name == "narrow strips":
+        wrap(certificate, "strips", lambda s, *_: s._replace(half=s.half * 0.5))
+    elif name == "small changes":
+        wrap(certificate, "strips", lambda s, *_: s._replace(jump=s.jump * 0.7, full=s.full * 0.7))
+    elif name == "cones too narrow":
+        wrap(cells, "_cone", scaled_cone)
+    elif name == "planes of shadows missing":
+        wrap(faces.Faces, "_add_shadows", no_cones)
+    elif name == "no terminators":
+        wrap(of, "_find_terminators", no_terminators)
+    elif name == "no intersections":
+        wrap(of, "find_intersections", no_edges)
+    elif name == "rows missing":
+        wrap(of, "listed", lambda made, _: made.rows(np.arange(made.pair.size) % 3 > 0))
+    elif name == "hidden too soon":
+        wrap(cells, "difference", lambda form, *_: Form(form.m - 0.3 * np.abs(form.m[:1])))
+    else:
+        wrap(of, "shade", lambda made, _: made._replace(near=made.near * 0.1))
+
+
+FAULTS = ["narrow powers", "narrow products", "narrow strips", "small changes", "cones too narrow"]
+FAULTS += ["planes of shadows missing", "no terminators", "no intersections", "rows missing"]
+FAULTS += ["hidden too soon", "terminators rise too little"]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_found(fault: str, monkeypatch: Patch) -> None:
+    faulty(fault, monkeypatch)
+    named = (small(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
+    with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
+        sound(monkeypatch, chain(named, scenes(HARD, range(40))), 1 / 128)
+
+
+@pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
+def test_means(name: str) -> None:
+    made, near = certify(small(name), 1 / 256), render(small(name), 256)
+    assert made.error.max() <= 1 / 256
+    assert (made.low <= made.image).all()
+    assert (made.image <= made.high).all()
+    assert np.abs(made.image - near).max() < 0.01
+    assert np.sqrt(np.mean((made.image - near) ** 2)) < 6e-4
+
+
+@pytest.mark.slow
+@np.errstate(all="ignore")
+@pytest.mark.parametrize("name", ["four-spheres", "room", "highlights", "sticks-perspective"])
+def test_means_where_thousands_of_samples_err(name: str) -> None:
+    """Of four pixels where 65 x 65 samples are farthest off, four million agree."""
+    scene = small(name, 32, 18)
+    made, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
+    many = supersampled(scene, 65)
+    off = np.abs(many - made.image).max(axis=2)
+    for row, column in np.argwhere(off >= np.sort(off, axis=None)[-4]):
+        total, side = np.zeros(3), 2048
+        for y in (np.arange(side) + 0.5) / side:
+            samples, _ = Scattered.of(
+                column + (np.arange(side) + 0.5) / side, np.full(side, row + y)
+            )
+            total += radiance_at(prepared, samples).sum(axis=1)
+        far = np.abs(total / side**2 - made.image[row, column]).max()
+        assert far <= made.error[row, column] + 2e-5
+        assert far < off[row, column] / 5
+
+
+def test_codes() -> None:
+    scene = small("room")
+    early, late = certify(scene, 1 / 8192, codes=True), certify(scene, 1 / 65536)
+    assert early.cells < late.cells
+    assert early.certain.mean() > 0.9
+    both = early.certain & late.certain
+    np.testing.assert_array_equal(early.codes[both], late.codes[both])
+
+
+def test_what_cannot_be_certified() -> None:
+    scene = scene_of(Sphere(center=(0, 0, -1), radius=1), size=(4, 4), lights=(1, 2, 3))
+    with pytest.raises(ValueError, match="the eye is on a surface; move it off"):
+        certify(replace(scene, camera=Camera(view_point=(0, 0, 0))), 1 / 32)
+    for error in (0, -1, np.nan):
+        with pytest.raises(ValueError, match="the error must be more than 0, not"):
+            certify(scene, error)
+
+
+def test_supersampling_in_parts_is_the_same(monkeypatch: Patch) -> None:
+    scene, at = small("sticks-perspective", 16, 9), np.arange(-3, 4, 2) / 8
+    by_hand = np.mean([render(scene, offset=(x, y)) for x in at for y in at], axis=0)
+    for strip in (truth._STRIP, 4 * 4 * 16 * 2):
+        monkeypatch.setattr(truth, "_STRIP", strip)
+        # The same rays, but for the last bit, that decides no pixel here.
+        np.testing.assert_allclose(supersampled(scene, 4), by_hand, rtol=0, atol=1e-12)
+
+
+def test_true_pictures_are_kept(monkeypatch: Patch, tmp_path: Path) -> None:
+    scene = small("sticks-perspective", 16, 9)
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    made = true_picture(scene, 1 / 64)
+    # For this scene, this error and this code.
+    monkeypatch.setattr(truth, "certify", None)
+    kept = true_picture(scene, 1 / 64)
+    for name in ("low", "high", "image", "cells"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(made, name))
+    for code, *other in (
+        (b"changed", scene, 1 / 64),
+        (truth._code(), small("room", 16, 9), 1 / 64),
+    ):
+        monkeypatch.setattr(truth, "_code", lambda code=code: code)
+        with pytest.raises(TypeError):
+            true_picture(*other)

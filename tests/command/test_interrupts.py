@@ -1,0 +1,158 @@
+"""Commands that are interrupted at any moment: they end at once, and leave nothing behind."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from running import ENVIRONMENT, SCENE
+
+from tracer import write_png
+
+
+class Command(NamedTuple):
+    """A command, and what it writes."""
+
+    arguments: str
+    results: tuple[str, ...] = ()
+
+
+COMMANDS = [
+    Command("tracer large.xml --processes 2", ("large.xml.png",)),
+    Command("converters.to_mitsuba ball.xml", ("ball.mitsuba.xml",)),
+    Command("reference.check ball.xml -o out.png", ("out.png",)),
+    Command("reference.certify ball.xml -o sure.png --bounds wide.png", ("sure.png", "wide.png")),
+    Command("reference.compare hand-ins right.png --json"),
+    Command("reference.report ball.xml -o page.html", ("page.html",)),
+]
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """What the commands above read."""
+    (tmp_path / "ball.xml").write_text(SCENE.format(60, 40))
+    (tmp_path / "large.xml").write_text(SCENE.format(4000, 3000))
+    image = np.random.default_rng(0).uniform(size=(200, 300, 3))
+    write_png(tmp_path / "right.png", image)
+    (tmp_path / "hand-ins").mkdir()
+    for k in range(9):
+        write_png(tmp_path / "hand-ins" / f"{k}.png", image * (0.9 + 0.01 * k))
+    (tmp_path / "tmp").mkdir()
+    return tmp_path
+
+
+def left_running() -> set[str]:
+    """Processes that commands of this test have started."""
+    found, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            if mark in path.read_bytes():
+                found.add(path.parent.name)
+    return found
+
+
+def start(command: Command, folder: Path) -> subprocess.Popen[str]:
+    """Start a command, and wait until it handles signals: before that Python itself starts."""
+    module, *arguments = command.arguments.split()
+    mine = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        cwd=folder,
+        env=ENVIRONMENT | mine,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    status = Path(f"/proc/{process.pid}/status")
+    while process.poll() is None:
+        caught = re.search(r"SigCgt:\s*(\w+)", status.read_text())
+        if caught and int(caught[1], 16) >> (signal.SIGTERM - 1) & 1:
+            break
+        time.sleep(0.001)
+    return process
+
+
+def interrupt(command: Command, moment: float, number: int, folder: Path) -> int:
+    """Interrupt a command after some seconds; return its status, and check what it leaves."""
+    before = set(folder.rglob("*"))
+    process = start(command, folder)
+    time.sleep(moment)
+    # From a terminal Ctrl-C reaches all processes of the group; some press it twice.
+    send = os.killpg if number % 2 else os.kill
+    for _ in range(1 + (number // 2) % 2):
+        with suppress(ProcessLookupError):
+            send(process.pid, SIGNALS[number % 3])
+    out, err = process.communicate(timeout=60)
+    assert err == "", moment
+    deadline = time.monotonic() + 20
+    while left_running():
+        assert time.monotonic() < deadline, "a process has stayed"
+        time.sleep(0.02)
+    if process.returncode != 130:  # it was done: then its whole result is there
+        assert process.returncode in (0, 1, 3)
+        assert out
+        assert all((folder / name).exists() for name in command.results)
+    for name in command.results:
+        (folder / name).unlink(missing_ok=True)
+    assert set(folder.rglob("*")) == before
+    return process.returncode
+
+
+@pytest.mark.parametrize(
+    "moments", [3, pytest.param(60, marks=pytest.mark.slow)], ids=["some", "many"]
+)
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.arguments.split()[0])
+def test_at_any_moment(command: Command, moments: int, folder: Path, signals_heeded: None) -> None:
+    began = time.monotonic()
+    start(command, folder).communicate(timeout=60)
+    took = time.monotonic() - began
+    for name in command.results:
+        (folder / name).unlink()
+    seed = int(os.environ.get("INTERRUPTS_SEED", moments))
+    print(f"INTERRUPTS_SEED={seed}")
+    rng = random.Random(seed)
+    found = [interrupt(command, rng.random() * took, k, folder) for k in range(moments)]
+    assert 130 in found
+
+
+def test_watching_ends_when_nobody_reads(folder: Path) -> None:
+    with start(Command("tracer ball.xml --watch"), folder) as process:
+        assert process.stdout is not None
+        assert "ball.xml.png" in process.stdout.readline()
+        process.stdout.close()
+        (folder / "ball.xml").write_text(SCENE.format(61, 40))
+        assert process.wait(20) == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        ("tracer --pixel 3,3 ball.xml", 1),
+        ("reference.compare hand-ins right.png --json", 3),
+        ("reference.compare hand-ins right.png --csv", 3),
+    ],
+)
+@pytest.mark.parametrize("to", ["/dev/full", "a closed stream"])
+def test_results_that_cannot_be_printed(command: str, status: int, to: str, folder: Path) -> None:
+    module, *arguments = command.split()
+    close = "exec >&-;" if to == "a closed stream" else f"exec > {to};"
+    shell = ["sh", "-c", f'{close} exec "$@"', "sh", sys.executable, "-m", module, *arguments]
+    done = subprocess.run(
+        shell, cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=60
+    )
+    assert done.returncode == status
+    assert done.stderr.count("\n") == 1
+    assert "standard output: cannot be written" in done.stderr

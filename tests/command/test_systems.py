@@ -1,0 +1,63 @@
+"""What every system must draw, Windows and macOS too: this file needs pytest and Pillow alone.
+
+`python tests/command/test_systems.py` stores the codes anew.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import tracer
+
+ROOT = Path(tracer.__file__).parents[1]
+SCENES = sorted(p for p in (ROOT / "scenes").glob("*.xml") if ".mitsuba." not in p.name)
+NAMES = "highlights", "room", "sticks-perspective"
+STORED = Path(__file__).with_name("codes.png")
+"""Pictures of three scenes, 96 x 54 pixels each, one below the other."""
+
+
+def codes() -> NDArray[np.uint8]:
+    """The same, as this system draws them."""
+    scenes = (tracer.load_scene(ROOT / "scenes" / f"{name}.xml") for name in NAMES)
+    sized = (replace(scene, width=96, height=54) for scene in scenes)
+    return np.concatenate([tracer.to_codes(tracer.render(scene)) for scene in sized])
+
+
+def test_all_scenes_are_drawn(tmp_path: Path) -> None:
+    """By two processes, which no system but Linux starts as forks."""
+    command = [sys.executable, "-m", "tracer", *map(str, SCENES), "-o", f"{tmp_path}/pictures/"]
+    options = ["--size", "320x180", "--processes", "2", "--quiet"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    for path in SCENES:
+        scene = replace(tracer.load_scene(path), width=320, height=180)
+        with Image.open(tmp_path / "pictures" / f"{path.name}.png") as picture:
+            assert (np.asarray(picture) == tracer.to_codes(tracer.render(scene))).all()
+
+
+def test_a_picture_is_replaced(tmp_path: Path) -> None:
+    for value in (0.0, 1.0):
+        tracer.write_png(tmp_path / "picture.png", np.full((1, 1, 3), value))
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.getpixel((0, 0)) == (255, 255, 255)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_codes_are_those_of_other_systems() -> None:
+    """But for roundings of exp and log, which may differ in the last place."""
+    with Image.open(STORED) as picture:
+        apart = np.abs(np.asarray(picture).astype(int) - codes()).max(axis=2)
+    assert apart.shape == (3 * 54, 96)
+    assert (apart > 0).sum() <= 3
+    assert apart.max() <= 1
+
+
+if __name__ == "__main__":
+    Image.fromarray(codes()).save(STORED)
