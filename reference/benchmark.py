@@ -32,7 +32,7 @@ from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import SCENES, built, own_scenes
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
-from reference.workloads import crowd, resized
+from reference.workloads import crowd, field, resized
 from tracer import Scene, load_scene, render, save_scene
 
 __all__ = ["SECTIONS", "Section", "growth_exponent", "main", "peak"]
@@ -126,8 +126,10 @@ def rendering(rounds: int, quick: bool) -> Table:
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL,) if quick else (_SMALL, _MEDIUM, _LARGE):
         found: list[tuple[Ratio, Ratio]] = []
-        for name in _FEW if quick else [path.stem for path in own_scenes()]:
-            scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
+        scenes = {path.stem: load_scene(path) for path in own_scenes()}
+        scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
+        for name in _FEW if quick else scenes:
+            scene = resized(scenes[name], *size)
             ours, exactly = _beside(scene, rounds, exact(scene))
             again, stocks = _beside(scene, rounds, stock(scene, 1))
             found.append((_speedup(ours, exactly), _speedup(again, stocks)))
