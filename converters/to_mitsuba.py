@@ -118,8 +118,9 @@ def _png_and_exr(target: str) -> tuple[Path, Path]:
     path = Path(target)
     if path.suffix.lower() == ".exr":
         return path.with_suffix(".png"), path
-    exr = path.with_suffix(".exr") if path.suffix.lower() == ".png" else Path(target + ".exr")
-    return path, exr
+    if path.suffix.lower() == ".png":
+        return path, path.with_suffix(".exr")
+    return Path(target + ".png"), Path(target + ".exr")
 
 
 def _parser() -> argparse.ArgumentParser:

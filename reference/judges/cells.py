@@ -20,15 +20,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from reference.judges.arrays import Bools, Floats, Ints, segments
 from reference.judges.faces import Faces
 from reference.judges.forms import ROUNDING, XX, C, Form, Index, R, X, Y, Z, difference
-from tracer.arrays import Bools, Floats, Ints, segment_indices
 
 ROOT = 16
 """Pixels across the largest cells."""
-
-# More rows than this are first tried with capsules.
-_FEW = 1000
 
 # In cells that see more faces, their intersections are not looked for.
 _MOST_SEEN = 6
@@ -101,8 +98,8 @@ def root_cells(faces: Faces, width: int, height: int) -> Cells:
     top, bottom, left, right = np.floor(np.clip(ends / ROOT, -1, most)).astype(np.intp)
     top, left = np.maximum(top, 0), np.maximum(left, 0)
     tall, wide = np.minimum(bottom, down - 1) - top + 1, np.minimum(right, across - 1) - left + 1
-    which, row = segment_indices(np.maximum(tall, 0), top)
-    strip, column = segment_indices(np.maximum(wide, 0)[which], left[which])
+    which, row = segments(np.maximum(tall, 0), top)
+    strip, column = segments(np.maximum(wide, 0)[which], left[which])
     cell, face, none = row[strip] * across + column, face[which[strip]], np.zeros(0, dtype=np.intp)
     covers, dark = np.zeros(cell.size, np.bool_), faces.dead[:, None].repeat(cell.size, axis=1)
     return Cells(ROOT, x, y, cell, face, covers, dark, none, none, none)
@@ -353,28 +350,20 @@ class CellForms:
         half = np.maximum(0.5 * (high - low), 0) + faces.error[cells.face]
         return 0.5 * (low + high), half
 
-    def _narrowed(self, cells: Cells, patches: tuple[Floats, Floats]) -> Cells:
-        """Drop rows that shade nothing of what a pair sees, or all: that is dark."""
-        meets, cuts = self.faces.capsules(*patches, np.array(cells[-3:]))
-        cells.dark[cells.light[cuts], cells.pair[cuts]] = True
-        return cells.rows(meets & ~cells.dark[cells.light, cells.pair])
-
     def listed(self) -> Cells:
         """The cells, with rows of all that may keep lights from what pairs see."""
         cells, patches, found = self.cells, self._patches(), [np.zeros(0, dtype=np.intp)]
         shape = (*cells.dark.shape, self.faces.count)
         for rows in self.faces.candidates(*patches, cells.face, ~cells.dark):
-            some = cells._replace(light=rows[0], pair=rows[1], occluder=rows[2])
-            kept = self._narrowed(some, patches)[-3:]
-            found.append(np.ravel_multi_index(kept, shape))
+            meets, cuts = self.faces.capsules(*patches, rows)
+            cells.dark[rows[0, cuts], rows[1, cuts]] = True
+            found.append(np.ravel_multi_index(tuple(rows[:, meets & ~cuts]), shape))
         light, pair, occluder = np.unravel_index(np.unique(np.concatenate(found)), shape)
         cells = cells._replace(light=light, pair=pair, occluder=occluder)
         return cells.rows(~cells.dark[light, pair])
 
     def _find_shadows(self) -> None:
         cells = self.cells.rows(~self.cells.dark[self.cells.light, self.cells.pair])
-        if cells.pair.size > _FEW:
-            cells = self._narrowed(cells, self._patches())
         self.cells, (lit, shaded) = cells, np.zeros((2, cells.pair.size), dtype=np.bool_)
         ball = cells.occluder < self.faces.spheres
         edges = self._cones(np.flatnonzero(ball), lit, shaded)
@@ -444,7 +433,7 @@ class CellForms:
         by, start = np.argsort(cells.cell, kind="stable"), np.cumsum(count) - count
         cell, many = cells.cell[by], count > _MOST_SEEN
         before = np.where(many[cell], 0, np.arange(by.size) - start[cell])
-        a, b = (by[m] for m in segment_indices(before, start[cell]))
+        a, b = (by[m] for m in segments(before, start[cell]))
         a, b = np.where(faces.flat[cells.face[b]], (b, a), (a, b))  # planes first
         some = np.flatnonzero(~faces.apart(cells.face[a], cells.face[b]))
         a, b = a[some], b[some]

@@ -35,12 +35,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from reference.judges.arrays import Bools, Floats, Ints, segments, sums
 from reference.judges.cells import ROOT, CellForms, Cells, root_cells
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
-from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips, sums
+from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
-from tracer.arrays import Bools, Floats, Ints, segment_indices
 
 # So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.
 _AT_ONCE = 64000
@@ -51,9 +51,8 @@ _MOST_LINES = 5
 # Cells larger than a pixel are done if their form errs by no more than this part of the error.
 _SMOOTH = 0.25
 
-# Of what is left of a pixel's error a part is spent at each size of its cells, and in the end this
-# part is aimed at.  Cells half as wide have about half the error.
-_SPENT, _AIM, _GAIN = 0.2, 0.8, 2
+# The part of what is left of a pixel's error that is spent at each size of its cells.
+_SPENT = 0.2
 
 # Cells are no smaller than this part of a pixel across.
 _SMALLEST = 2.0**-10
@@ -153,7 +152,7 @@ def enclose(forms: CellForms, error: float) -> Enclosure:
     regions = regions._replace(cell=known[regions.cell])
     _, x, y, *_ = regions.mean
     first = lines.cell.searchsorted(np.arange(count + 1))
-    which, line = segment_indices(np.diff(first)[regions.cell], first[regions.cell])
+    which, line = segments(np.diff(first)[regions.cell], first[regions.cell])
     z = lines.a[line] * x[which] + lines.b[line] * y[which] + lines.c[line]
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.full[line], x.size)
     doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
@@ -299,10 +298,7 @@ class _Picture:
         if self.by_codes:
             mean, off = (image[:, at] + means).T[None], (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
-        # The parts of the cells that remain will have a part of their error.
-        budget = left * np.minimum(_SPENT, 0.5 * left / total)
-        budget = np.maximum(budget, (_GAIN * _AIM * left - total) / (_GAIN - 1))
-        budget = np.where(total <= left, np.inf, budget)
+        budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
         by = np.lexsort((part, place))
         spent, first = part[by].cumsum(), np.searchsorted(place[by], np.arange(at.size))
         spent -= (spent[first] - part[by[first]])[place[by]]

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
-from tracer.arrays import Bools, Floats, Ints
 from tracer.geometry.camera import camera_frame
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.trace.lighting import light_geometry

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Ints
+from reference.judges.arrays import Floats, Ints
 
 C, X, Y, XX, XY, YY, Z, R = range(8)
 """Rows of a form's coefficients."""

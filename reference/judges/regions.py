@@ -6,11 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reference.judges.arrays import Floats, Ints, sums
 from reference.judges.forms import XX, XY, YY, C, Form, Index, X, Y
-from tracer.arrays import Floats, Ints
-
-# Lines nearer to each other than this, all over a cell, are the same but for rounding.
-_SAME = 1e-9
 
 NO_AREA = 1e-12
 """Regions that are smaller, as parts of a cell, are little but rounding."""
@@ -83,18 +80,9 @@ def strips(cell: Ints, form: Form, full: Floats, slope: Floats, base: Floats) ->
     line, flat = np.array([a, b, w - a * x - b * y]) * scale, ~np.isfinite(scale)
     line[:, flat], half = [[1], [0], [0]], np.where(flat, np.inf, half * np.abs(scale))
     near = np.flatnonzero(~(np.abs(line[2]) - half >= 1))
-    by = near[np.lexsort((*np.round(line[::-1, near], 9), cell[near]))]
-    cell, line, half, jump, full = cell[by], line[:, by], half[by], jump[by], full[by]
-    # Lines that are the same count as one, with the changes of all.
-    other = (np.diff(cell) > 0) | (np.abs(np.diff(line)).sum(axis=0) >= _SAME)
-    first = np.flatnonzero(np.append(True, other)[: by.size])
-    if first.size < by.size:
-        counts = np.diff(np.append(first, by.size))
-        moved = np.abs(line - line[:, first].repeat(counts, axis=1)).sum(axis=0)
-        half = np.maximum.reduceat(half + moved, first)
-        jump, full = (np.add.reduceat(m, first) for m in (jump, full))
-        cell, line = cell[first], line[:, first]
-    return Strips(cell, line[0], line[1], line[2], half, jump, full)
+    by = near[np.argsort(cell[near], kind="stable")]
+    (a, b, c), cell, half = line[:, by], cell[by], half[by]
+    return Strips(cell, a, b, c, half, jump[by], full[by])
 
 
 class Regions(NamedTuple):
@@ -151,8 +139,3 @@ def divide(lines: Strips, count: int) -> Regions:
     part = area / np.maximum(total, NO_AREA)[region]
     mean = [np.ones(key.size), *(sums(region, part * m, key.size) for m in means)]
     return Regions(key >> bits, key & ((1 << bits) - 1), total, np.array(mean))
-
-
-def sums(index: Ints, values: Floats, count: int) -> Floats:
-    """Sums (count,) of the values of each index; np.bincount makes integers of none at all."""
-    return np.bincount(index, values, count).astype(np.float64, copy=False)

@@ -31,6 +31,7 @@ COMMANDS = [
     Command("tracer large.xml --processes 2", ("large.xml.png",)),
     Command("converters.to_mitsuba ball.xml", ("ball.mitsuba.xml",)),
     Command("reference.check ball.xml -o out.png", ("out.png",)),
+    Command("reference.certify ball.xml -o sure.png --bounds wide.png", ("sure.png", "wide.png")),
     Command("reference.compare hand-ins right.png --json"),
     Command("reference.report ball.xml -o page.html", ("page.html",)),
 ]

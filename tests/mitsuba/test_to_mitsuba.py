@@ -155,7 +155,7 @@ def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
         ("exact", "x.png", "x.png x.exr"),
         ("exact", "x.exr", "x.png x.exr"),
         ("exact", "A.EXR", "A.png A.EXR"),
-        ("exact", "room.v1", "room.v1 room.v1.exr"),
+        ("exact", "room.v1", "room.v1.png room.v1.exr"),
     ],
 )
 def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
