@@ -22,7 +22,7 @@ from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import mixed, stratified
 from tracer.arrays import Bools, Floats, Ints, indices, ranges, run_lengths
-from tracer.trace.lighting import radiance_and_ids
+from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
