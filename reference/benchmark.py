@@ -17,6 +17,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -34,6 +36,7 @@ from reference.command import SCENES, built, own_scenes
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
 from reference.workloads import crowd, field, resized
 from tracer import Scene, load_scene, render, save_scene
+from tracer.picture.parallel import processors
 
 __all__ = ["SECTIONS", "Section", "growth_exponent", "main", "peak"]
 
@@ -203,6 +206,48 @@ def loading(rounds: int, quick: bool) -> Table:
     )
 
 
+def frames(rounds: int, quick: bool) -> Table:
+    """Time a sequence of frames, alone and with the processes of an executor."""
+    count = 10 if quick else 200
+    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *_MEDIUM)
+    camera, eye = scene.camera, np.array(scene.camera.view_point)
+    scenes = [
+        replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
+        for k in range(count)
+    ]
+
+    def alone() -> None:
+        for each in scenes:
+            render(each)
+
+    with ProcessPoolExecutor(1) as one, ProcessPoolExecutor(2) as two:
+        for pool in (one, two):
+            list(pool.map(abs, range(8)))  # its processes have started
+
+        def sharing(pool: Executor) -> None:
+            for each in scenes:
+                render(each, executor=pool)
+
+        found = interleaved(
+            {
+                "alone": alone,
+                "1 worker, render(scene, executor=pool)": partial(sharing, one),
+                "2 workers, render(scene, executor=pool)": partial(sharing, two),
+                "1 worker, pool.map(render, scenes)": lambda: list(one.map(render, scenes)),
+                "2 workers, pool.map(render, scenes)": lambda: list(two.map(render, scenes)),
+            },
+            rounds,
+        )
+    return Table(
+        f"{count} frames of {_MEDIUM[0]}×{_MEDIUM[1]}",
+        "Milliseconds for all of them, one sample a pixel, with a standard library's pool of"
+        f" processes on {processors()} processors: each picture shared with it, or whole pictures"
+        " given to it.",
+        ("who draws", "time", "speedup"),
+        [(name, time, _speedup(time, found["alone"])) for name, time in found.items()],
+    )
+
+
 # A process starts out with its parent's peak memory: a small one must be in between.
 _WATCH = """
 import resource, subprocess, sys
@@ -251,7 +296,7 @@ def memory(rounds: int, quick: bool) -> Table:
     return Table("Memory", note, ("scene", "tracer"), rows)
 
 
-SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, memory]
+SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, frames, memory]
 
 
 def _tables(quick: bool) -> Iterator[Table]:
