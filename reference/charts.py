@@ -61,8 +61,22 @@ LOOKS: dict[str, dict[str, Any]] = {
 def headline(figure: Any, title: str, note: str) -> None:
     """Write the title of a whole figure, and a note below it."""
     height = figure.get_figheight()
-    figure.text(0.03, 1 - 0.2 / height, title, va="top", fontsize=18, weight="bold")
-    figure.text(0.03, 1 - 0.62 / height, note, va="top", fontsize=11, color="#444444")
+    figure.text(
+        0.03,
+        1 - 0.2 / height,
+        title,
+        va="top",
+        fontsize=min(18, 2.6 * figure.get_figwidth()),
+        weight="bold",
+    )
+    figure.text(
+        0.03,
+        1 - 0.62 / height,
+        note,
+        va="top",
+        fontsize=min(11, 1.6 * figure.get_figwidth()),
+        color="#444444",
+    )
 
 
 def make_chart(

@@ -145,7 +145,8 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
 
 def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """A panel for each scene; the names of the curves stand in the last one."""
-    figure, grid = plt.subplots(2, 3, figsize=(13, 8.6), sharex=True, sharey=True)
+    # As wide as a phone shows in full.
+    figure, grid = plt.subplots(6, 1, figsize=(5.6, 19), sharex=True, sharey=True)
     points = [
         Point(scene, method, int(samples), *map(float, figures))
         for scene, method, samples, *figures in rows
@@ -163,18 +164,19 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     first.set_xlim(left=0.5 * min(point.seconds for point in points))
     first.xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
     last.axis("off")
-    last.legend(*first.get_legend_handles_labels(), loc="center", fontsize=12)
-    for axes in grid[:, 0]:
+    last.legend(*first.get_legend_handles_labels(), loc="center", fontsize=10)
+    for axes in grid:
+        axes.tick_params(labelbottom=True)
         axes.set_ylabel("RMSE")
     headline(
         figure,
         "Time against error: lower left is better",
-        "Rendering alone. Error: root mean square in linear radiance, against a certified picture."
-        " Points: 1, 4, 16, ... samples a pixel\n"
-        "(this tracer: 9, 36, ... too); POV-Ray's thresholds; for the certified tracer, the error"
-        " that no pixel exceeds.",
+        "Rendering alone. Error: root mean square in linear radiance, against a\n"
+        "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
+        "36, ... too); POV-Ray's thresholds; for the certified tracer, the error\n"
+        "that no pixel exceeds.",
     )
-    figure.subplots_adjust(0.06, 0.08, 0.99, 0.86, wspace=0.06, hspace=0.2)
+    figure.subplots_adjust(0.14, 0.03, 0.97, 0.92, hspace=0.3)
     return figure
 
 

@@ -15,7 +15,7 @@ if __name__ == "__main__":
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -28,7 +28,7 @@ from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
 from reference.charts import LOOKS, headline, make_chart, plt
 from reference.judges import plain
-from tracer import Camera, Phong, PointLight, Scene, Sphere, render
+from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 
 __all__ = ["METHODS", "PANELS", "Panel", "measure"]
 
@@ -39,6 +39,8 @@ Method: TypeAlias = Callable[[Scene], Floats]
 # Half a level of an 8-bit picture near white, where errors begin to be seen; smaller errors than
 # the second are drawn as that.
 _VISIBLE, _DIGITS = 1 / 512, 1e-17
+# Inches that a phone shows in full; how far apart curves are that find nothing wrong.
+_WIDTH, _STEP = 5.6, 1.7
 
 
 def _scene(
@@ -60,8 +62,8 @@ def distant(distance: float) -> Scene:
     return _scene(eye, (-x, -y, -z), (2, 0, 6), Sphere(), view=(distance, 1, 1))
 
 
-def limb(distance: float) -> Scene:
-    """A millionth of a radius on both sides of a sphere's limb; float64 holds the rays exactly."""
+def silhouette(distance: float) -> Scene:
+    """A millionth of a radius on both sides of a silhouette; float64 holds the rays exactly."""
     view = (distance, 2.0**-19, 2.0**-19)
     return _scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), view=view, pixels=64)
 
@@ -186,15 +188,15 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant,
           largest_error, (*_HITS, *_MITSUBA), ("ε D", "ε D²")),
-    Panel("Hit or missed: within 10⁻⁶ of the limb", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), limb, wrong_share, _HITS),
+    Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
+          np.logspace(3, 25, 12, base=2), silhouette, wrong_share, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
           largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground, largest_error, (*_HITS, *_MITSUBA), ("ε radius",)),
+          ground, largest_error, (*_HITS, *_MITSUBA), ("ε radius: rounding the scene itself",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
           wrong_share, _SHADOWS),
@@ -232,17 +234,51 @@ def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
                 yield panel.title, panel.axis, x, name, unit, value
 
 
+def _balls(radius: float) -> Scene:
+    """A ball on a ground that it touches, in a picture for the strip."""
+    return replace(ball_on_ground(radius=radius), width=160, height=90)
+
+
+def _far_ball(distance: float) -> Scene:
+    """The whole of a unit sphere, `distance` radii away."""
+    whole = distant(distance)
+    camera = replace(whole.camera, view_width=4.0, view_height=2.25)
+    return replace(whole, camera=camera, width=160, height=90)
+
+
+def _small_ball(scale: float) -> Scene:
+    return replace(ball_on_ground(scale=scale), width=160, height=90)
+
+
+# What goes wrong, in which scene, by which method.
+STRIP = (
+    ("Acne", _balls(2.0**14), "t > 0"),
+    ("Lost shadows", _small_ball(2.0**-22), "t > 1e-4"),
+    ("A far sphere in shreds", _far_ball(2000.0), "float32, textbook"),
+)
+
+
 def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
-    """A figure with all panels, of the rows of the table."""
-    figure, grid = plt.subplots(4, 2, figsize=(14, 16.5))
-    figure.subplots_adjust(left=0.05, right=0.84, top=0.92, bottom=0.06, wspace=0.68, hspace=0.42)
+    """A strip of pictures and all panels, of the rows of the table; one below the other."""
+    figure = plt.figure(figsize=(_WIDTH, 40))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1, 9))
     headline(
         figure,
-        "Error of ray tracing methods, from easy scenes to hard ones",
-        "Each point is a picture held against arithmetic of 80 digits. Left: largest error of the"
-        " radiance, no more than 1. Right: share of pixels decided wrongly.",
+        "Where ray tracers fail, and how far",
+        "Above: as a usual method draws a scene; below it: as this tracer does.\n"
+        "Each point is a picture held against arithmetic of 80 digits: the largest\n"
+        "error of the radiance, no more than 1, or the share of wrong pixels.",
     )
-    for axes, panel in zip(grid.ravel(), PANELS, strict=True):
+    pictures = parts[0].subplots(2, len(STRIP))
+    parts[0].subplots_adjust(left=0.03, right=0.97, top=0.66, bottom=0.0, wspace=0.06, hspace=0.0)
+    for (title, scene, method), (above, below) in zip(STRIP, pictures.T, strict=True):
+        for axes, draw in ((above, METHODS[method][1]), (below, render)):
+            axes.imshow(to_codes(np.nan_to_num(draw(scene))))
+            axes.axis("off")
+        above.set_title(f"{title}\n{method}", fontsize=8)
+    grid = parts[1].subplots(len(PANELS), 1)
+    parts[1].subplots_adjust(left=0.13, right=0.95, top=0.98, bottom=0.055, hspace=1.05)
+    for axes, panel in zip(grid, PANELS, strict=True):
         curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
         for title, _, x, name, _, value in rows:
             if title == panel.title:
@@ -256,7 +292,9 @@ def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
     error, at = panel.judge is largest_error, curves["this tracer"][0]
     scene = panel.scene(at[0])
     floor, top = (_DIGITS, 1.0) if error else (25 / (scene.width * scene.height), 100.0)
-    limits = {"xlim": (at[0], at[-1]), "ylim": (floor / 1.6, 1.6 * top)}
+    # Curves at none lie below one another.
+    none = {name: floor / _STEP**k for k, name in enumerate(curves)}
+    limits = {"xlim": (at[0], at[-1]), "ylim": (min(none.values()) / 1.6, 1.6 * top)}
     axes.set(title=panel.title, xlabel=panel.axis, xscale="log", yscale="log", **limits)
     if error:
         look = {"color": "#fbe8dd", "lw": 0, "zorder": 0}
@@ -266,12 +304,12 @@ def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
     for name, (_, values) in curves.items():
-        shown = np.clip(values, floor, top)
+        shown = np.where(values <= floor, none[name], np.minimum(values, top))
         axes.plot(at, shown, **LOOKS[METHODS[name][0]], label=name, clip_on=False)
     for power, name in enumerate(panel.guides, 1):
         look = {"color": "#888888", "lw": 1, "ls": ":" if power == 1 else "-.", "zorder": 1}
         axes.plot(at, np.outer(at**power, (2.0**-24, 2.0**-53)), **look, label=[name, None])
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.03), fontsize=9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.46, -0.3), fontsize=8, ncols=2)
 
 
 def main() -> None:

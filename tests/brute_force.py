@@ -18,7 +18,7 @@ def brute_force(scene: Scene) -> Floats:
     """The picture (height, width, 3) of a scene, by all pairs."""
     with (
         patch("tracer.trace.samples.spans", _all_rows),
-        patch("tracer.trace.lighting.occlusion", _all_occluders),
+        patch("tracer.trace.radiance.occlusion", _all_occluders),
     ):
         return render(scene)
 

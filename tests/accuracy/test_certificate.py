@@ -26,7 +26,7 @@ from reference.judges.true_picture import supersampled, true_picture
 from reference.workloads import crowd, resized
 from tracer import Camera, Scene, Sphere, render
 from tracer.arrays import Floats
-from tracer.trace.lighting import radiance_at
+from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 
 HARD = [kind for kind in KINDS if kind != "crowd"]

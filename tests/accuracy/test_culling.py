@@ -20,8 +20,8 @@ from tracer import Box, Camera, Lambertian, Scene, Sphere, render
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats
 from tracer.geometry.camera import camera_frame
-from tracer.trace import lighting
-from tracer.trace.lighting import radiance_at
+from tracer.trace import radiance as radiance_module
+from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 from tracer.world import prepared_scene
 from tracer.world.light_grid import LightGrid
@@ -267,13 +267,13 @@ def test_many_plates_behind_each_other(monkeypatch):
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
-    sizes, nearest_hits = [], lighting.nearest_hits
+    sizes, nearest_hits = [], radiance_module.nearest_hits
 
     def counted(prepared, samples):
         sizes.append(samples.size)
         return nearest_hits(prepared, samples)
 
-    monkeypatch.setattr(lighting, "nearest_hits", counted)
+    monkeypatch.setattr(radiance_module, "nearest_hits", counted)
     monkeypatch.setattr(prepared_scene, "_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
@@ -284,7 +284,7 @@ def test_runs_are_of_neighbours():
     # The balls hide parts of the floor's rows: what is left of a row is several runs.
     scene = crowd(200, width=80, height=45)
     prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
-    hits = lighting.nearest_hits(prepared, CENTRES.samples(slice(0, 45), slice(0, 80)))
+    hits = radiance_module.nearest_hits(prepared, CENTRES.samples(slice(0, 45), slice(0, 80)))
     for group in hits.groups:
         starts = np.append(0, group.counts.cumsum())
         assert (group.counts > 1).any()

@@ -8,7 +8,7 @@ from probe import scene_of
 from tracer import Box, Camera, PointLight, Sphere, explain
 from tracer.antialias.lattice import CENTRES
 from tracer.geometry.camera import camera_frame
-from tracer.trace.lighting import radiance_and_ids
+from tracer.trace.radiance import radiance_and_ids
 from tracer.world.prepared_scene import PreparedScene
 
 

@@ -104,3 +104,10 @@ def test_mitsuba_draws_the_same_picture(scene):
     assert np.mean(np.abs(image - render(scene)).max(axis=2) > 1e-4) < 2e-3
     # And it stays usable for others in the variant that they use.
     assert use().variant == mi.variant()
+
+
+def test_the_strip_shows_failures_and_right_pictures() -> None:
+    for title, scene, method in stability.STRIP:
+        exact = plain.render(scene, arithmetic="decimal")
+        assert stability.wrong_share(stability.METHODS[method][1](scene), exact) > 1, title
+        assert stability.wrong_share(render(scene), exact) == 0, title

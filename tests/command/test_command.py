@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tqdm
 from PIL import Image
 from running import SCENE, names, run, started
 
@@ -379,27 +380,14 @@ def test_a_slow_picture_does_without_a_bar_that_cannot_be_shown(
         assert image.size == (40, 30)
 
 
-class Bar:
-    """Takes the place of tqdm's, and lists what it shows."""
-
-    def __init__(self, *, total: int, **_options: object) -> None:
-        self.total, self.n = total, 0
-        self.shown: list[object] = []
-        bars.append(self)
-
-    def update(self, n: int) -> None:
-        self.n += n
-        self.shown.append(self.n)
-
-    def close(self) -> None:
-        self.shown.append("closed")
-
-
-bars: list[Bar] = []
-
-
 def test_the_bar_counts_pixels(monkeypatch):
-    bars.clear()
+    shown = []
+
+    class Bar(tqdm.tqdm):
+        def update(self, n: float | None = 1) -> None:
+            super().update(n)
+            shown.append((self.n, self.total))
+
     monkeypatch.setattr("tqdm.tqdm", Bar)
     monkeypatch.setattr(cli, "perf_counter", iter([0, 0.9, 1.1]).__next__)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
@@ -408,15 +396,14 @@ def test_the_bar_counts_pixels(monkeypatch):
     watched = progress.watch(iter(tiles))
     assert [next(watched), next(watched), progress.black] == [*tiles[:2], True]
     assert [*watched, progress.black] == [tiles[2], False]
-    # None before a second has passed.
-    assert [(bar.total, bar.shown) for bar in bars] == [(600, [300, 600, "closed"])]
+    assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 
 WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
 
 
 @pytest.mark.parametrize(
-    ("file", "window", "size", "told"),
+    ("file", "window", "size", "remedy"),
     [
         ((30, 30), "", "20x10", "--size 20x20 keeps them so"),
         ((32, 18), WINDOW, "321x181", ""),
@@ -424,11 +411,11 @@ WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
         ((40, 30), "", "20x10", ""),  # they are not square in the file
     ],
 )
-def test_a_size_that_makes_pixels_oblong(scene, capsys, file, window, size, told):
+def test_a_size_that_makes_pixels_oblong(scene, capsys, file, window, size, remedy):
     scene.write_text(SCENE.format(*file).replace("</camera>", f"{window}</camera>"))
     assert cli.main([str(scene), "--size", size]) == 0
-    told = told and f"{scene}: pixels are no longer square; {told}\n"
-    assert capsys.readouterr().err == told
+    remedy = remedy and f"{scene}: pixels are no longer square; {remedy}\n"
+    assert capsys.readouterr().err == remedy
     assert cli.main([str(scene), "--size", size, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main([str(scene), "--size", "99999x99999"]) == 1

@@ -89,17 +89,6 @@ OTHERS = [
         (begins, 1, "column 1; a scene file holds <scene>")
         for begins in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"\x1f\x8b\x08\x08")
     ),
-    # Digits of another script, spaces that XML does not know, numbers copied from a page.
-    *(
-        (f"<scene>\n<light><position>{text}</position></light></scene>", 2, f"position: {fault}")
-        for text, fault in (
-            (
-                "\u0663 0 0",
-                "'\u0663' contains U.0663, ARABIC-INDIC DIGIT THREE; write a plain char",
-            ),
-            ("1\u20032 3 4", r"'1\\u20032' contains U.2003, EM SPACE; write a plain space"),
-        )
-    ),
     # More digits than int() reads.
     (f"<scene><image>1{'0' * 5000} 1</image></scene>", 1, "image: needs two whole numbers"),
 ]

@@ -13,6 +13,7 @@ from scene_files import small_one
 
 from reference import sheet
 from reference.command import own_scenes
+from reference.measurements import Ratio, read_csv
 from tracer import SceneFileError, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,15 +25,29 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
 
 
-def test_the_readme_is_one_page_that_begins_with_two_commands() -> None:
+def test_the_readme_is_one_page_with_two_commands() -> None:
     """One line each: `.ci/run` takes them from here, and runs them in a clean checkout."""
     assert README.count("\n") <= 160
-    render, test = (block.rstrip("\n") for block in blocks("sh")[:2])
-    assert "\n" not in render + test
-    assert render.endswith(" -m tracer scenes/one-sphere.xml")
-    assert "pip install" in render
-    assert test.endswith(" -m pytest -q")
-    assert "'.[test]'" in test
+    first, last = (blocks("sh")[k].rstrip("\n") for k in (0, -1))
+    assert "\n" not in first + last
+    assert first.endswith(" && tracer scenes/one-sphere.xml")
+    assert last.endswith(" && python -m pytest -q")
+    assert "pip install" in first
+    assert "'.[test]'" in last
+
+
+def test_its_speeds_are_those_of_the_benchmark() -> None:
+    """The least and the most of the stored speedups over stock Mitsuba."""
+    text = " ".join(README.split())
+    _, rows = read_csv(ROOT / "reference/benchmark.csv")
+    sizes = ("320×180", "320 × 180"), ("2560×1440", "2560 × 1440")
+    for table in ("Whole process: from XML to PNG", "Rendering alone"):
+        for size, shown in sizes:
+            found = [float(value) for title, row, column, value, *_ in rows
+                     if (title, column) == (table, "speedup over stock") and row.endswith(size)
+                     and "mean" not in row]  # fmt: skip
+            low, high = (str(Ratio(end)).rstrip("×") for end in (min(found), max(found)))
+            assert re.search(rf"{re.escape(f'{low} to {high}')} times [^.,]*{shown}", text), table
 
 
 def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,7 +94,7 @@ def test_the_commands_exist() -> None:
 
 def test_the_map_names_every_module_of_the_tracer() -> None:
     text = (ROOT / "reference/map.md").read_text(encoding="utf-8")
-    modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__"}
+    modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__", "__main__"}
     assert modules - set(re.findall(r"`(\w+)`", text)) == set()
 
 

@@ -16,7 +16,8 @@ from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, Scene, unit
 from tracer.trace.first_hits import FirstHits, first_hits
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import light_geometry, radiance_at
+from tracer.trace.lighting import light_geometry
+from tracer.trace.radiance import radiance_at
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 

@@ -28,7 +28,7 @@ from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import processors, share, worker_pool
 from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
-from tracer.trace.lighting import radiance_at
+from tracer.trace.radiance import radiance_at
 from tracer.world.prepared_scene import PreparedScene
 
 if TYPE_CHECKING:

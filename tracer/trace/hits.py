@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints, Triple, dot, repeat_runs, take3
-from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
 
@@ -85,7 +84,10 @@ class Hits(NamedTuple):
         The object that each run sees.
     row, column : (runs,)
         Where each begins, in rows and columns of samples; of scattered ones, of pixels.
-    samples : Samples
+    scattered : bool
+        Whether the samples are.
+    density : float
+        Samples across a pixel, see `Rows.density`.
     """
 
     prepared: PreparedScene
@@ -96,7 +98,8 @@ class Hits(NamedTuple):
     obj: Ints
     row: Ints
     column: Ints
-    samples: Samples
+    scattered: bool
+    density: float
 
     @property
     def by_lights(self) -> Iterator[Hits]:

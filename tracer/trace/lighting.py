@@ -1,4 +1,4 @@
-"""Radiance of hits: shadows, then shading, light by light."""
+"""Light at hits: where it comes from, and the radiance that it makes of them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scaled, take3
 from tracer.geometry.rounding import INSIDE
 from tracer.trace.hits import Hits, ShapeHits
-from tracer.trace.occlusion import occlusion
-from tracer.trace.samples import Samples
 from tracer.trace.shading import highlight
-from tracer.trace.visibility import nearest_hits
-from tracer.world.prepared_scene import PreparedScene
 
 # On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
 # the bell is as good as zero, and the x where it underflows.
@@ -116,30 +112,6 @@ class Shading:
 def _add(sums: Floats, intensity: Floats, weight: Floats) -> None:
     for channel, strength in zip(sums, intensity, strict=True):
         channel += strength * weight
-
-
-def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
-    """Radiance (3, n) at samples, towards the eye; put into `out`, zeros, if that is given."""
-    shading = _shading(nearest_hits(prepared, samples), with_ids=False)
-    return shading.at_samples(np.zeros((3, samples.size)) if out is None else out)
-
-
-def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """`radiance_at` and `Shading.ids` of samples; -1 where nothing is seen."""
-    hits = nearest_hits(prepared, samples)
-    shading, ids = _shading(hits, with_ids=True), np.full(samples.size, -1)
-    ids[hits.sample] = shading.ids
-    return shading.at_samples(np.zeros((3, samples.size))), ids
-
-
-def _shading(hits: Hits, *, with_ids: bool) -> Shading:
-    shading = Shading(hits, with_ids=with_ids)
-    for some in hits.by_lights:
-        geometry = light_geometry(some)
-        lit = geometry.n_dot_l > 0
-        lit &= ~occlusion(some, lit)
-        shading.add(geometry, lit)
-    return shading
 
 
 def light_geometry(hits: Hits) -> LightGeometry:

@@ -12,7 +12,6 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, run_lengths, segment_indices, take3
 from tracer.trace.hits import Hits
-from tracer.trace.samples import Scattered
 
 # The most points in a row, the least and the most pixels along each side of a square of rows, and
 # how many times as deep as wide it may be: towards a horizon neighbouring rows are far apart.
@@ -65,7 +64,7 @@ def packets_of(
         For each level, whether a light may reach any point of each packet.
     """
     prepared = hits.prepared
-    across = prepared.packet_pixels * hits.samples.density
+    across = prepared.packet_pixels * hits.density
     longest, count = int(min(max(across, 1), _MOST_POINTS)), np.diff(hits.first)
     run, skip = segment_indices(-(-count // longest))
     skip *= longest
@@ -81,13 +80,13 @@ def packets_of(
     if side < _LEAST_SIDE:
         return [rows], [lit]
     square, column = obj, hits.column[run]
-    if not isinstance(hits.samples, Scattered):
+    if not hits.scattered:
         column += skip
     for at in (hits.row[run] // side, column // side):
         square = square * (at.max() + 1) + at
     order = square.argsort(kind="stable")
     # The bits of a number are nearly its logarithm; of twice a number, they are 2^52 more.
-    wide = side * prepared.frame.step_u / (prepared.frame.depth * hits.samples.density)
+    wide = side * prepared.frame.step_u / (prepared.frame.depth * hits.density)
     part = min(_MOST_DEPTH * wide, 1.0)
     depth = hits.p[2].take(start).view(np.int64) // max(1, int(2**52 * part))
     rows, lit = Packets._make(m.take(order, axis=-1) for m in rows), lit.take(order, axis=1)
@@ -97,7 +96,7 @@ def packets_of(
 
 def _balls(hits: Hits, start: Ints, length: Ints) -> tuple[Floats, Floats]:
     """Bounding spheres, middles and radii, of `length` points from `start` on."""
-    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.eye_inside.any():
+    if hits.scattered or hits.prepared.spheres.eye_inside.any():
         a, b = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
     else:
         # Points of a row lie on a line, or on an arc that is seen from outside, of less than half a

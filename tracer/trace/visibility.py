@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, changes, indices, ranges, repeat_runs
 from tracer.trace.hits import Hits, ShapeHits
-from tracer.trace.samples import Samples
+from tracer.trace.samples import Samples, Scattered
 from tracer.world.prepared_scene import PreparedScene, Shape
 
 # Pixels along each side of the squares at whose borders runs of scattered samples end.
@@ -151,5 +151,6 @@ def _hits(prepared: PreparedScene, samples: Samples, candidates: list[_Candidate
         obj=np.concatenate([none, *(group.obj for group in groups)]),
         row=row,
         column=column,
-        samples=samples,
+        scattered=isinstance(samples, Scattered),
+        density=samples.density,
     )
