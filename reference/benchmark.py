@@ -17,6 +17,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -32,8 +34,9 @@ from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import SCENES, built, own_scenes
 from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
-from reference.workloads import crowd, resized
+from reference.workloads import crowd, field, resized
 from tracer import Scene, load_scene, render, save_scene
+from tracer.picture.parallel import processors
 
 __all__ = ["SECTIONS", "Section", "growth_exponent", "main", "peak"]
 
@@ -126,8 +129,10 @@ def rendering(rounds: int, quick: bool) -> Table:
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL,) if quick else (_SMALL, _MEDIUM, _LARGE):
         found: list[tuple[Ratio, Ratio]] = []
-        for name in _FEW if quick else [path.stem for path in own_scenes()]:
-            scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
+        scenes = {path.stem: load_scene(path) for path in own_scenes()}
+        scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
+        for name in _FEW if quick else scenes:
+            scene = resized(scenes[name], *size)
             ours, exactly = _beside(scene, rounds, exact(scene))
             again, stocks = _beside(scene, rounds, stock(scene, 1))
             found.append((_speedup(ours, exactly), _speedup(again, stocks)))
@@ -201,6 +206,48 @@ def loading(rounds: int, quick: bool) -> Table:
     )
 
 
+def frames(rounds: int, quick: bool) -> Table:
+    """Time a sequence of frames, alone and with the processes of an executor."""
+    count = 10 if quick else 200
+    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *_MEDIUM)
+    camera, eye = scene.camera, np.array(scene.camera.view_point)
+    scenes = [
+        replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
+        for k in range(count)
+    ]
+
+    def alone() -> None:
+        for each in scenes:
+            render(each)
+
+    with ProcessPoolExecutor(1) as one, ProcessPoolExecutor(2) as two:
+        for pool in (one, two):
+            list(pool.map(abs, range(8)))  # its processes have started
+
+        def sharing(pool: Executor) -> None:
+            for each in scenes:
+                render(each, executor=pool)
+
+        found = interleaved(
+            {
+                "alone": alone,
+                "1 worker, render(scene, executor=pool)": partial(sharing, one),
+                "2 workers, render(scene, executor=pool)": partial(sharing, two),
+                "1 worker, pool.map(render, scenes)": lambda: list(one.map(render, scenes)),
+                "2 workers, pool.map(render, scenes)": lambda: list(two.map(render, scenes)),
+            },
+            rounds,
+        )
+    return Table(
+        f"{count} frames of {_MEDIUM[0]}×{_MEDIUM[1]}",
+        "Milliseconds for all of them, one sample a pixel, with a standard library's pool of"
+        f" processes on {processors()} processors: each picture shared with it, or whole pictures"
+        " given to it.",
+        ("who draws", "time", "speedup"),
+        [(name, time, _speedup(time, found["alone"])) for name, time in found.items()],
+    )
+
+
 # A process starts out with its parent's peak memory: a small one must be in between.
 _WATCH = """
 import resource, subprocess, sys
@@ -249,7 +296,7 @@ def memory(rounds: int, quick: bool) -> Table:
     return Table("Memory", note, ("scene", "tracer"), rows)
 
 
-SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, memory]
+SECTIONS: list[Section] = [whole_process, rendering, growth_in_objects, loading, frames, memory]
 
 
 def _tables(quick: bool) -> Iterator[Table]:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from probe import Surface, Vector, scene_of
+from random_scenes import random_scene
 from scene_files import NAMES, names
 from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
 
@@ -188,3 +189,10 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
     render(scene, 16)
     assert sum(counts) < 4 * 16 * 24 * 24
     no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 16))
+
+
+@pytest.mark.usefixtures("pixels_are_split")
+@pytest.mark.parametrize("seed", [1, 16, 18])
+def test_no_radiance_is_negative(seed):
+    # What stands for a sliver of a pixel may weigh less than nothing.
+    assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0

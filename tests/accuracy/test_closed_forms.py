@@ -265,6 +265,33 @@ def test_a_light_on_a_surface_but_for_rounding():
             assert (radiance_along(eye, RIGHT, light, surface, WALL) > 0).tolist() == [lit > 0] * 3
 
 
+@pytest.mark.parametrize("distance", [30, 1e5])
+def test_what_counts_as_on_a_surface_is_more_than_rounding(distance):
+    # A ball in another, smaller by two roundings: points on the outer one err as much, and by more
+    # the farther away the eye is.
+    up, lens = np.array([1, 2, 2]) / 3, {"view_width": 1, "view_height": 1}
+    eye, ahead = distance * up, -up
+    camera = Camera(view_point=eye, view_dir=ahead, proj_distance=distance, **lens)
+    outer, inner = Sphere(), Sphere(radius=1 - 2 * EPS)
+    alone, both = (
+        render(scene_of(*some, camera=camera, size=(24, 24), lights=tuple(eye)))
+        for some in ([outer], [outer, inner])
+    )
+    assert alone.min() > 0.5
+    np.testing.assert_allclose(both, alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("depth", [1e-12, -1e-12])
+def test_what_counts_as_on_a_surface_is_little_more_than_rounding(depth):
+    # A lamp so far below the top of a ball lights nothing outside of it; so far above, it does.
+    ball, floor = Sphere(), Box(min_pt=(-9, -3, -9), max_pt=(9, 1 - 1e-6, -4))
+    camera = Camera(view_point=(0, 3, 0), view_dir=(0, -0.4, -1))
+    scene = scene_of(ball, floor, camera=camera, size=(8, 8), lights=(0, 1 - depth, 0))
+    image, exact = render(scene), plain.render(scene, arithmetic="decimal")
+    np.testing.assert_allclose(image, exact, rtol=1e-9)
+    assert (image.max() > 0) == (depth < 0)
+
+
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 10.0])
 def test_light_straight_behind_the_silhouette(exponent):
     # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l = 0, which a

@@ -9,6 +9,7 @@ from probe import Surface, scene_of
 from random_scenes import random_scene
 
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, first_hits, render
+from tracer.trace import first_hits as first_hits_module
 
 
 def a_scene(width: int = 40, height: int = 30, **camera: Any) -> Scene:
@@ -115,6 +116,17 @@ def test_first_hits_of_nothing():
 def test_positions_that_are_refused(x, y):
     with pytest.raises(ValueError, match="x and y must "):
         first_hits(seen(BALL), x, y)
+
+
+def test_first_hits_of_many_rays_are_those_of_few(monkeypatch):
+    x, y = np.random.default_rng(2).uniform(0, 60, (2, 500))
+    scene = random_scene("crowd", 3, 60, 60)
+    few = first_hits(scene, x, y)
+    monkeypatch.setattr(first_hits_module, "_RAYS_AT_ONCE", 70)
+    many = first_hits(scene, x, y)
+    assert np.unique(few.surface).size > 5
+    for name in ("surface", "distance", "normal", "point"):
+        np.testing.assert_array_equal(getattr(many, name), getattr(few, name))
 
 
 @pytest.mark.parametrize("kind", ["nested", "duplicated", "crowd"])

@@ -108,7 +108,8 @@ def test_the_tracers_modules_import_downwards() -> None:
         assert name not in above, f"a cycle: {above}"
         return 1 + max((depth(other, (*above, name)) for other in uses[name]), default=0)
 
-    assert max(map(depth, paths)) <= DEPTH
+    # Without the one line that starts all of it.
+    assert max(map(depth, {*paths} - {"tracer.__main__"})) <= DEPTH
     # A submodule is no name that a package gathers; the version stands at the top.
     allowed = {*paths, *faces, "tracer.__version__"}
     for name, path in paths.items():

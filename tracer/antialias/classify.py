@@ -111,7 +111,10 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
         blocked, edges, many = shadow_edges(some, facing, np.where(wide, 0, footprint))
         shading.add(geometry, facing & ~blocked)
         apexes = _apexes(some.prepared)
-        lit = surfaces.shadows(apexes, *edges), surfaces.terminators(apexes, geometry)
+        lit = (
+            surfaces.shadows(apexes, *edges),
+            surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2),
+        )
         lines, curved = fit_lines(chain(*lit), cells.tolerance)
         found.append(lines)
         for split in (hit_cell[wide | many], curved):

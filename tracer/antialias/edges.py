@@ -29,7 +29,6 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import LightGeometry
 from tracer.trace.samples import spans
 from tracer.world.prepared_scene import PreparedScene
 
@@ -219,11 +218,11 @@ class CellSurfaces(NamedTuple):
             pairs = number, self.cell[at], occluder[pair]
             yield from silhouettes(self.hits.prepared, apexes, *pairs, q)
 
-    def terminators(self, apexes: Apexes, geometry: LightGeometry) -> Iterator[EdgeValues]:
-        """Lines at which lights, and their highlights, begin on spheres."""
+    def terminators(self, apexes: Apexes, n_dot_l: Floats, length2: Floats) -> Iterator[EdgeValues]:
+        """Lines at which lights, and their highlights, begin on spheres: see `LightGeometry`."""
         prepared, obj = self.hits.prepared, self.hits.hit_object
         turn = self.footprint * prepared.curvature[obj]
-        for pair in pieces(indices(geometry.n_dot_l**2 < turn * turn * geometry.length2)):
+        for pair in pieces(indices(n_dot_l**2 < turn * turn * length2)):
             light, at = np.divmod(pair, turn.size)
             d, inverse = self.rays(at)
             center, apex = take3(prepared.spheres.local, obj[at]), take3(apexes[1].T, light)

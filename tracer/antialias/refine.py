@@ -88,7 +88,8 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     found = found._replace(lines=lines, unresolved=found.unresolved & split)
     mean = _refined(prepared, pixels, found, smooth, np.where(split, error, 0), per_side)
     mean[:, some], _ = _sampled(prepared, pixels, lines, some, Lattice.of(per_side, more=1))
-    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1]], axis=2)
+    # A few points have weights less than zero.
+    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
 def _refined(
