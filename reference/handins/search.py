@@ -371,7 +371,9 @@ class Search:
     def speckled(self) -> tuple[int, list[Cause]]:
         """Surfaces that shadow themselves, in dots that depend on rounding: lights are lost."""
         d = self.drawings
-        if len(d.scene.lights) > _MANY_LIGHTS:
+        light = self.handin.max(axis=0).reshape(-1, d.columns).astype(np.int16)
+        dots = light[:, 1:-1] < np.minimum(light[:, :-2], light[:, 2:]) - 1
+        if len(d.scene.lights) > _MANY_LIGHTS or dots.sum() < _OF_ALL * self.number / 2:
             return 0, []
         names = list(mistakes.RIGHT)
         free = {*names[: names.index("centers")], *names[names.index("image") :]}

