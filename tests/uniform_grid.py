@@ -28,7 +28,7 @@ def no_worse_than_the_uniform_grid(
     """RMSE no larger, and the largest error no more than so many times as large."""
     try:
         truth = true_picture(scene, TRUE).image
-    except ValueError:  # the eye is on a surface: there is no certificate
+    except ValueError:  # there is no certificate, as with the eye on a surface
         truth = uniform(scene, 41)
     for samples in numbers:
         image, grid = render(scene, samples), uniform(scene, math.isqrt(samples))

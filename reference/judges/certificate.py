@@ -334,7 +334,8 @@ def certify(
     Raises
     ------
     ValueError
-        If `error` is not positive, or the eye is on a surface.
+        If `error` is not positive, the eye is on a surface, or a light is more than 1e10 times as
+        far away as an object is large.
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")

@@ -39,6 +39,10 @@ from tracer.world.prepared_scene import PreparedScene
 _APART = 1e-9
 
 
+# The most that a light may be away, as a multiple of the least object's size.
+_FARTHEST = 1e10
+
+
 class Faces:
     """The faces (f,) and lights (m,) of a scene, and its objects (n,), spheres first.
 
@@ -78,6 +82,12 @@ class Faces:
         on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or on.any():
             raise ValueError("the eye is on a surface; move it off")
+        # Farther away rounding of positions seen from a light outgrows what the forms allow for:
+        # from 1e13 times on, intervals were seen to be wrong.
+        sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
+        if np.abs(self.lights).max(initial=0) > _FARTHEST * sizes[sizes > 0].min(initial=np.inf):
+            wrong = f"a light is more than {_FARTHEST:g} times as far as an object is large"
+            raise ValueError(f"{wrong}; move it nearer")
         self._add_faces(low, high, np.where(inside[self.spheres :], 1, -1))
         self._add_shadows(low, high)
         side, (x, y, z) = prepared.side.copy(), prepared.lights.T[:, :, None]
