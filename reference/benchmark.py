@@ -33,8 +33,16 @@ from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import SCENES, built, own_scenes
-from reference.measurements import Ratio, Table, Task, Timing, interleaved, measure_page, process
-from reference.workloads import crowd, field, resized
+from reference.measured.measurements import (
+    Ratio,
+    Table,
+    Task,
+    Timing,
+    interleaved,
+    measure_page,
+    process,
+)
+from reference.measured.workloads import crowd, field, resized
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
 

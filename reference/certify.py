@@ -84,7 +84,7 @@ def judgement(certificate: Certificate, codes: np.ndarray) -> tuple[int, str]:
 
 def bounds_chart(certificate: Certificate) -> bytes:
     """A PNG file that shows how wide each pixel's bounds are, in factors of two."""
-    from reference.charts import plt  # takes long to import
+    from reference.measured.charts import plt  # takes long to import
 
     width = np.log2(np.maximum(certificate.error, 2.0**-40))
     height = 7 * certificate.image.shape[0] / certificate.image.shape[1]

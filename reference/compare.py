@@ -36,6 +36,7 @@ from reference.figures import figures, linear, write_comparison
 from reference.handins.alignment import Codes, Diagnosis
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import SceneDiagnosis
+from reference.handins.page import Pair
 from reference.handins.pictures import AGREEING, compare_pictures, worst_pixel
 from reference.handins.reading import (
     UNREADABLE,
@@ -48,7 +49,6 @@ from reference.handins.reading import (
 )
 from reference.handins.results import MISSING, Result, csv_of, json_of, text_of
 from reference.handins.workers import shared
-from reference.page import Pair
 from tracer import SceneFileError, load_scene
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.process import print_line, print_result

@@ -23,10 +23,10 @@ import numpy as np
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
-from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import built
-from reference.measurements import Task, interleaved
-from reference.workloads import field
+from reference.measured.charts import LOOKS, headline, make_chart, plt
+from reference.measured.measurements import Task, interleaved
+from reference.measured.workloads import field
 from tracer import load_scene, render, save_scene
 
 __all__ = ["main"]

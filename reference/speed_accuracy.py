@@ -30,13 +30,13 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
 from reference import povray
-from reference.charts import LOOKS, headline, make_chart, plt
 from reference.command import SCENES, built
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import rmse, supersampled, true_picture
-from reference.measurements import interleaved
-from reference.workloads import crowd, resized
+from reference.measured.charts import LOOKS, headline, make_chart, plt
+from reference.measured.measurements import interleaved
+from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render, to_codes
 
 __all__ = ["Point", "main", "measure"]

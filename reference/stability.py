@@ -26,8 +26,8 @@ from tqdm import tqdm
 import converters.plugins  # noqa: F401 (registers the light without fall-off)
 from converters.camera import window_of
 from converters.variant import LLVM, SCALAR, mi, use
-from reference.charts import LOOKS, headline, make_chart, plt
 from reference.judges import plain
+from reference.measured.charts import LOOKS, headline, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 
 __all__ = ["METHODS", "PANELS", "Panel", "measure"]

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from reference.command import SCENES, own_scenes
-from reference.workloads import resized
+from reference.measured.workloads import resized
 from tracer import Scene, load_scene
 from tracer.arrays import Floats
 

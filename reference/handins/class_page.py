@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from reference import page as pages
 from reference.figures import Floats, amplified
+from reference.handins import page as pages
 from reference.handins.alignment import Codes
+from reference.handins.page import Cell, Pair, png
 from reference.handins.results import Result
-from reference.page import Cell, Pair, png
 
 _LEGEND = (
     "The difference is shown amplified, in linear light: orange where the hand-in is brighter, blue"

@@ -16,7 +16,7 @@ from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
 
 from reference.command import SCENES
 from reference.judges.true_picture import rmse, true_picture
-from reference.workloads import crowd
+from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import Lattice

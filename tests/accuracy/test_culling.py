@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from probe import scene_of
 from random_scenes import KINDS, random_scene
 
-from reference.workloads import crowd
+from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, Scene, Sphere, render
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Floats

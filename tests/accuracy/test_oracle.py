@@ -19,7 +19,7 @@ from scene_files import NAMES, names, small
 
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
-from reference.workloads import resized
+from reference.measured.workloads import resized
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render, write_png
 
 # The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the

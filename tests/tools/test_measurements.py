@@ -15,10 +15,18 @@ import pytest
 from scene_files import small
 
 from converters.variant import LLVM, use
-from reference import benchmark, command, measurements, speed_accuracy
+from reference import benchmark, command, speed_accuracy
 from reference.benchmark import growth_exponent
 from reference.judges.true_picture import rmse, true_picture
-from reference.measurements import Ratio, Table, Timing, interleaved, measured_on, write_tables
+from reference.measured import measurements
+from reference.measured.measurements import (
+    Ratio,
+    Table,
+    Timing,
+    interleaved,
+    measured_on,
+    write_tables,
+)
 from tracer import render
 
 

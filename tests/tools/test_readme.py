@@ -13,7 +13,7 @@ from scene_files import small_one
 
 from reference import sheet
 from reference.command import own_scenes
-from reference.measurements import Ratio, read_csv
+from reference.measured.measurements import Ratio, read_csv
 from tracer import SceneFileError, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,7 +18,7 @@ from reference.command import HERE
 
 __all__ = ["TEMPLATE", "Cell", "Pair", "page", "png"]
 
-TEMPLATE = HERE / "page.html"
+TEMPLATE = HERE / "handins" / "page.html"
 # Longer side of a thumbnail in pixels.
 _THUMBNAIL = 96
 

@@ -12,7 +12,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from reference.command import need_scenes, need_table, parser, result
-from reference.measurements import measured_on, read_csv, write_csv
+from reference.measured.measurements import measured_on, read_csv, write_csv
 
 __all__ = ["LOOKS", "headline", "make_chart", "plt"]
 

@@ -1,0 +1,1 @@
+"""What is measured: workloads, timings in turns, tables and charts."""
