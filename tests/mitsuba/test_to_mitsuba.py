@@ -74,13 +74,13 @@ def test_no_one_reads_the_output(small, unread, what):
 
 @pytest.mark.parametrize("what", [[], RENDER])
 def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
-    other = small.with_name("other")
+    other = small.with_name("other.png" if what else "other")
     other.write_text("<scene>")
     assert main([*what, str(small), "-o", str(other)]) == 1
     wrong = f"{other}: cannot be written: a file of another kind is there\n"
     assert capsys.readouterr().err == wrong
     assert other.read_text() == "<scene>"
-    assert names(small.parent) == {"other", "small.xml"}
+    assert names(small.parent) == {other.name, "small.xml"}
     use()
 
 
