@@ -306,7 +306,7 @@ def test_more_lights_than_bits(monkeypatch):
     monkeypatch.setattr(antialias, "curvature", noted)
     first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)] * 66
     lights = [first, *(replace(each, position=(0, 0, 0)) for each in others)]
-    scene = seen(lights, wall(60, -5), red(ball((0, 0, -4), 1.2)), size=(8, 8))
+    scene = seen(lights, wall(60, -5), red(ball((0, 0, -4), 1.2)), size=(9, 9))
     no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
     # The wall and the ball, each in its light and out of it.
     assert len(keys) == 4
