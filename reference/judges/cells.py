@@ -154,14 +154,18 @@ def _cross(c: Floats, q: Floats) -> Floats:
     return np.array([c[i - 2] * q[i - 1] - c[i - 1] * q[i - 2] for i in range(3)])
 
 
-def _cone(c: Floats, r: Floats, q: Floats, size: Floats | float) -> tuple[Floats, Floats]:
-    """r^2 q^2 - |c x q|^2 (8, n): positive where the line along q meets the sphere at c.
+def _cone(
+    c: Floats, r: Floats, q: Floats, size: Floats, w: Floats, w_size: Floats
+) -> tuple[Floats, Floats]:
+    """r^2 q^2 - |c x w|^2 (8, n), and c x w.
 
-    `size`: of the terms that the linear vectors q are made of.  Also returns c x q.
+    q, w: linear vectors, made of terms no larger than `size` and `w_size`.
     """
-    across, m = _cross(c, q), np.zeros((8, c.shape[1]))
+    across, m = _cross(c, w), np.zeros((8, c.shape[1]))
     m[:Z] = r * r * _squared(q) - _squared(across)
-    m[R] = 8 * ROUNDING * (r * r + (c * c).sum(axis=0)) * size * np.abs(q).sum(axis=(0, 1))
+    c2 = (c * c).sum(axis=0)
+    m[R] = r * r * size * np.abs(q).sum(axis=(0, 1)) + c2 * w_size * np.abs(w).sum(axis=(0, 1))
+    m[R] *= 8 * ROUNDING
     return m, across
 
 
@@ -220,12 +224,14 @@ class CellForms:
         m[:, at] += (s * v if v.ndim == 1 else s.times(v)).m
         return Form(m)
 
-    def _plane(self, pair: Ints, normal: Floats, b: Floats) -> tuple[Form, Floats]:
-        """normal.d + b / t of pairs, and its u, for v is b."""
+    def _plane(self, pair: Ints, normal: Floats, b: Floats, size: Floats) -> tuple[Form, Floats]:
+        """normal.d + b / t of pairs, and its u, for v is b: a sum of terms of a `size`."""
         k, m = self.faces.k[:, self.cells.face[pair]], self._dot(normal, self.cells.cell[pair])
         m[:XX] += b * self._without_root[:, pair]
-        size = np.abs(normal).sum(axis=0) + np.abs(b) * np.abs(k).sum(axis=0)
-        m[R] = ROUNDING * self.faces.frame.longest * size
+        m[R] = self.faces.frame.longest * (
+            np.abs(normal).sum(axis=0) + size * np.abs(k).sum(axis=0)
+        )
+        m[R] = ROUNDING * (m[R] + size * self._inverse_size[pair])
         return self._on_surface(pair, m, b), m
 
     def _add(
@@ -271,8 +277,8 @@ class CellForms:
         functions = [(at, self._linear(rim[:, face], cell)) for rim in faces.rim]
         at = np.flatnonzero(~flat)
         face, q = cells.face[at], self._rays(cells.cell[at])
-        longest = faces.frame.longest
-        chord[:, at], _ = _cone(faces.center[:, face], faces.radius[face], q, longest)
+        c, size = faces.center[:, face], np.full(at.size, faces.frame.longest)
+        chord[:, at], _ = _cone(c, faces.radius[face], q, size, q, size)
         at = at[~cells.covers[at] & (faces.power[face] > 0)]
         functions.append((at, Form(chord[:, at])))
         # That is positive in the opposite direction as well.
@@ -314,12 +320,13 @@ class CellForms:
         keep[some] = ~np.where(same, order[some] > order[other], behind)
         self._keep(keep)
         self.inverse, self.s2, self.root = inverse[keep], self.s2[keep], self.root[keep]
-        self._without_root = self._without_root[:, keep]
+        self._without_root, self._inverse_size = self._without_root[:, keep], self.inverse.size
 
     def _heights(self, light: Ints, pair: Ints) -> Form:
         """Heights, over t, of lights or the eye (-1) over what pairs see."""
         faces, face = self.faces, self.cells.face[pair]
         form = self.inverse[pair] * faces.b[light, face]
+        form.m[R] += ROUNDING * faces.b_size[light, face] * self._inverse_size[pair]
         at = np.flatnonzero(~faces.flat[face])
         form.m[:, at] += self._linear(faces.a[:, light[at], face[at]], self.cells.cell[pair[at]]).m
         return form
@@ -379,31 +386,38 @@ class CellForms:
     def _cones(self, row: Ints, lit: Bools, shaded: Bools) -> list[_Shadow]:
         """Edges of spheres' shadows; tells rows where all is `lit`, and where all is `shaded`.
 
-        A sphere at c from the light L shades what is in its cone, |c x (p - L)| <= r |p - L|, and
-        behind the plane where that touches it, c.(p - L) >= |c|^2 - r^2.  Of that plane, the part
-        in the cone is in the sphere, so it is no edge.  Over t, p - L is q - L s with
-        q = d - L k.d, so that the first is u + v s with
+        A sphere at C from the eye, at c from the light L, shades what is in its cone,
+        |c x (p - L)| <= r |p - L|, and behind the plane where that touches it,
+        c.(p - L) >= |c|^2 - r^2.  Of that plane, the part in the cone is in the sphere, so it is no
+        edge.  Over t, p - L is q - L s with q = d - L k.d; and c x (p - L) is c x (p - C), where
+        nothing cancels however far the light: over t, p - C is w - C s with w = d - C k.d.  So the
+        first is u + v s, with
 
-            u = r^2 q^2 - |c x q|^2 + (r^2 L^2 - |c x L|^2) s^2,
-            v = 2 ((c x L).(c x q) - r^2 L.q),
+            u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
+            v = 2 ((c x C).(c x w) - r^2 L.q),
 
-        and the second is c.d - (c.L + |c|^2 - r^2) / t.
+        and the second is c.d - (c.C - r^2) / t.
         """
         faces, cells, pair = self.faces, self.cells, self.cells.pair[row]
         light, ball, k = cells.light[row], cells.occluder[row], faces.k[:, cells.face[pair]]
-        c, r, at = faces.to_center[:, light, ball], faces.radius[ball], faces.lights[light].T
-        size = faces.frame.longest * (1 + np.abs(at).sum(axis=0) * np.abs(k).sum(axis=0))
-        q = self._rays(cells.cell[pair]) - at[:, None] * self._without_root[:, pair]
-        (u, across), e, v = _cone(c, r, q, size), _cross(c, at[:, None]), np.zeros((8, row.size))
-        at2, s2 = (at * at).sum(axis=0), self.s2.m[:, pair]
-        v[:XX] = 2 * ((e * across).sum(axis=0) - r * r * (at[:, None] * q).sum(axis=0))
-        scale = 16 * ROUNDING * (r * r + (c * c).sum(axis=0)) * np.sqrt(at2)
-        v[R], times = scale * size, r * r * at2 - (e * e).sum(axis=(0, 1))
+        c, r2, at = faces.to_center[:, light, ball], faces.radius[ball] ** 2, faces.lights[light].T
+        center, rays, root = faces.center[:, ball], self._rays(cells.cell[pair]), self._without_root
+        q, w = (rays - end[:, None] * root[:, pair] for end in (at, center))
+        at2, center2, c2 = ((end * end).sum(axis=0) for end in (at, center, c))
+        k1 = np.abs(k).sum(axis=0)
+        q_size, w_size = (faces.frame.longest * (1 + np.sqrt(m) * k1 * 2) for m in (at2, center2))
+        u, across = _cone(c, faces.radius[ball], q, q_size, w, w_size)
+        e, v, s2 = _cross(c, center[:, None]), np.zeros((8, row.size)), self.s2.m[:, pair]
+        v[:XX] = 2 * ((e * across).sum(axis=0) - r2 * (at[:, None] * q).sum(axis=0))
+        v[R] = 16 * ROUNDING * (c2 * np.sqrt(center2) * w_size + r2 * np.sqrt(at2) * q_size)
+        times = r2 * at2 - (e * e).sum(axis=(0, 1))
         u[:Z] += times * s2[:Z]
-        u[R] += scale * np.sqrt(at2) * np.abs(s2).sum(axis=0) + np.abs(times) * s2[R]
+        u[R] += 16 * ROUNDING * (c2 * center2 + r2 * at2) * np.abs(s2).sum(axis=0)
+        u[R] += np.abs(times) * s2[R]
         form = self._on_surface(pair, u, v)
         low, high = form.bounds()
-        behind, _ = self._plane(pair, c, -((c * at).sum(axis=0) + faces.reach2[light, ball]))
+        terms = c * center
+        behind, _ = self._plane(pair, c, r2 - terms.sum(axis=0), r2 + np.abs(terms).sum(axis=0))
         least, most = behind.bounds()
         lit[row], shaded[row] = (high < 0) | (most < 0), (low > 0) & (least > 0)
         m = np.flatnonzero(~(low >= 0) & ~lit[row])
@@ -414,10 +428,11 @@ class CellForms:
         faces, cells, pair = self.faces, self.cells, self.cells.pair[row]
         light, box, edges = cells.light[row], cells.occluder[row] - faces.spheres, list[_Shadow]()
         lit[row], shaded[row] = faces.edge_on[light, box], True
-        for normals, offsets, is_edge in zip(faces.normal, faces.offset, faces.edge, strict=True):
-            normal, b = normals[:, light, box], offsets[light, box]
+        planes = zip(faces.normal, faces.offset, faces.offset_size, faces.edge, strict=True)
+        for normals, offsets, sizes, is_edge in planes:
+            normal, b, size = (m[..., light, box] for m in (normals, offsets, sizes))
             at = np.flatnonzero(normal.any(axis=0) & ~lit[row])
-            form, u = self._plane(pair[at], normal[:, at], b[at])
+            form, u = self._plane(pair[at], normal[:, at], b[at], size[at])
             low, high = form.bounds()
             lit[row[at[high < 0]]] = True
             shaded[row[at[~(low > 0)]]] = False
@@ -447,8 +462,9 @@ class CellForms:
         # Of a sphere, those beyond the circle that both share: the difference of the same for both.
         m = np.flatnonzero(~faces.flat[f])
         f, g = f[m], g[m]
-        v[m] = faces.power[g] - faces.power[f]
-        beyond, u[:, m] = self._plane(a[m], 2 * (faces.center[:, f] - faces.center[:, g]), v[m])
+        v[m], size = faces.power[g] - faces.power[f], np.abs(faces.power[[f, g]]).sum(axis=0)
+        between = 2 * (faces.center[:, f] - faces.center[:, g])
+        beyond, u[:, m] = self._plane(a[m], between, v[m], size)
         form.m[:, m] = beyond.m
         low, high = form.bounds()
         m = np.flatnonzero((low < 0) & (high >= 0))

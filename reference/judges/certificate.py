@@ -334,7 +334,7 @@ def certify(
     Raises
     ------
     ValueError
-        If `error` is not positive, the eye is on a surface, or a light is more than 1e10 times as
+        If `error` is not positive, the eye is on a surface, or a light is more than 1e14 times as
         far away as an object is large.
     """
     if not error > 0:

@@ -20,6 +20,7 @@ b = -sign(l) (e.q - l).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,9 +39,8 @@ from tracer.world.prepared_scene import PreparedScene
 # Faces may meet unless they are apart by this part of their coordinates: far more than rounding.
 _APART = 1e-9
 
-
 # The most that a light may be away, as a multiple of the least object's size.
-_FARTHEST = 1e10
+_FARTHEST = 1e14
 
 
 class Faces:
@@ -56,15 +56,15 @@ class Faces:
         The object that a face is of, whether it is a rectangle, and the object's place in the file.
     plane : (f,)
         The same number for rectangles in one plane: the first in the file is seen.
-    k, w, a, b : (3, f), (f,), (3, m + 1, spheres) and (m + 1, f)
-        See the module.  The last point q is the eye.
+    k, w, a, b, b_size : (3, f), (f,), (3, m + 1, spheres) and (m + 1, f)
+        See the module; b is a sum of terms of this size.  The last point q is the eye.
     rim : (4, 3, f)
         A rectangle is seen where rim.d >= 0 for all four.
     low, high : (3, f)
         Bounding boxes in the scene's axes.
-    to_center, reach2 : (3, m, spheres) and (m, spheres)
-        From lights to centres, and squared lengths of tangents.
-    normal, offset, edge : (9, 3, m, boxes) and (9, m, boxes)
+    to_center : (3, m, spheres)
+        From lights.
+    normal, offset, offset_size, edge : (9, 3, m, boxes) and (9, m, boxes)
         A box keeps a light from p if normal.p + offset >= 0 for its three planes towards the light
         and six through the light and its silhouette; whether that is an edge of its shadow.
     edge_on : (m, boxes)
@@ -82,8 +82,7 @@ class Faces:
         on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or on.any():
             raise ValueError("the eye is on a surface; move it off")
-        # Farther away rounding of positions seen from a light outgrows what the forms allow for:
-        # from 1e13 times on, intervals were seen to be wrong.
+        # Farther away, the two ends of an object may round to one as seen from the light.
         sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
         if np.abs(self.lights).max(initial=0) > _FARTHEST * sizes[sizes > 0].min(initial=np.inf):
             wrong = f"a light is more than {_FARTHEST:g} times as far as an object is large"
@@ -105,14 +104,13 @@ class Faces:
         """List spheres, then rectangles that face the eye; `inward` (boxes,): 1 around the eye."""
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
         c, r, power = self.center, self.radius, self.power
-        to = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None] - c[:, None]
-        g = np.where(power > 0, 1.0, -1.0)
-        # p - c.q is -(c.(q - c) + r^2), and p itself for the eye.
-        b = np.append(-(c[:, None] * to[:, :-1]).sum(axis=0) - r * r, power[None], axis=0)
-        self.a, zero, number = g * to / r, np.zeros(n), np.arange(n)
+        q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
+        g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
+        b, b_size = g * (power - c_q.sum(axis=0)) / r, (np.abs(power) + np.abs(c_q).sum(axis=0)) / r
+        self.a, zero, number = g * (q - c[:, None]) / r, np.zeros(n), np.arange(n)
         rim = np.zeros((4, 3, n))
         faces: list[tuple[NDArray[Any], ...]] = [
-            (c / power, 1 / power, g * b / r, rim, number, zero + 3, zero, number + 1, zero)
+            (c / power, 1 / power, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
         ]
         points = np.append(prepared.lights, self.frame.eye[None], axis=0) - self.frame.eye
         for axis, far in np.ndindex(3, 2):
@@ -132,9 +130,9 @@ class Faces:
             height = -s * (points[:, axis, None] - level)
             place = (prepared.boxes.max_pt if far else prepared.boxes.min_pt)[axis, at]
             numbers = at + n, zero + axis, s, zero, place
-            faces.append((e[:, None] / level, zero, height, rim, *numbers))
+            faces.append((e[:, None] / level, zero, height, np.abs(height), rim, *numbers))
         joined = [np.concatenate(m, axis=-1) for m in zip(*faces, strict=True)]
-        self.k, self.w, self.b, self.rim, owner, axis_of, sign, alone, place = joined
+        self.k, self.w, self.b, self.b_size, self.rim, owner, axis_of, sign, alone, place = joined
         self.owner, axis_of = owner.astype(np.intp), axis_of.astype(np.intp)
         self.flat = axis_of < 3
         keys = np.array([axis_of, alone, place])
@@ -150,21 +148,28 @@ class Faces:
         """Prepare bounds of shadows; `low`, `high` (3, boxes): corners as seen from the eye."""
         frame = self.frame
         self.to_center = self.center[:, None] - self.lights.T[:, :, None]
-        away = np.sqrt((self.to_center**2).sum(axis=0))
-        self.reach2 = np.maximum((away - self.radius) * (away + self.radius), 0)
-        lights = (self.prepared.lights - frame.eye).T[:, :, None]
+        lights, corners = (self.prepared.lights - frame.eye).T[:, :, None], (low, high)
         low, high = low[:, None] - lights, high[:, None] - lights
         side = np.where(low >= 0, 1.0, np.where(high <= 0, -1.0, 0.0))
         near = side[:, None] * frame.axes.T[:, :, None, None]
-        near_offset = -side * (np.where(side > 0, low, high) + lights)
-        planes = silhouette_planes(low.reshape(3, -1), high.reshape(3, -1))
-        cone = np.array(frame.vector_to_camera(planes)).reshape(3, 6, *side.shape[1:])
+        offsets = [*(-side * np.where(side > 0, corners[0][:, None], corners[1][:, None]))]
+        sizes = [np.abs(offset) for offset in offsets]
+        made = silhouette_planes(low.reshape(3, -1), high.reshape(3, -1))
+        planes = np.array(made).reshape(3, 6, *side.shape[1:])
+        for k, turn in product(range(3), (1, -1)):
+            # A plane holds an edge of the box along axis k: its normal is (.., y, -x) for the edge
+            # at x, y as seen from the light.  From the eye, nothing cancels however far the light.
+            i, j, plane = (k + 1) % 3, (k + 2) % 3, planes[:, 2 * k + (turn < 0)]
+            x = np.where(-turn * plane[j] == low[i], corners[0][i], corners[1][i])
+            y = np.where(turn * plane[i] == low[j], corners[0][j], corners[1][j])
+            offsets.append(-(plane[i] * x + plane[j] * y))
+            sizes.append(np.abs(plane[i] * x) + np.abs(plane[j] * y))
+        cone = np.array(frame.vector_to_camera((planes[0], planes[1], planes[2])))
         self.normal = np.append(near, cone.swapaxes(0, 1), axis=0)
-        cone_offset = -np.einsum("kjmb,mk->jmb", cone, self.lights)
-        self.offset = np.append(near_offset, cone_offset, axis=0)
+        self.offset, self.offset_size = np.array(offsets), np.array(sizes)
         # What crosses a plane towards the light is in the box, unless the light is on the plane.
         on_plane = (low == 0) | (high == 0)
-        self.edge = np.append(on_plane, np.ones(cone_offset.shape, dtype=np.bool_), axis=0)
+        self.edge = np.append(on_plane, np.ones(cone.shape[1:], dtype=np.bool_), axis=0)
         self.edge_on = np.any((low == 0) & (high == 0), axis=0)
 
     def apart(self, f: Ints, g: Ints) -> Bools:

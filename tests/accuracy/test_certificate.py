@@ -105,6 +105,16 @@ def test_points(kind: str, monkeypatch: Patch) -> None:
     assert sound(monkeypatch, scenes([kind], range(6))) > 400
 
 
+@pytest.mark.parametrize("far", [1e4, 1e12])
+def test_points_under_distant_suns(far: float, monkeypatch: Patch) -> None:
+    def moved(scene: Scene) -> Scene:
+        lights = [replace(m, position=tuple(np.multiply(m.position, far))) for m in scene.lights]
+        return replace(scene, lights=lights)
+
+    kinds = ["scattered", "touching", "rooms"]
+    assert sound(monkeypatch, map(moved, scenes(kinds, range(3)))) > 1000
+
+
 def test_points_of_crowds(monkeypatch: Patch) -> None:
     pictures = resized(crowd(200), 32, 18), small("sunflower", 16, 16), small("many-objects")
     assert sound(monkeypatch, iter(pictures)) > 50_000
@@ -221,8 +231,8 @@ def test_codes() -> None:
 
 def test_what_cannot_be_certified() -> None:
     scene = scene_of(Sphere(center=(0, 0, -1), radius=1), size=(4, 4), lights=(1, 2, 3))
-    far = scene_of(Sphere(center=(0, 0, -5)), size=(4, 4), lights=(1e13, 0, 0))
-    with pytest.raises(ValueError, match=r"a light is more than 1e\+10 times as far as an object"):
+    far = scene_of(Sphere(center=(0, 0, -5)), size=(4, 4), lights=(1e15, 0, 0))
+    with pytest.raises(ValueError, match=r"a light is more than 1e\+14 times as far as an object"):
         certify(far, 0.1)
     with pytest.raises(ValueError, match="the eye is on a surface; move it off"):
         certify(replace(scene, camera=Camera(view_point=(0, 0, 0))), 1 / 32)
