@@ -57,6 +57,10 @@ _SPENT = 0.2
 # Cells are no smaller than this part of a pixel across.
 _SMALLEST = 2.0**-10
 
+# A pixel that is left with so many cells of one size is given up: all of it stays unknown, as
+# through a lens so long that rounding hides every edge, and parts would stay so as well.
+_MOST_CELLS = 1 << 11
+
 _ROUNDING = 1e-9
 
 
@@ -302,7 +306,7 @@ class _Picture:
         by = np.lexsort((part, place))
         spent, first = part[by].cumsum(), np.searchsorted(place[by], np.arange(at.size))
         spent -= (spent[first] - part[by[first]])[place[by]]
-        done = np.full(part.size, forms.cells.size <= _SMALLEST)
+        done = (np.bincount(place) >= _MOST_CELLS)[place] | (forms.cells.size <= _SMALLEST)
         done[by] |= (spent <= budget[place[by]]) | (part[by] == 0)
         for channel, mean in zip(image, enclosed.mean, strict=True):
             channel[at] += sums(place, mean * share * done, at.size)
