@@ -36,8 +36,6 @@ from tracer.command.process import print_line, print_result
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["bounds_chart", "judgement", "main"]
-
 # With `--codes`, pixels whose codes stay open lie within this of where the next code begins.
 _ERROR, _ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
 

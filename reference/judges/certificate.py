@@ -42,11 +42,9 @@ from reference.judges.forms import Form, R, Z
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
-# So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.
-_AT_ONCE = 64000
-
-# The most lines that divide a cell.
-_MOST_LINES = 5
+# So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.  So
+# many lines at most divide a cell.
+_AT_ONCE, _MOST_LINES = 64000, 5
 
 # Cells larger than a pixel are done if their form errs by no more than this part of the error.
 _SMOOTH = 0.25

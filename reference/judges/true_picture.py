@@ -18,8 +18,6 @@ from reference.command import built
 from reference.judges.certificate import Certificate, certify
 from tracer import Scene, SceneWarning, render, save_scene
 
-__all__ = ["rmse", "supersampled", "true_picture"]
-
 # About how many samples are rendered at once.
 _STRIP = 1 << 22
 

@@ -65,7 +65,7 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, nam
 
 @pytest.mark.parametrize("what", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
 def test_no_one_reads_the_output(small, unread, what):
-    target = small.with_name("written")
+    target = small.with_name("written.png" if what else "written")
     done = run_python(*COMMAND, *what, str(small), "-o", str(target), stdout=unread)
     # Dr.Jit says there if it has found no libLLVM.
     assert (done.returncode, told(done.stderr)) == (0, "")
