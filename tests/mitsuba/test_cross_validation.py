@@ -82,7 +82,10 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     for result in (now, then):
         hold(result)
         assert (name == "touching") == bool(result.ties.any())
-    assert differ(now.mitsuba, then.mitsuba, now.left_out | then.left_out) == []
+    left_out = now.left_out | then.left_out
+    # Variants may decide ties in other ways: such pixels do not count in SSIM either.
+    again = np.where(left_out[:, :, None], then.mitsuba, now.mitsuba)
+    assert differ(again, then.mitsuba, left_out) == []
 
 
 def test_what_is_stored_is_of_these_scenes():
