@@ -112,7 +112,7 @@ def interrupt(command: Command, moment: float, number: int, folder: Path) -> int
 
 
 @pytest.mark.parametrize(
-    "moments", [3, pytest.param(60, marks=pytest.mark.slow)], ids=["some", "many"]
+    "moments", [3, pytest.param(35, marks=pytest.mark.slow)], ids=["some", "many"]
 )
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.arguments.split()[0])
 def test_at_any_moment(command: Command, moments: int, folder: Path, signals_heeded: None) -> None:
