@@ -12,7 +12,9 @@ from typing import Any
 
 import tracer
 
-SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
+# The window's size is the picture's, so pixels are square.
+SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint><projDistance>{0}</projDistance>
+<viewWidth>{0}</viewWidth><viewHeight>{1}</viewHeight></camera><image>{0} {1}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
 
 # The tracer under test, whatever folder a process starts in.

@@ -399,20 +399,18 @@ def test_the_bar_counts_pixels(monkeypatch):
     assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 
-WINDOW = "<viewWidth>1.6</viewWidth><viewHeight>.9</viewHeight>"
-
-
 @pytest.mark.parametrize(
     ("file", "window", "size", "remedy"),
     [
-        ((30, 30), "", "20x10", "--size 20x20 keeps them so"),
-        ((32, 18), WINDOW, "321x181", ""),
-        ((32, 18), WINDOW, "32x32", "--size 32x18 keeps them so"),
-        ((40, 30), "", "20x10", ""),  # they are not square in the file
+        ((30, 30), (30, 30), "20x10", "--size 20x20 keeps them so"),
+        ((32, 18), (32, 18), "321x181", ""),
+        ((32, 18), (32, 18), "32x32", "--size 32x18 keeps them so"),
+        ((30, 30), (40, 30), "20x10", ""),  # they are not square in the file
     ],
 )
 def test_a_size_that_makes_pixels_oblong(scene, capsys, file, window, size, remedy):
-    scene.write_text(SCENE.format(*file).replace("</camera>", f"{window}</camera>"))
+    image = "<image>{} {}</image>"
+    scene.write_text(SCENE.format(*window).replace(image.format(*window), image.format(*file)))
     assert cli.main([str(scene), "--size", size]) == 0
     remedy = remedy and f"{scene}: pixels are no longer square; {remedy}\n"
     assert capsys.readouterr().err == remedy

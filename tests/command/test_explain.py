@@ -101,7 +101,7 @@ def test_the_command_explains_and_writes_no_picture(path):
 
 BALL = Scene(
     width=8,
-    height=6,
+    height=8,
     camera=Camera(view_point=(0, 0, 4)),
     lights=[PointLight(position=(3, 5, 4))],
     surfaces=[Sphere()],
@@ -128,7 +128,7 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
         ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
         ({"lights": [PointLight(position=(0, 0, 0))], "surfaces": [CUBE]}, "see the lights'"),
         # In large pictures not every pixel is looked at, but all parts of them are.
-        ({"width": 600, "height": 400, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.4)],
+        ({"width": 600, "height": 600, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.4)],
           "lights": [PointLight(position=(1.5, 0, 0))]}, DARK),
         # The eye inside, of a ball and of the first of two boxes.
         ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
@@ -136,6 +136,7 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
         # Named by its first user, in the file's order.
         ({"surfaces": [FLAT, *2 * [Sphere(shader=GARISH)]]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
+        ({"width": 12}, "12 x 8 pixels show a window of 1 x 1, stretched; set viewWidth to 1.5 "),
     ],
 )  # fmt: skip
 def test_a_scene_hardly_as_meant_warns(change, warning):
@@ -154,6 +155,7 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
         replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
                                 Sphere(center=(99, 0, 0))]),
+        replace(BALL, width=12, camera=replace(BALL.camera, view_width=1.01)),  # as its author says
         small("room"),
     ],
 )  # fmt: skip

@@ -313,3 +313,20 @@ def test_types_of_documented_usage(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mypy", "--strict", *map(str, tmp_path.glob("use*.py"))]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.stdout.startswith("Success"), done.stdout
+
+
+@pytest.mark.parametrize(
+    ("vectors", "wrong"),
+    [
+        (lambda x: {"view_up": (x, 0, -1)}, "view_up: must not be parallel to view_dir"),
+        (lambda x: {"proj_normal": (0, 1, x), "view_up": (1, 0, 0)},
+         "proj_normal: must not be perpendicular to view_dir"),
+    ],
+)  # fmt: skip
+def test_directions_are_refused_where_too_few_digits_are_right(vectors, wrong):
+    """Below a sine or cosine of 1e-10."""
+    for x in (1.01e-10, -1.01e-10):
+        Camera(**vectors(x))
+    for x in (0.99e-10, -0.99e-10):
+        with pytest.raises(SceneError, match=wrong):
+            Camera(**vectors(x))

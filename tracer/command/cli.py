@@ -209,7 +209,10 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
 
 
 def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
-    """Resize a scene; print a line if its pixels were square and no longer are."""
+    """Resize a scene; print a line if its pixels were square and no longer are.
+
+    Of the default window `scene_warnings` tells.
+    """
     width, height = arguments.size
     resized = replace(scene, width=width, height=height)
     across, down = scene.camera.view_width, scene.camera.view_height
@@ -217,7 +220,8 @@ def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
     def square(scene: Scene) -> bool:  # to the nearest whole number of pixels
         return abs(scene.width * down - scene.height * across) < max(across, down)
 
-    if square(scene) and not square(resized) and not arguments.quiet:
+    spoiled = square(scene) and not square(resized) and not across == down == 1
+    if spoiled and not arguments.quiet:
         remedy = f"--size {width}x{max(1, round(width * down / across))} keeps them so"
         print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
     return resized

@@ -20,13 +20,14 @@ _PROBE_SIDE = 256
 
 
 class SceneWarning(UserWarning):
-    """A valid scene that looks like a mistake: an empty view, no light, colours up to 255."""
+    """A valid scene that looks like a mistake: stretched, without light, colours up to 255."""
 
 
 def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
     """Yield a warning for each suspicious property; `black`: whether the picture is all black."""
     surfaces = scene.surfaces
     yield from islice(_codes(scene), 1)
+    yield from _stretched(scene)
     if not black:
         return
     if not scene.lights:
@@ -49,6 +50,14 @@ def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
             name = _named("surface", first, surfaces[first].line)
             remedy = f"viewPoint is inside {name}: move it out, or a light in"
         yield f"no light reaches anything in view: the picture is black; {remedy}"
+
+
+def _stretched(scene: Scene) -> Iterator[str]:
+    """Yield a warning if the window is the default, which is square, and the picture is not."""
+    width, height, camera = scene.width, scene.height, scene.camera
+    if camera.view_width == camera.view_height == 1 and width != height:
+        remedy = f"set viewWidth to {width / height:.6g} for square pixels"
+        yield f"{width} x {height} pixels show a window of 1 x 1, stretched; {remedy}"
 
 
 def _contain_eye(scene: Scene) -> Bools:
