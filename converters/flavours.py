@@ -74,7 +74,7 @@ def normalisation(scene: Scene) -> Normalisation:
 
 
 def _stock_place(scene: Scene) -> Normalisation:
-    """The file's own coordinates, unless float32 would spoil the picture in them."""
+    """Keep the file's own coordinates, unless float32 would spoil the picture."""
     place = normalisation(scene)
     least, most = _OWN_EXTENT
     near = np.abs(place.center).max() * place.scale <= _OWN_OFFSET * _EXTENT
@@ -100,7 +100,7 @@ def _film(scene: Scene) -> str:
 
 
 def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[str]:
-    """All surfaces in file order; `names` are those of the shaders' BSDFs."""
+    """Write all surfaces in file order; `names`: of the shaders' BSDFs."""
     surfaces = scene.surfaces
     half = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
     # A cube of no thickness has no inverse transform.
@@ -121,7 +121,7 @@ def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[st
 
 
 def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """The name of each shader's BSDF, and what each name in use stands for; equals share one."""
+    """Name each shader's BSDF, equal ones alike; also return the shader of each name in use."""
     named: dict[Shader, str] = {}
     names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
     used = {names[shader] for shader in np.unique(surfaces.shader_index).tolist()}
@@ -240,7 +240,7 @@ def stock(scene: Scene, samples: int = 64) -> str:
 
 
 def _evenly(samples: int, lights: int) -> int:
-    """At least so many samples, of which Mitsuba's `multijitter` gives each light as many."""
+    """Round samples up until Mitsuba's `multijitter` gives each light equally many."""
     count = samples
     while lights and samples >= lights and (count % lights or count % isqrt(count)):
         count += 1
@@ -293,7 +293,7 @@ def _point(light: PointLight, place: Normalisation, strength: float, seen: Float
 
 
 def gain(surfaces: Surfaces) -> float:
-    """What reflectances are divided by: 1, or the largest; those of blends count twice."""
+    """Factor that reflectances are divided by: 1, or the largest; those of blends count twice."""
     used = [surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist()]
     needed = [(2 if _is_blend(shader) else 1) * np.array(_lobes(shader)) for shader in used]
     return float(np.max(needed, initial=1))

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
-    except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
+    except ModuleNotFoundError as error:  # a package that converting needs; see `_ready` for the others
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
     return 0 if all(done) else 1
@@ -95,7 +95,7 @@ def _ready(options: argparse.Namespace) -> bool:
 
 
 def without_converted(scenes: Sequence[str]) -> list[Path]:
-    """Scene files less this command's own output, as in *.xml; it is named, and left out."""
+    """Leave out this command's own output, which *.xml matches too; print a line for each."""
     kept = []
     for scene in scenes:
         written = b""
@@ -111,9 +111,9 @@ def without_converted(scenes: Sequence[str]) -> list[Path]:
 
 
 def _png_and_exr(target: str) -> tuple[Path, Path]:
-    """Two files of these formats, either of which -o may name.
+    """Choose the paths of both files; -o may name either.
 
-    Only what names a format is replaced: room.v1 and room.v2 have each its own.
+    Only the suffix of a picture is replaced: room.v1 and room.v2 get files of their own.
     """
     path = Path(target)
     if path.suffix.lower() == ".exr":
@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
-    """Do one scene; its faults are told, a line each, and the other scenes go on."""
+    """Convert or render one scene; print a line for each fault, return whether there was none."""
     try:
         if options.output is not None and is_folder(options.output):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
 
 
 def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
-    """What is wrong with the scene file at `path`: a line, or one for each fault in it."""
+    """Describe an error in the scene file at `path`: a line, or one for each fault."""
     from tracer import SceneFileError
 
     if isinstance(error, SceneFileError):
@@ -186,7 +186,7 @@ def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
 
 
 def print_unwritten(path: Path, error: OSError) -> None:
-    """Say on standard error that a file cannot be written, and why."""
+    """Print that a file cannot be written, and why, to standard error."""
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
 

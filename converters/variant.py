@@ -75,7 +75,7 @@ def use(variant: str | None = None) -> Choice:
         able = [name for name in mi.variants() if name.endswith("_rgb")]
         if variant not in able:
             raise ImportError(
-                f"{variant or repr(variant)} is no RGB variant; choose one of {', '.join(able)}"
+                f"{variant or repr(variant)} is not an RGB variant; choose one of {', '.join(able)}"
             )
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")

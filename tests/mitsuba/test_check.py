@@ -311,7 +311,7 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(scene_file, monkeypatch, c
 def test_variants_without_rgb_are_refused(scene_file, capsys, variant):
     assert main(["--variant", variant, str(scene_file)]) == 2
     error = capsys.readouterr().err
-    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is no RGB variant; choose one of "
+    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
     assert error.startswith(wrong)
     assert SCALAR in error
     assert "spectral" not in error.removeprefix(wrong)

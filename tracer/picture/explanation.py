@@ -138,7 +138,7 @@ class Explanation:
         for number, light in enumerate(self.lights):
             names = [str(ref) for ref in light.occluders if ref != self.surface]
             names = names or ["the surface itself"] * len(light.occluders)
-            how = f"kept out by {', '.join(names)}" if names else "reaches the point"
+            how = f"blocked by {', '.join(names)}" if names else "reaches the point"
             nl, nh = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
             yield f"light {number}{_line(light.line)}: n.l = {nl}, n.h = {nh}, {how}"
             if not names:
@@ -179,7 +179,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     Raises
     ------
     TypeError
-        If `x` or `y` is no integer.
+        If `x` or `y` is not an integer.
     ValueError
         If the pixel is outside the picture.
     """
