@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
-    except ModuleNotFoundError as error:  # a package that converting needs; see `_ready` for the others
+    except ModuleNotFoundError as error:  # that converting needs
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
     return 0 if all(done) else 1

@@ -197,7 +197,8 @@ def test_scenes_of_one_name_are_told_apart(small: Path, report: Report) -> None:
 def test_a_variant_that_cannot_run_is_told_once(small: Path, report: Report) -> None:
     output = small.with_name("report.html")
     status, error, text = report(output, small, "--variant", "scalar_spectral")
-    assert error.startswith("Mitsuba cannot run: scalar_spectral is not an RGB variant; choose one of ")
+    wrong = "Mitsuba cannot run: scalar_spectral is not an RGB variant; choose one of "
+    assert error.startswith(wrong)
     assert (status, error.count("\n"), text) == (2, 1, "")
 
 
