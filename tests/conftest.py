@@ -25,10 +25,8 @@ settings.register_profile("thorough", max_examples=300, deadline=None, print_blo
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
-# Processes in the background of a script ignore SIGINT, those under nohup SIGHUP, and so would those
-# that tests start.
-for number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
-    signal.signal(number, signal.default_int_handler)
+# Processes in the background of a script ignore SIGINT, and so would those that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
