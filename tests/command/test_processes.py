@@ -149,6 +149,57 @@ def test_what_an_executor_fails_to_do_is_done_here(
     assert capfd.readouterr() == ("", "")
 
 
+class Late(Executor):
+    """An executor of which each result is late; counts how many are out at a time."""
+
+    out = most = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.out += 1
+        self.most = max(self.most, self.out)
+        future = Future[Any]()
+
+        def result(_timeout: float | None = None) -> Any:
+            self.out -= 1
+            return fn(*args, **kwargs)
+
+        future.result = result  # type: ignore[method-assign]
+        return future
+
+
+@pytest.mark.parametrize("processors", [1, 2, 6])
+def test_an_executor_has_work_for_all_processors_and_no_more(
+    processors: int, small_tiles: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (parallel, render_module):
+        monkeypatch.setattr(module, "processors", lambda: processors)
+    late = Late()
+    assert np.array_equal(render(picture(), executor=late), render(picture()))
+    assert (late.most, late.out) == (2 * processors, 0)
+
+
+@pytest.mark.parametrize("processors", [2, 16])
+def test_all_processors_have_tiles(processors: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_module, "processors", lambda: processors)
+    monkeypatch.setattr(render_module, "_LEAST_SAMPLES", 1000)
+    monkeypatch.setattr(render_module, "worker_pool", lambda *_: None)
+    assert len(tiles_of(picture(), processes=processors)) >= 4 * processors
+
+
+def test_a_program_with_threads_is_not_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another thread may hold a lock, which stays locked in the fork."""
+    wait = threading.Event()
+    thread = threading.Thread(target=wait.wait)
+    thread.start()
+    try:
+        pool: Any = parallel.worker_pool(1, len, ())
+        assert pool._mp_context.get_start_method() == "spawn"
+        pool.shutdown()
+    finally:
+        wait.set()
+        thread.join()
+
+
 def test_an_executor_that_is_shut_down() -> None:
     pool = ThreadPoolExecutor(1)
     pool.shutdown()

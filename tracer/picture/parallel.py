@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-# So many items wait in the executor's queue or are done there.
-_QUEUED = 4
+# For each processor so many items wait in the executor's queue or are done there.
+_QUEUED = 2
 
 
 def processors() -> int:
@@ -40,10 +40,10 @@ def share(
     An executor gets the last items, for `remote`, while this process takes the first that nobody
     has.  What fails there, for whatever reason, is done here, and raises its error here.
     """
-    first, last = 0, len(items)
+    first, last, most = 0, len(items), _QUEUED * processors()
     queued = deque[tuple[int, "Future[_Result]"]]()
     while first < last or queued:
-        while executor is not None and first < last and len(queued) < _QUEUED:
+        while executor is not None and first < last and len(queued) < most:
             try:
                 queued.append((last - 1, executor.submit(remote, items[last - 1])))
                 last -= 1

@@ -40,8 +40,8 @@ _QUIET = np.errstate(all="ignore")
 # Samples in a tile, and the least that pays; both times `_CLASSIFIED` where pixels are classified.
 _TILE_SAMPLES, _LEAST_SAMPLES, _CLASSIFIED = 3 << 15, 1 << 15, 4
 
-# Tiles of fewer pixels than this would make a large file; so many are enough.
-_LEAST_PIXELS, _TILES = 1 << 10, 8
+# Tiles of fewer pixels than this would make a large file; so many for each processor are enough.
+_LEAST_PIXELS, _TILES = 1 << 10, 4
 
 # A rough guess of the seconds that a sample takes: for each light and object, up to `_FEW_OBJECTS`;
 # `_CLASSIFIED_COST` times that where pixels are classified.
@@ -214,7 +214,8 @@ class _RenderJob:
         at_once, least = _TILE_SAMPLES * times, _LEAST_SAMPLES * times
         size = at_once // self._lattice.size
         if shared:
-            size = min(size, max(least // self._lattice.size, width * height // _TILES))
+            enough = width * height // (_TILES * processors())
+            size = min(size, max(least // self._lattice.size, enough))
         size = max(_LEAST_PIXELS, size)
         self._at_once = max(1, self.prepared.at_once(at_once) // self._lattice.size)
         rows = _pieces(slice(0, height), max(1, size // width))
