@@ -25,10 +25,6 @@ settings.register_profile("thorough", max_examples=300, deadline=None, print_blo
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
-# Processes in the background of a script ignore SIGINT, and so would those that tests start.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "fail if a test is skipped for lack of anything but these, separated by commas"
     parser.addoption("--expect-skips", metavar="NAMES", help=text)

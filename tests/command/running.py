@@ -30,7 +30,6 @@ def started(
 
     def begin() -> None:
         signal.alarm(300)  # which stays when the program is loaded
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
         prepare()
 
     options = PIPES | {"preexec_fn": begin} | options

@@ -309,6 +309,7 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
 
 
 @needs_two
+@pytest.mark.usefixtures("signals_heeded")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
 def test_workers_end_with_their_command(name: str, large: Path, tmp_path: Path) -> None:
     with started(large, "--quiet", "--processes", 2) as process:
