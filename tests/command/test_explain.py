@@ -75,6 +75,14 @@ def test_an_explanation_names_what_keeps_a_light_out(path):
     assert [str(ref) for ref in right.occluders] == ["Box 1 (line 6)"]
 
 
+def test_a_light_in_the_plane_of_a_face_is_kept_out_by_it():
+    """Its cosine is 0, and there is no highlight."""
+    scene = replace(BALL, lights=[PointLight(position=(9, 0, 1))], surfaces=[CUBE])
+    pixel = tracer.explain(scene, 4, 4)
+    (light,) = pixel.lights
+    assert (pixel.normal, light.n_dot_l, light.occluders) == ((0, 0, 1), 0, (pixel.surface,))
+
+
 def test_nothing_is_explained_where_the_ray_meets_nothing(path):
     pixel = tracer.explain(tracer.load_scene(path), 0, 0)
     assert (pixel.surface, pixel.lights, pixel.radiance) == (None, (), (0, 0, 0))
@@ -153,6 +161,7 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         BALL,
         # Brighter than white, as lights may be; and black surfaces, which no light makes brighter.
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
+        replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(9, 0, 9))]),
         replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
                                 Sphere(center=(99, 0, 0))]),
         replace(BALL, width=12, camera=replace(BALL.camera, view_width=1.01)),  # as its author says
