@@ -144,7 +144,8 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
         # Named by its first user, in the file's order.
         ({"surfaces": [FLAT, *2 * [Sphere(shader=GARISH)]]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
-        ({"width": 12}, "12 x 8 pixels show a window of 1 x 1, stretched; set viewWidth to 1.5 "),
+        ({"width": 12}, "12 x 8 pixels .* of 1 x 1, stretched; viewWidth 1.5, or 8 columns"),
+        ({"width": 7}, "7 x 8 pixels show a window of 1 x 1"),
     ],
 )  # fmt: skip
 def test_a_scene_hardly_as_meant_warns(change, warning):
@@ -164,7 +165,8 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(9, 0, 9))]),
         replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
                                 Sphere(center=(99, 0, 0))]),
-        replace(BALL, width=12, camera=replace(BALL.camera, view_width=1.01)),  # as its author says
+        replace(BALL, width=100, height=104),
+        replace(BALL, width=104, height=100),
         small("room"),
     ],
 )  # fmt: skip

@@ -19,7 +19,6 @@ from tracer.picture.explanation import explain
 from tracer.picture.lint import scene_warnings
 from tracer.picture.png import PNG, write_tiles
 from tracer.picture.render import Tile, render_tiles
-from tracer.scene.model import Scene
 from tracer.scene.reader import SceneFileError, load_scene
 from tracer.scene.schema import SceneError
 from tracer.version import __version__
@@ -160,7 +159,8 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
             return False
         scene = load_scene(sys.stdin.buffer if path == "-" else path)
         if arguments.size is not None:
-            scene = _resized(scene, path, arguments)
+            width, height = arguments.size
+            scene = replace(scene, width=width, height=height)
         if arguments.pixel is not None:
             name = "standard output"
             print_result(sys.stdout, str(explain(scene, *arguments.pixel)))
@@ -206,25 +206,6 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
         return True
     print_line(sys.stderr, fault)
     return False
-
-
-def _resized(scene: Scene, path: str, arguments: argparse.Namespace) -> Scene:
-    """Resize a scene; print a line if its pixels were square and no longer are.
-
-    Of the default window `scene_warnings` tells.
-    """
-    width, height = arguments.size
-    resized = replace(scene, width=width, height=height)
-    across, down = scene.camera.view_width, scene.camera.view_height
-
-    def square(scene: Scene) -> bool:  # to the nearest whole number of pixels
-        return abs(scene.width * down - scene.height * across) < max(across, down)
-
-    spoiled = square(scene) and not square(resized) and not across == down == 1
-    if spoiled and not arguments.quiet:
-        remedy = f"--size {width}x{max(1, round(width * down / across))} keeps them so"
-        print_line(sys.stderr, printable(f"{path}: pixels are no longer square; {remedy}"))
-    return resized
 
 
 class _Progress:

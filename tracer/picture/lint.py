@@ -15,6 +15,9 @@ from tracer.trace.first_hits import first_hits
 # A colour of whole numbers, with one of at least this size, is taken to be from 0 to 255.
 _LEAST_CODE = 10
 
+# Pixels that are so many times as wide as high, or as high as wide, are taken for a slip.
+_STRETCHED = 1.05
+
 # A black picture is searched for objects at this many positions along each side, at most.
 _PROBE_SIDE = 256
 
@@ -53,11 +56,14 @@ def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
 
 
 def _stretched(scene: Scene) -> Iterator[str]:
-    """Yield a warning if the window is the default, which is square, and the picture is not."""
+    """Yield a warning if pixels are far from square."""
     width, height, camera = scene.width, scene.height, scene.camera
-    if camera.view_width == camera.view_height == 1 and width != height:
-        remedy = f"set viewWidth to {width / height:.6g} for square pixels"
-        yield f"{width} x {height} pixels show a window of 1 x 1, stretched; {remedy}"
+    across, down = camera.view_width, camera.view_height
+    if not 1 / _STRETCHED <= across * height / (down * width) <= _STRETCHED:
+        window = f"{width} x {height} pixels show a window of {number(across)} x {number(down)}"
+        columns = max(1, round(height * across / down))
+        remedy = f"viewWidth {down * width / height:.6g}, or {columns} columns,"
+        yield f"{window}, stretched; {remedy} would make them square"
 
 
 def _contain_eye(scene: Scene) -> Bools:

@@ -93,8 +93,8 @@ def render(
     Warns
     -----
     SceneWarning
-        If no object is in view, no light reaches any, a colour looks like 0 to 255, or a picture
-        that is not square shows the default window, which is.
+        If no object is in view, no light reaches any, a colour looks like 0 to 255, or pixels are
+        far from square.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
