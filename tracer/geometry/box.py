@@ -30,7 +30,7 @@ from tracer.geometry.rounding import (
     OUTSIDE,
     PLANE_ROUNDING,
     SURFACE_TOLERANCE,
-    tolerance_at,
+    hit_tolerance,
 )
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.scene.model import Surfaces
@@ -202,12 +202,9 @@ class Boxes:
         at = indices(near_surface)
         if at.size:
             obj, p, light = obj[at], take3(p, at), take3(light, at)
-            size = self.size[obj - self.first]
-            near = tolerance_at(p, eye, size)
-            near_light = np.maximum(near, tolerance_at(light, None, size))
-            near_light = np.where(self.side(obj, light) == INSIDE, near, near_light)
+            near = hit_tolerance(self.size[obj - self.first], p, eye)
             some = take3(low, at), take3(high, at)
-            blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near_light), *some)
+            blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near), *some)
         if offset is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked

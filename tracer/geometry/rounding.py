@@ -44,14 +44,11 @@ def side_of(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
     return (height > tolerance).view(np.int8) - (height < -tolerance).view(np.int8)
 
 
-def tolerance_at(point: Triple, eye: Floats | None, size: Floats) -> Floats:
-    """Distances from surfaces within which points count as on them.
+def hit_tolerance(size: Floats, hit: Triple, eye: Floats) -> Floats:
+    """Distances from surfaces within which hits of rays count as on them.
 
-    `size`: of the surfaces' coordinates; `eye` (3,): from where the points are seen, if they are
-    hits of rays, which err in proportion to the distance.
+    Rays err in proportion to their length.  `size`: of the surfaces' coordinates, and so of points
+    near them.
     """
-    reach: Floats = sum(map3(np.abs, point), np.zeros(()))
-    if eye is not None:
-        ray = map3(np.subtract, point, (eye[0], eye[1], eye[2]))
-        reach = np.sqrt(dot(ray, ray)) + reach
-    return SURFACE_TOLERANCE * (reach + size)
+    ray = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
+    return SURFACE_TOLERANCE * (np.sqrt(dot(ray, ray)) + size)

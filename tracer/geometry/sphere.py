@@ -24,9 +24,10 @@ from tracer.geometry.rounding import (
     ON,
     OUTSIDE,
     SQUARE_ROUNDING,
+    SURFACE_TOLERANCE,
     UNIT_ROUNDING,
+    hit_tolerance,
     side_of,
-    tolerance_at,
 )
 from tracer.scene.model import Surfaces
 
@@ -204,7 +205,7 @@ class Spheres:
 
     def side(self, obj: Ints, point: Triple) -> Sides:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
-        return side_of(self.signed_distance(obj, point), tolerance_at(point, None, self.size[obj]))
+        return side_of(self.signed_distance(obj, point), SURFACE_TOLERANCE * self.size[obj])
 
     def signed_distance(self, obj: Ints, point: Triple) -> Floats:
         """Signed distance of points from the surface; negative inside."""
@@ -254,7 +255,7 @@ class Spheres:
             return blocked
         obj, to_center, b, length2 = obj[at], take3(to_center, at), b[at], length2[at]
         height = np.sqrt(dot(to_center, to_center)) - radius[at]
-        side = side_of(height, tolerance_at(take3(p, at), eye, self.size[obj]))
+        side = side_of(height, hit_tolerance(self.size[obj], take3(p, at), eye))
         light_side, inner = self.side(obj, take3(light, at)), self.eye_inside[obj]
         odd = (side != OUTSIDE) | (light_side != OUTSIDE)
         answer = np.where(
