@@ -156,6 +156,24 @@ def test_shadows_between_pixel_centres(occluder, receiver):
     assert np.array_equal(render(without)[CORNER], render(with_it)[CORNER])
 
 
+@pytest.mark.usefixtures("pixels_are_split")
+@pytest.mark.parametrize(
+    "closed",
+    [
+        Box(min_pt=(-0.5, 0, -0.5), max_pt=(0.5, 1, 0.5)),
+        Sphere(center=(0, 0.4, 0), radius=0.5),
+    ],
+)
+def test_a_light_that_is_shut_in_lights_nothing_outside(closed):
+    # Points on the floor as near to it as a pixel is wide are inside what is that much larger.
+    floor = Box(min_pt=(-9, -0.1, -9), max_pt=(9, 0, 9))
+    camera = Camera(
+        view_point=(3, 2.5, 4), view_dir=(-3, -2.2, -4), proj_distance=1.2, view_height=0.75
+    )
+    scene = scene_of(floor, closed, camera=camera, size=(120, 90), lights=(0, 0.5, 0))
+    assert not render(scene, 16).any()
+
+
 def test_tip_of_one_object_in_another():
     # A ball that comes a little way through a slab: a cap smaller than a pixel, at a corner.
     slab, cap = wall(9, 9), Sphere(center=(0.5, 0.5, -0.9999), radius=1, shader=RED)

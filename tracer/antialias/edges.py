@@ -38,9 +38,6 @@ Apexes: TypeAlias = tuple[Floats, Floats]
 # Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
 _NEARLY = 1e-3
 
-# A line so near to the top or bottom of an object, in pixels, may touch it and no more.
-_TOUCHING = 1e-6
-
 
 def pieces(index: Ints) -> Iterator[Ints]:
     """Some of an index at a time: edge functions are six numbers for each."""
@@ -96,9 +93,7 @@ def silhouette_pixels(
         for line in (row, row + 1):
             begin, end = shape.row_extent(prepared.frame, obj, lines[line], 0.0)
             full, full_end = np.maximum(full, begin), np.minimum(full_end, end)
-        # Where a line just touches an object, rounding decides what that covers of it.
-        fills = (top[obj] < lines[row] - _TOUCHING) & (full < full_end)
-        fills &= bottom[obj] > lines[row + 1] + _TOUCHING
+        fills = (top[obj] < lines[row]) & (bottom[obj] > lines[row + 1]) & (full < full_end)
         left, stop = np.floor(left), np.floor(right) + 1
         full, full_end = (np.where(fills, m, stop) for m in (np.ceil(full), np.floor(full_end)))
         full = np.clip(full, left, stop)

@@ -57,9 +57,9 @@ def shadow_edges(
     """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
 
     Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
-    near as that, each on the point's own object.  These block as they are, or when grown by the
-    footprint, or have the light within it of their surface; and they do not block when shrunk by
-    it.  Where any object does even then, nothing near is lit.  Last is which points (n,) are
+    near as that, each on the point's own object.  These block when grown by the footprint, or have
+    the light within it of their surface; and they do not block when shrunk by it.  Where any object
+    does even then, nothing near is lit.  Last is which points (n,) are
     crowded: of so many edges, none are listed.
     """
     blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
@@ -82,7 +82,7 @@ def shadow_edges(
         shrunk &= take_2d(hits.prepared.side, pairs[0], pairs[2]) != ON
         put_2d(blocked, pairs[0, itself], pairs[1, itself], True)
         put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
-        edge = ~shrunk & (blocks_grown | itself | (np.abs(distance) <= reach))
+        edge = ~shrunk & (blocks_grown | (np.abs(distance) <= reach))
         edge &= take_2d(frontlit, pairs[0], pairs[1])
         edge &= ~take_2d(crowded, pairs[0], pairs[1])
         light, point, occluder = pairs[:, edge]
