@@ -25,6 +25,7 @@ from tracer.arrays import (
 )
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.rounding import (
+    GIVEN_ROUNDING,
     INSIDE,
     NEARLY_PARALLEL,
     OUTSIDE,
@@ -204,8 +205,14 @@ class Boxes:
             obj, p, light = obj[at], take3(p, at), take3(light, at)
             size = self.size[obj - self.first]
             near = tolerance_at(p, eye, size)
-            near_light = np.maximum(near, tolerance_at(light, None, size))
-            near_light = np.where(self.side(obj, light) == INSIDE, near, near_light)
+            # From a little deeper inside than its own rounding explains, a light shines on nothing
+            # outside.
+            near_light = tolerance_at(light, None, size)
+            near_light = np.where(
+                self.side(obj, light) == INSIDE,
+                GIVEN_ROUNDING * near_light,
+                np.maximum(near, near_light),
+            )
             some = take3(low, at), take3(high, at)
             blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near_light), *some)
         if offset is not None:

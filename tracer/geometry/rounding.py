@@ -20,6 +20,9 @@ SURFACE_TOLERANCE = 64 * _EPSILON
 """A point this near to a surface, relative to the lengths it was computed from, is on the surface:
 some twenty roundings, each of at most 2 e, lie between the scene and a hit point."""
 
+GIVEN_ROUNDING = 1 / 32
+"""A light, which is given, may be off a plane by this part of that tolerance: a few roundings."""
+
 UNIT_ROUNDING = 2 * _EPSILON
 """Two roundings of a length of 1: an eye so near to a sphere, in radii, is on it."""
 
