@@ -214,3 +214,16 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
 def test_no_radiance_is_negative(seed):
     # What stands for a sliver of a pixel may weigh less than nothing.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0
+
+
+def test_crowded_pixels_are_divided_as_well(monkeypatch):
+    real = antialias.classify
+
+    def crowded(*cells):
+        found = real(*cells)
+        return found._replace(crowded=np.ones_like(found.crowded))
+
+    monkeypatch.setattr(antialias, "classify", crowded)
+    # Of the tenth column the wall covers 0.33.
+    image = render(view(wall(2.25 + 0.33 * 0.25 - 2, 9, shader=RED)), 16)[..., 0]
+    np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)

@@ -265,6 +265,16 @@ def test_a_light_on_a_surface_but_for_rounding():
             assert (radiance_along(eye, RIGHT, light, surface, WALL) > 0).tolist() == [lit > 0] * 3
 
 
+def test_a_light_a_little_inside_a_box_far_away():
+    # Deeper than its rounding, and less deep than that of points which are seen.
+    end = 1e6
+    box = Box(min_pt=(end - 1, -1, -1), max_pt=(end, 1, 1))
+    wall = Box(min_pt=(end + 3, -9, -9), max_pt=(end + 4, 9, 9))
+    for deep, lit in ((1.5e-8, False), (0, True), (-1.5e-8, True)):
+        seen = radiance_along((end + 2, 0.5, 0), RIGHT, (end - deep, 0, 0), box, wall)
+        assert (seen > 0).tolist() == [lit] * 3
+
+
 @pytest.mark.parametrize("distance", [30, 1e5])
 def test_what_counts_as_on_a_surface_is_more_than_rounding(distance):
     # A ball in another, smaller by two roundings: points on the outer one err as much, and by more

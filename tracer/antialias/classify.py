@@ -75,7 +75,7 @@ class Classification(NamedTuple):
     id : (n,)
         Of object, face and lights there, see `Shading`; -1 where nothing is seen.
     lines : Lines
-        What divides the cells.
+        What divides the cells, sorted and distinct.
     unresolved : (n,)
         Whether a cell may hold more than straight lines.
     crowded : (n,)
@@ -124,7 +124,8 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
             unresolved[hit_cell[narrow]] = True
     radiance[:, cell] = shading.at_samples(np.zeros((3, samples.size)))
     ids[hit_cell] = shading.ids
-    return Classification(radiance, ids, Lines.joined(found), unresolved, crowded)
+    lines = Lines.joined(found).distinct()
+    return Classification(radiance, ids, lines, unresolved, crowded)
 
 
 def _outlines(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:

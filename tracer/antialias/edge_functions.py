@@ -22,7 +22,19 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, changes, dot, indices, map3, scaled, take3
+from tracer.arrays import (
+    Floats,
+    Ints,
+    Triple,
+    changes,
+    dot,
+    indices,
+    map3,
+    ranges,
+    run_lengths,
+    scaled,
+    take3,
+)
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
@@ -73,6 +85,10 @@ class Lines(NamedTuple):
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(changes(*lines)))
+
+    def first(self, most: int) -> Lines:
+        """The first lines of each cell, at most so many; these are sorted."""
+        return self.take(indices(ranges(0, run_lengths(self.cell)[1]) < most))
 
 
 def rays(frame: CameraFrame, s: Floats, g: Floats, size: float) -> Triple:

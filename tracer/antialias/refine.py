@@ -21,7 +21,7 @@ from tracer.antialias.edge_functions import Lines
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import mixed, stratified
-from tracer.arrays import Bools, Floats, Ints, indices, ranges, run_lengths
+from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
@@ -51,7 +51,7 @@ _LINES = 4
 
 # A pixel with more lines than this is sampled and not split, which would cost more than it gains.
 # With more lights than this no one of them matters much: more than `_LINES` are enough.
-_CROWDED = 16
+_CROWDED = 24
 
 
 def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
@@ -80,14 +80,14 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     found = classify(prepared, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
     inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    lines = found.lines.distinct()
     most = _LINES if len(prepared.lights) > _CROWDED else _CROWDED
-    crowded = found.crowded | (np.bincount(lines.cell, minlength=inside.size) > most)
+    crowded = found.crowded | (np.bincount(found.lines.cell, minlength=inside.size) > most)
     split, some = inside & ~crowded, indices(inside & crowded)
-    lines = lines.take(indices(split[lines.cell]))
-    found = found._replace(lines=lines, unresolved=found.unresolved & split)
-    mean = _refined(prepared, pixels, found, smooth, np.where(split, error, 0), per_side)
-    mean[:, some], _ = _sampled(prepared, pixels, lines, some, Lattice.of(per_side, more=1))
+    lines = found.lines.take(indices(split[found.lines.cell]))
+    rest = found._replace(lines=lines, unresolved=found.unresolved & split)
+    mean = _refined(prepared, pixels, rest, smooth, np.where(split, error, 0), per_side)
+    lattice = Lattice.of(per_side, more=1)
+    mean[:, some], _ = _sampled(prepared, pixels, found.lines.first(_LINES), some, lattice)
     # A few points have weights less than zero.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
@@ -112,8 +112,7 @@ def _refined(
     per_side : int
         Samples along a cell's side in the grid asked for.
     """
-    lines = found.lines.distinct()
-    lines = lines.take(indices(ranges(0, run_lengths(lines.cell)[1]) < _LINES))
+    lines = found.lines.first(_LINES)
     divided = np.zeros(error.size, dtype=np.bool_)
     divided[lines.cell] = True
     last, whole, mean = per_side <= _LAST, cells.size == 1, smooth

@@ -26,6 +26,7 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.rounding import (
     INSIDE,
+    LIGHT_TOLERANCE,
     NEARLY_PARALLEL,
     OUTSIDE,
     PLANE_ROUNDING,
@@ -202,9 +203,10 @@ class Boxes:
         at = indices(near_surface)
         if at.size:
             obj, p, light = obj[at], take3(p, at), take3(light, at)
-            near = hit_tolerance(self.size[obj - self.first], p, eye)
+            size = self.size[obj - self.first]
+            near, near_light = hit_tolerance(size, p, eye), LIGHT_TOLERANCE * size
             some = take3(low, at), take3(high, at)
-            blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near), *some)
+            blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near_light), *some)
         if offset is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked

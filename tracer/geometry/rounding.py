@@ -20,6 +20,10 @@ SURFACE_TOLERANCE = 64 * _EPSILON
 """A point this near to a surface, relative to the lengths it was computed from, is on the surface:
 some twenty roundings, each of at most 2 e, lie between the scene and a hit point."""
 
+LIGHT_TOLERANCE = 8 * _EPSILON
+"""The same of a light, which is given, relative to the surface's size: its height over the surface
+takes a few roundings, and the scene's numbers may have been rounded themselves."""
+
 UNIT_ROUNDING = 2 * _EPSILON
 """Two roundings of a length of 1: an eye so near to a sphere, in radii, is on it."""
 

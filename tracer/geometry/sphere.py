@@ -20,11 +20,11 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, indices, map3, repeat_runs, take3
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.rounding import (
+    LIGHT_TOLERANCE,
     NEARLY_ZERO_POWER,
     ON,
     OUTSIDE,
     SQUARE_ROUNDING,
-    SURFACE_TOLERANCE,
     UNIT_ROUNDING,
     hit_tolerance,
     side_of,
@@ -205,7 +205,7 @@ class Spheres:
 
     def side(self, obj: Ints, point: Triple) -> Sides:
         """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
-        return side_of(self.signed_distance(obj, point), SURFACE_TOLERANCE * self.size[obj])
+        return side_of(self.signed_distance(obj, point), LIGHT_TOLERANCE * self.size[obj])
 
     def signed_distance(self, obj: Ints, point: Triple) -> Floats:
         """Signed distance of points from the surface; negative inside."""

@@ -102,8 +102,13 @@ def render(
     remote = partial(_RenderJob.radiance, job)
     # calloc: untouched pages cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
-    for index, radiance in share(job.radiance, job.tiles, executor, remote):
-        image[job.tiles[index]] = radiance
+
+    def draw(part: _Part) -> None:
+        job.draw(part, image[part])
+
+    for index, radiance in share(draw, job.tiles, executor, remote):
+        if radiance is not None:
+            image[job.tiles[index]] = radiance
     # Row by row: this ends at the first that is not black.
     for warning in scene_warnings(scene, black=not any(row.any() for row in image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
@@ -234,12 +239,18 @@ class _RenderJob:
         data = compressed(radiance, from_left=part[1].start == 0)
         return Tile(data, radiance.size // 3, not radiance.any())
 
-    @_QUIET
     def radiance(self, part: _Part) -> Floats:
         """Radiance of a part of the picture (rows, columns, 3)."""
-        keep_heap()
         rows, columns = part
         out = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
+        self.draw(part, out)
+        return out
+
+    @_QUIET
+    def draw(self, part: _Part, out: Floats) -> None:
+        """Write the radiance of a part of the picture into zeros `out` (rows, columns, 3)."""
+        keep_heap()
+        rows, columns = part
         window = self.prepared.window
         height = max(1, self._at_once // out.shape[1])
         pieces = _pieces(_overlap(rows, window[0]), height), _pieces(columns, self._at_once)
@@ -247,10 +258,9 @@ class _RenderJob:
             here = tuple(
                 slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, part, strict=True)
             )
-            self._draw(*piece, out[here])
-        return out
+            self._draw_piece(*piece, out[here])
 
-    def _draw(self, rows: slice, columns: slice, out: Floats) -> None:
+    def _draw_piece(self, rows: slice, columns: slice, out: Floats) -> None:
         """Write the radiance of a rectangle into zeros `out` (rows, columns, 3)."""
         if self._classified:
             seen = _overlap(columns, self.prepared.window[1])

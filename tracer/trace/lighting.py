@@ -102,10 +102,10 @@ class Shading:
         prepared = self._hits.prepared
         for group, (diffuse, specular) in zip(self._hits.groups, self._sums, strict=True):
             for k, channel in enumerate(out):
-                value = diffuse[k] * group.of(prepared.diffuse[k])
+                diffuse[k] *= group.of(prepared.diffuse[k])
                 if specular.size:
-                    value += specular[k] * group.of(prepared.specular[k])
-                channel[group.sample] = value
+                    diffuse[k] += specular[k] * group.of(prepared.specular[k])
+                channel[group.sample] = diffuse[k]
         return out
 
 
