@@ -41,7 +41,6 @@ def _all_occluders(hits: Hits, frontlit: Bools) -> Bools:
             for obj in range(shape.first, shape.first + shape.count):
                 at = np.flatnonzero(lit & ~dark & (own != obj))
                 end = tuple(np.full((3, at.size), light[:, None]))
-                every, near_surface = np.full(at.size, obj), np.ones(at.size, dtype=bool)
-                eye, p = prepared.frame.eye, hits.points(at)
-                dark[at] = shape.occludes(eye, every, p, end, near_surface)
+                every, eye, p = np.full(at.size, obj), prepared.frame.eye, hits.points(at)
+                dark[at] = shape.occludes(eye, every, p, end, shape.side(every, end))
     return blocked

@@ -315,7 +315,7 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
     # Also where all lights together have been prepared before.
     prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
     sizes = [
-        {len(m) for m in (part.grid.light[0], part.side, part.near_light)}
+        {len(m) for m in (part.grid.light[0], part.side)}
         for part in chain([prepared], prepared.by_lights)
     ]
     assert sizes == [{9}, {4}, {4}, {1}]

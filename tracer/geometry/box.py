@@ -17,7 +17,6 @@ from tracer.arrays import (
     Ints,
     Sides,
     Triple,
-    indices,
     map3,
     repeat_runs,
     take3,
@@ -170,17 +169,9 @@ class Boxes:
 
     def signed_distance(self, obj: Ints, point: Triple) -> Floats:
         """See `Spheres.signed_distance`."""
-        return np.asarray(np.max(self._heights(obj, point), axis=0))
-
-    def within(self, obj: Ints, center: Triple, radius: Floats) -> Bools:
-        """See `Spheres.within`."""
-        within: Bools = np.any([np.abs(m) <= radius for m in self._heights(obj, center)], axis=0)
-        return within
-
-    def _heights(self, obj: Ints, point: Triple) -> list[Floats]:
-        """Heights of points over the six planes of faces."""
         low, high = self.corners(obj)
-        return [*map3(np.subtract, low, point), *map3(np.subtract, point, high)]
+        heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
+        return np.asarray(np.max(heights, axis=0))
 
     def occludes(
         self,
@@ -188,7 +179,7 @@ class Boxes:
         obj: Ints,
         p: Triple,
         light: Triple,
-        near_surface: Bools,
+        light_side: Sides,
         offset: Floats | None = None,
     ) -> Bools:
         """See `Spheres.occludes`.
@@ -199,14 +190,10 @@ class Boxes:
         low, high = self.corners(obj)
         if offset is not None:
             low, high = map3(lambda c: c - offset, low), map3(lambda c: c + offset, high)
-        blocked = _crosses(p, light, low, high)
-        at = indices(near_surface)
-        if at.size:
-            obj, p, light = obj[at], take3(p, at), take3(light, at)
-            size = self.size[obj - self.first]
-            near, near_light = hit_tolerance(size, p, eye), LIGHT_TOLERANCE * size
-            some = take3(low, at), take3(high, at)
-            blocked[at] = _crosses(_snap(p, *some, near), _snap(light, *some, near_light), *some)
+        size = self.size[obj - self.first]
+        start = _snap(p, low, high, hit_tolerance(size, p, eye))
+        end = _snap(light, low, high, LIGHT_TOLERANCE * size)
+        blocked = _crosses(start, end, low, high)
         if offset is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked

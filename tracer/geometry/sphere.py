@@ -212,17 +212,13 @@ class Spheres:
         away = map3(np.subtract, take3(self.center, obj), point)
         return np.sqrt(dot(away, away)) - self.radius[obj]
 
-    def within(self, obj: Ints, center: Triple, radius: Floats) -> Bools:
-        """Whether balls may hold points in or on a sphere, or on the plane of a box's face."""
-        return self.signed_distance(obj, center) <= radius
-
     def occludes(
         self,
         eye: Floats,
         obj: Ints,
         p: Triple,
         light: Triple,
-        near_surface: Bools,
+        light_side: Sides,
         offset: Floats | None = None,
     ) -> Bools:
         """Test whether objects block the open segments from points `p` to `light`, pair by pair.
@@ -233,9 +229,10 @@ class Spheres:
         Parameters
         ----------
         eye : (3,)
-        obj, near_surface : (n,)
-            `near_surface`: False if both ends are certainly out of tolerance, see `within`.
+        obj : (n,)
         p, light : three (n,)
+        light_side : (n,)
+            The `side` that each light is on.
         offset : (n,), optional
             Distance of the offset surface that blocks instead; none does if it shrinks to nothing.
         """
@@ -250,20 +247,17 @@ class Spheres:
         nearest = b / length2
         aside = map3(lambda c, d: c - nearest * d, to_center, to_light)
         blocked: Bools = (dot(aside, aside) < radius * radius) & (b > 0) & (b < length2)
-        at = indices(near_surface)
-        if not at.size:
-            return blocked
-        obj, to_center, b, length2 = obj[at], take3(to_center, at), b[at], length2[at]
-        height = np.sqrt(dot(to_center, to_center)) - radius[at]
-        side = side_of(height, hit_tolerance(self.size[obj], take3(p, at), eye))
-        light_side, inner = self.side(obj, take3(light, at)), self.eye_inside[obj]
-        odd = (side != OUTSIDE) | (light_side != OUTSIDE)
-        answer = np.where(
-            side == ON,
-            np.where(inner, (b < 0) | (light_side == OUTSIDE), b > 0),
-            np.where(light_side == ON, (side == OUTSIDE) & (b < length2), side != light_side),
-        )
-        blocked[at] = np.where(odd, answer, blocked[at])
+        height = np.sqrt(dot(to_center, to_center)) - radius
+        side = side_of(height, hit_tolerance(self.size[obj], p, eye))
+        at = indices((side != OUTSIDE) | (light_side != OUTSIDE))
+        if at.size:
+            side, light_side, inner = side[at], light_side[at], self.eye_inside[obj[at]]
+            b, length2 = b[at], length2[at]
+            blocked[at] = np.where(
+                side == ON,
+                np.where(inner, (b < 0) | (light_side == OUTSIDE), b > 0),
+                np.where(light_side == ON, (side == OUTSIDE) & (b < length2), side != light_side),
+            )
         return blocked
 
     def capsules(

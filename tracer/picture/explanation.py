@@ -248,6 +248,7 @@ def _occluders(prepared: PreparedScene, hits: Hits, light: int) -> Ints:
         others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.hit_object)
         point = hits.points(np.zeros_like(others))
         end = take3(prepared.lights.T, np.full_like(others, light))
-        blocks = shape.occludes(prepared.frame.eye, others, point, end, np.ones_like(others) > 0)
+        side = prepared.side[light, others]
+        blocks = shape.occludes(prepared.frame.eye, others, point, end, side)
         found.append(others[blocks])
     return np.concatenate(found)

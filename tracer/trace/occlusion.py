@@ -44,8 +44,8 @@ def occlusion(hits: Hits, frontlit: Bools) -> Bools:
     meaning.
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, shape, pairs, near_surface in _candidates(hits, frontlit):
-        block = _blocks(hits, shape, pairs, near_surface)
+    for umbra, shape, pairs in _candidates(hits, frontlit):
+        block = _blocks(hits, shape, pairs)
         put_2d(blocked, pairs[0, block], pairs[1, block], True)
         put_2d(blocked, umbra[0], umbra[1], True)
     return blocked
@@ -65,20 +65,20 @@ def shadow_edges(
     blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
     objects = hits.prepared.position_error.size
     found, more, waiting = np.zeros(0, dtype=np.intp), list[Ints](), 0
-    for dark, shape, pairs, near_surface in _candidates(hits, frontlit, footprint):
+    for dark, shape, pairs in _candidates(hits, frontlit, footprint):
         put_2d(umbra, dark[0], dark[1], True)
         reach = footprint[pairs[1]]
-        blocks_grown = _blocks(hits, shape, pairs, near_surface, reach)
+        blocks_grown = _blocks(hits, shape, pairs, reach)
         # An object grown by more than its distance holds the light.  It may then hold all of a
         # segment, and block nothing, where the object itself blocks it.
         distance = shape.signed_distance(pairs[2], take3(hits.prepared.lights.T, pairs[0]))
         near = indices(blocks_grown | (distance <= reach))
-        pairs, near_surface = pairs.take(near, axis=1), near_surface[near]
+        pairs = pairs.take(near, axis=1)
         reach, blocks_grown, distance = reach[near], blocks_grown[near], distance[near]
-        itself = _blocks(hits, shape, pairs, near_surface)
+        itself = _blocks(hits, shape, pairs)
         # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
         # nothing.  Nor does that of a sphere with the light on its surface.
-        shrunk = itself & _blocks(hits, shape, pairs, near_surface, -reach)
+        shrunk = itself & _blocks(hits, shape, pairs, -reach)
         shrunk &= take_2d(hits.prepared.side, pairs[0], pairs[2]) != ON
         put_2d(blocked, pairs[0, itself], pairs[1, itself], True)
         put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
@@ -112,23 +112,22 @@ def _few_around(edges: list[Ints], objects: int) -> tuple[Ints, Ints]:
     return found[~many.repeat(count)], pair[begin[many]]
 
 
-def _blocks(
-    hits: Hits, shape: Shape, pairs: Ints, near_surface: Bools, offset: Floats | None = None
-) -> Bools:
+def _blocks(hits: Hits, shape: Shape, pairs: Ints, offset: Floats | None = None) -> Bools:
     """The exact test of pairs; `offset` (m,): see `Spheres.occludes`."""
     light, point, occluder = pairs
     eye, end = hits.prepared.frame.eye, take3(hits.prepared.lights.T, light)
-    return shape.occludes(eye, occluder, hits.points(point), end, near_surface, offset)
+    side = take_2d(hits.prepared.side, light, occluder)
+    return shape.occludes(eye, occluder, hits.points(point), end, side, offset)
 
 
 def _candidates(
     hits: Hits, frontlit: Bools, footprint: Floats | None = None
-) -> Iterator[tuple[Ints, Shape, Ints, Bools]]:
+) -> Iterator[tuple[Ints, Shape, Ints]]:
     """Find all that may keep lights from points, some at a time.
 
     Yields lights and points (2, k) that are certainly in shadow; and, of a shape, lights, points
-    and occluders (3, m) to be tested, with `near_surface` (m,) as in `Spheres.occludes`.  With a
-    `footprint` (n,) all are as for anything on a point's own object within this distance of it.
+    and occluders (3, m) to be tested.  With a `footprint` (n,) all are as for anything on a point's
+    own object within this distance of it.
     """
     prepared = hits.prepared
     if prepared.grid is None or not frontlit.any():
@@ -151,16 +150,7 @@ def _candidates(
                 dark = level.opened(dark)
             umbra.append(dark[:2])
             pairs = pairs.take(indices(meets & take_2d(lit[depth], light, packet)), axis=1)
-        light, row, occluder = pairs
-        around = rows.radius[row] + prepared.position_error[occluder]
-        near_surface = shape.within(occluder, take3(rows.middle, row), around)
-        near_surface |= take_2d(prepared.near_light, light, occluder)
-        yield (
-            np.concatenate(umbra, axis=1),
-            shape,
-            rows.opened(pairs),
-            near_surface.repeat(rows.length[row]),
-        )
+        yield np.concatenate(umbra, axis=1), shape, rows.opened(pairs)
 
 
 def _found(

@@ -110,7 +110,7 @@ class PreparedScene:
             some, part = slice(start, start + step), copy(self)
             part.lights, part.local = self.lights[some], self.local[some]
             part.intensities = self.intensities[some]
-            for name in ("grid", "side", "near_light"):
+            for name in ("grid", "side"):
                 vars(part).pop(name, None)
             yield part
             # Preparing the others again takes less time than most of what they are prepared for.
@@ -130,15 +130,6 @@ class PreparedScene:
         """Where each light is to each object (lights, n): see `Spheres.side`."""
         both = [shape.side(*self._to_lights(shape)) for shape in (self.spheres, self.boxes)]
         return np.concatenate(both, axis=1)
-
-    @cached_property
-    def near_light(self) -> Bools:
-        """Whether each light may be so near to each object that `Spheres.within` holds for it."""
-        around = self.position_error + POSITION_ERROR * np.abs(self.lights).sum(axis=1)[:, None]
-        balls, boxes = np.split(around, [self.spheres.count], axis=1)
-        near_balls = self.spheres.within(*self._to_lights(self.spheres), balls)
-        near_boxes = self.boxes.within(*self._to_lights(self.boxes), boxes)
-        return np.concatenate([near_balls, near_boxes], axis=1)
 
     def _to_lights(self, shape: Shape) -> tuple[Ints, Triple]:
         """All objects of a shape, a column each, and all lights, a row each."""
