@@ -53,20 +53,6 @@ from tracer.command.arguments import file_name, is_folder, output_paths
 from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.messages import printable
 
-__all__ = [
-    "STATUS",
-    "CheckResult",
-    "Verdict",
-    "check",
-    "check_diffuse",
-    "check_scene",
-    "compare",
-    "faults",
-    "main",
-    "near_edges",
-    "worst_status",
-]
-
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
 STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
 """Exit statuses."""
@@ -289,11 +275,8 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         tracer=image,
         mitsuba=mitsuba,
         edges=edges,
-        ties=judged.ties,
+        **judged._asdict(),
         differing=differing & ~left_out,
-        asked=judged.asked,
-        wrong=judged.wrong,
-        first=judged.first,
         figures=found,
         variant=rendering.variant,
         tracer_seconds=seconds,

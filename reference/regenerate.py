@@ -14,21 +14,17 @@ if __name__ == "__main__":
 import hashlib
 import json
 import platform
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure, mi, use
-from reference.command import HERE, need_scenes, own_scenes, parser
+from reference.command import HERE, own_scenes, parser
 from tracer import Scene, load_scene
-
-__all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
 
 FOLDER = HERE / "mitsuba"
 WIDTH = 160
@@ -48,32 +44,18 @@ def scene_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def manifest(folder: Path = FOLDER) -> dict[str, Any]:
-    """How the stored pictures were made."""
-    return dict(json.loads((folder / "manifest.json").read_text(encoding="utf-8")))
-
-
-def stored(name: str, folder: Path = FOLDER) -> Floats:
-    """The stored picture of a scene, (h, w, 3), linear; FileNotFoundError if there is none."""
-    path = folder / f"{name}.exr"
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is missing; python -m reference.regenerate makes it")
+def stored(name: str) -> Floats:
+    """The stored picture of a scene, (h, w, 3), linear."""
     ensure()
-    return np.array(mi.Bitmap(str(path)), dtype=np.float64)
+    return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Render every scene again; returns 0."""
-    used = parser("reference.regenerate", __doc__)
-    used.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
-    used.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
-    options = used.parse_args(arguments)
-    need_scenes(used)
-    choice = use(options.variant)
-    options.output.mkdir(parents=True, exist_ok=True)
+def main() -> None:
+    """Render every scene again."""
+    parser("reference.regenerate", __doc__).parse_args()
     for path in own_scenes():
-        image = render_mitsuba(load_small(path), variant=choice.variant)
-        write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
+        image = render_mitsuba(load_small(path))
+        write_exr(FOLDER / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
         print(f"{path.stem}.exr")
     made = {
         "command": "python -m reference.regenerate",
@@ -81,10 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "drjit": version("drjit"),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "variant": choice.variant,
+        "variant": use().variant,
         "samples": 1,
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},
     }
-    (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
-    return 0
+    (FOLDER / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")

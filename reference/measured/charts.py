@@ -11,10 +11,13 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from reference.command import need_scenes, need_table, parser, result
+from reference.command import HERE, built, parser
 from reference.measured.measurements import measured_on, read_csv, write_csv
 
-__all__ = ["LOOKS", "headline", "make_chart", "plt"]
+__all__ = ["LOOKS", "WIDTH", "make_chart", "plt"]
+
+WIDTH = 5.6
+"""Inches that a phone shows in full."""
 
 plt.rcParams.update(
     {
@@ -58,52 +61,35 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 
-def headline(figure: Any, title: str, note: str) -> None:
-    """Write the title of a whole figure, and a note below it."""
-    height = figure.get_figheight()
-    figure.text(
-        0.03,
-        1 - 0.2 / height,
-        title,
-        va="top",
-        fontsize=min(18, 2.6 * figure.get_figwidth()),
-        weight="bold",
-    )
-    figure.text(
-        0.03,
-        1 - 0.62 / height,
-        note,
-        va="top",
-        fontsize=min(11, 1.6 * figure.get_figwidth()),
-        color="#444444",
-    )
-
-
 def make_chart(
     name: str,
     doc: str | None,
-    quick: str,
     columns: Sequence[str],
     measure: Callable[[bool], Iterable[Sequence[object]]],
     draw: Callable[[Sequence[Sequence[str]], bool], Any],
+    texts: tuple[str, str],
 ) -> None:
     """Run `python -m reference.NAME`: measure the rows of a table, store it, and draw it as SVG.
 
-    `quick` says what `--quick` does, which `measure` and `draw` are told; `draw` makes the figure
-    of the rows as the CSV has them, rounded, so that the chart drawn again is the same.
+    `measure` and `draw` are told whether to be quick; `draw` makes the figure of the rows as the
+    CSV has them, rounded, so that the chart drawn again is the same.  `texts` are its title and a
+    note below that.
     """
-    used = parser(f"reference.{name}", doc, quick, redraw=True)
+    used = parser(f"reference.{name}", doc, "fewer points")
+    used.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     options = used.parse_args()
-    need_scenes(used)
-    table = result(f"{name}.csv", quick=options.quick)
-    if options.redraw:
-        need_table(used, table)
-    else:
+    table = built(f"{name}.csv") if options.quick else HERE / f"{name}.csv"
+    if not options.redraw:
         # All of it before the stored table is replaced.
         where, measured = measured_on(), [*measure(options.quick)]
         write_csv(table, where, columns, measured)
     where, rows = read_csv(table)
     figure = draw(rows, options.quick)
-    figure.text(0.03, 0.008, f"Measured on {where}.", color="#666666", fontsize=9)
+    title, note = texts
+    height = figure.get_figheight()
+    figure.text(0.03, 1 - 0.2 / height, title, va="top", fontsize=14, weight="bold")
+    figure.text(0.03, 1 - 0.58 / height, note, va="top", fontsize=9, color="#444444")
+    origin = f"Measured on {where}."
+    figure.text(0.03, 0.1 / height, origin, fontsize=7, color="#666666", wrap=True)
     figure.savefig(table.with_suffix(".svg"), metadata={"Date": None})
     plt.close(figure)

@@ -8,6 +8,7 @@ import platform
 import re
 import shlex
 import subprocess
+import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import metadata
@@ -16,21 +17,7 @@ from statistics import median
 from time import perf_counter, sleep
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from reference.command import HERE, need_scenes, parser, result
-
-__all__ = [
-    "Ratio",
-    "Table",
-    "Task",
-    "Timing",
-    "interleaved",
-    "measure_page",
-    "measured_on",
-    "process",
-    "read_csv",
-    "write_csv",
-    "write_tables",
-]
+from reference.command import HERE, built, parser
 
 Task: TypeAlias = Callable[[], object]
 """Work to be timed; the seconds that it took if it returns a float."""
@@ -99,6 +86,22 @@ def process(command: Sequence[str]) -> Task:
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
 
 
+# A process starts out with its parent's peak memory: a small one must be in between.
+_WATCH = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def peak(*command: str, given: bytes = b"") -> float:
+    """Peak resident memory of a process that is given input, or of its largest worker, MB."""
+    watch = [sys.executable, "-c", _WATCH, *command]
+    done = subprocess.run(watch, input=given, stdout=subprocess.PIPE, check=True)
+    # In kibibytes on Linux, in bytes on macOS.
+    return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
+
+
 class Table(NamedTuple):
     """One table of a page; cells that are timings or ratios go to the CSV in full."""
 
@@ -121,14 +124,13 @@ def measure_page(
 
     `quick` says what `--quick` does, which `tables` is told.
     """
-    used = parser(f"reference.{name}", doc, quick)
-    options = used.parse_args()
-    need_scenes(used)
+    options = parser(f"reference.{name}", doc, quick).parse_args()
     where, found = measured_on(), []
     for table in tables(options.quick):
         print(table.markdown(), flush=True)
         found.append(table)
-    write_tables(result(f"{name}.md", quick=options.quick), head, where, found)
+    page = f"{name}.md"
+    write_tables(built(page) if options.quick else HERE / page, head, where, found)
 
 
 def write_tables(page: Path, head: str, where: str, tables: Sequence[Table]) -> None:
