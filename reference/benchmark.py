@@ -1,6 +1,6 @@
 """Times of the tracer beside compiled renderers, measured in one run.
 
-``python -m reference.benchmark`` writes `benchmark.md` and `.csv` into this folder.  Rivals run in
+``python -m reference.benchmark`` writes `benchmark.md` into this folder.  Rivals run in
 turns; Mitsuba's kernels are compiled, and its scene is built, before the clock starts.
 """
 
@@ -14,7 +14,7 @@ if __name__ == "__main__":
 import gc
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -29,17 +29,8 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray
-from reference.command import SCENES, built, own_scenes
-from reference.measured.measurements import (
-    Ratio,
-    Table,
-    Task,
-    Timing,
-    interleaved,
-    measure_page,
-    peak,
-    process,
-)
+from reference.command import HERE, SCENES, built, own_scenes, parser
+from reference.measured.measurements import Task, Timing, interleaved, measured_on, peak, process
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
@@ -60,12 +51,27 @@ mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
 
 ROUNDS = 3
-Section: TypeAlias = Callable[[bool], Table]
-"""Measures one table, given whether to be quick."""
+Section: TypeAlias = Callable[[bool], str]
+"""Measures one table of the page, given whether to be quick."""
 
 
-def _speedup(of: Timing, over: Timing) -> Ratio:
-    return Ratio(over.median / of.median)
+def _speedup(of: Timing, over: Timing) -> float:
+    return over.median / of.median
+
+
+def ratio(value: float) -> str:
+    """Two digits at least: 0.50×, 3.0×, 42×."""
+    places = 2 if value < 0.995 else 1 if value < 9.95 else 0
+    return f"{value:.{places}f}×"
+
+
+def table(title: str, note: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table as GitHub shows it; numbers are ratios."""
+    shown = [
+        [ratio(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows
+    ]
+    lines = [header, ["---"] * len(header), *shown]
+    return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
 def _mitsuba(text: str) -> Task:
@@ -84,12 +90,13 @@ def _tracer(source: Path) -> list[str]:
     return [sys.executable, "-m", "tracer", "--quiet", "-o", str(built("out.png")), str(source)]
 
 
-def whole_process(quick: bool) -> Table:
+def whole_process(quick: bool) -> str:
     """Time commands from XML to PNG."""
     variant, png = use().variant, str(built("out.png"))
     mitsuba = [sys.executable, "-c", _MITSUBA]
     rows: list[tuple[object, ...]] = []
-    for size, name in product((_SMALL,) if quick else (_SMALL, _LARGE), _FEW):
+    sizes, names = ((_SMALL,), _FEW[:1]) if quick else ((_SMALL, _LARGE), _FEW)
+    for size, name in product(sizes, names):
         scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
         save_scene(scene, ours := built("tracer.xml"))
         (exactly := built("exact.xml")).write_text(exact(scene))
@@ -109,7 +116,7 @@ def whole_process(quick: bool) -> Table:
         over_exact, *over_stock = (_speedup(found["tracer"], found[rival]) for rival in rivals)
         cells = (*found.values(), over_exact, min(over_stock))
         rows.append((f"{name} {size[0]}×{size[1]}", *cells))
-    return Table(
+    return table(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell. Mitsuba {variant} with a warm kernel cache; its stock"
         f" plugins also in {SCALAR}, which has no kernels to load. The speedup over stock is over"
@@ -120,12 +127,12 @@ def whole_process(quick: bool) -> Table:
     )
 
 
-def rendering(quick: bool) -> Table:
+def rendering(quick: bool) -> str:
     """Time one sample a pixel on every scene, in process, with everything ready."""
     variant = use().variant
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL,) if quick else (_SMALL, _MEDIUM, _LARGE):
-        found: list[tuple[Ratio, Ratio]] = []
+        found: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
         scenes |= {f"crowd-{count}": crowd(count) for count in (1000, 10_000)}
         for name in _FEW if quick else scenes:
@@ -134,9 +141,9 @@ def rendering(quick: bool) -> Table:
             again, stocks = _beside(scene, stock(scene, 1))
             found.append((_speedup(ours, exactly), _speedup(again, stocks)))
             rows.append((f"{name} {size[0]}×{size[1]}", ours, exactly, stocks, *found[-1]))
-        means = (Ratio(geometric_mean(column)) for column in zip(*found, strict=True))
+        means = (geometric_mean(column) for column in zip(*found, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *means))
-    return Table(
+    return table(
         "Rendering alone",
         "Milliseconds in process, one sample a pixel, in turns with pauses of 20 ms: Mitsuba's"
         f" threads keep spinning that long. Mitsuba {variant}, scene and kernels ready, as are the"
@@ -153,10 +160,10 @@ def _each(frames: Callable[[], Iterator[object]]) -> None:
     deque(frames(), maxlen=0)
 
 
-def frames(quick: bool) -> Table:
+def frames(quick: bool) -> str:
     """Time a sequence of frames, alone and with the processes of an executor."""
-    count = 10 if quick else 200
-    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *_MEDIUM)
+    count, size = (5, _SMALL) if quick else (200, _MEDIUM)
+    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
     scenes = [
         replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
@@ -172,8 +179,8 @@ def frames(quick: bool) -> Table:
             drawing[f"{who}, pool.map(render, scenes)"] = partial(given, scenes)
         tasks = {name: partial(_each, frames) for name, frames in drawing.items()}
         found = interleaved(tasks, ROUNDS)
-    return Table(
-        f"{count} frames of {_MEDIUM[0]}×{_MEDIUM[1]}",
+    return table(
+        f"{count} frames of {size[0]}×{size[1]}",
         "Milliseconds for all of them, one sample a pixel, with a standard library's pool of"
         f" processes on {processors()} processors: each picture shared with it, or whole pictures"
         " given to it.",
@@ -182,7 +189,7 @@ def frames(quick: bool) -> Table:
     )
 
 
-def memory(quick: bool) -> Table:
+def memory(quick: bool) -> str:
     """Measure the peak resident memory of whole processes."""
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = {"sticks-perspective 2560×1440": resized(sticks, *_LARGE)}
@@ -197,23 +204,23 @@ def memory(quick: bool) -> Table:
         "Peak resident MB of the largest process of `python -m tracer`; Python with NumPy alone"
         f" takes {peak(sys.executable, '-c', 'import numpy'):.0f}."
     )
-    return Table("Memory", note, ("scene", "tracer"), rows)
+    return table("Memory", note, ("scene", "tracer"), rows)
 
 
 SECTIONS: list[Section] = [whole_process, rendering, frames, memory]
 
 
-def _tables(quick: bool) -> Iterator[Table]:
-    mi.set_log_level(mi.LogLevel.Error)
-    for section in SECTIONS:
-        yield section(quick)
-
-
 def main() -> None:
-    """Measure, and write the page."""
-    head = (
+    """Measure, print tables as they are measured, and write the page."""
+    options = parser("reference.benchmark", __doc__, "small sizes").parse_args()
+    mi.set_log_level(mi.LogLevel.Error)
+    page = [
         "# Benchmark\n\nMade by `python -m reference.benchmark`: median (fastest–slowest) of at"
-        " least 3 rounds. A speedup is the other's time over the tracer's: below 1 the tracer is"
-        " slower."
-    )
-    measure_page("benchmark", __doc__, "small sizes", head, _tables)
+        f" least {ROUNDS} rounds. A speedup is the other's time over the tracer's: below 1 the"
+        f" tracer is slower. Measured on {measured_on()}."
+    ]
+    for section in SECTIONS:
+        page.append(section(options.quick))
+        print(page[-1], flush=True)
+    path = built("benchmark.md") if options.quick else HERE / "benchmark.md"
+    path.write_text("\n\n".join(page) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Times of tasks that run in turns, and tables of them: for GitHub, as CSV, with their origin."""
+"""Times of tasks that run in turns, memory of processes, and tables as CSV with their origin."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from statistics import median
 from time import perf_counter, sleep
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from reference.command import HERE, built, parser
+from reference.command import HERE
+from tracer.picture.parallel import processors
 
 Task: TypeAlias = Callable[[], object]
 """Work to be timed; the seconds that it took if it returns a float."""
@@ -46,14 +47,6 @@ class Timing(NamedTuple):
     def __str__(self) -> str:
         shown, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
         return shown if self.low == self.high else f"{shown} ({low}–{high})"
-
-
-class Ratio(float):
-    """Shown with two digits at least: 0.50×, 3.0×, 42×."""
-
-    def __str__(self) -> str:
-        places = 2 if self < 0.995 else 1 if self < 9.95 else 0
-        return f"{self:.{places}f}×"
 
 
 def interleaved(
@@ -102,51 +95,6 @@ def peak(*command: str, given: bytes = b"") -> float:
     return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
-class Table(NamedTuple):
-    """One table of a page; cells that are timings or ratios go to the CSV in full."""
-
-    title: str
-    note: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[object]]
-
-    def markdown(self) -> str:
-        """As GitHub shows it."""
-        lines = [self.header, ["---"] * len(self.header), *self.rows]
-        table = ["| " + " | ".join(map(str, line)) + " |" for line in lines]
-        return "\n".join([f"## {self.title}", "", self.note, "", *table]) + "\n"
-
-
-def measure_page(
-    name: str, doc: str | None, quick: str, head: str, tables: Callable[[bool], Iterable[Table]]
-) -> None:
-    """Run `python -m reference.NAME`: print tables as they are measured, then write the page.
-
-    `quick` says what `--quick` does, which `tables` is told.
-    """
-    options = parser(f"reference.{name}", doc, quick).parse_args()
-    where, found = measured_on(), []
-    for table in tables(options.quick):
-        print(table.markdown(), flush=True)
-        found.append(table)
-    page = f"{name}.md"
-    write_tables(built(page) if options.quick else HERE / page, head, where, found)
-
-
-def write_tables(page: Path, head: str, where: str, tables: Sequence[Table]) -> None:
-    """Write a page of tables below its head, and beside it as CSV a line for each cell."""
-    text = "\n".join([f"{head} Measured on {where}.\n", *(table.markdown() for table in tables)])
-    page.write_text(text, encoding="utf-8")
-    cells: list[tuple[object, ...]] = []
-    for table in tables:
-        for name, *row in table.rows:
-            for column, cell in zip(table.header[1:], row, strict=True):
-                values = cell if isinstance(cell, Timing) else (cell, "", "")
-                cells.append((table.title, name, column, *values))
-    header = ("table", "row", "column", "value", "low", "high")
-    write_csv(page.with_suffix(".csv"), where, header, cells)
-
-
 def write_csv(
     path: Path, where: str, header: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
@@ -167,22 +115,12 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 def measured_on() -> str:
     """One line: date, commit, processor, system, versions."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
-    return ", ".join(
-        [
-            datetime.now(timezone.utc).strftime("%Y-%m-%d"),
-            _commit(),
-            f"{_processor()} ({cores} cores)",
-            platform.system(),
-            f"Python {platform.python_version()}",
-            *(
-                f"{package} {metadata.version(package)}"
-                for package in ("numpy", "mitsuba", "drjit")
-            ),
-            povray[0] if povray else "no POV-Ray",
-        ]
-    )
+    versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
+    system = [platform.system(), f"Python {platform.python_version()}", *versions]
+    machine = f"{_processor()} ({processors()} cores)"
+    today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    return ", ".join([today, _commit(), machine, *system, povray[0] if povray else "no POV-Ray"])
 
 
 def _commit() -> str:
