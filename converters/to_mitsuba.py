@@ -27,6 +27,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 from converters.mitsuba_xml import WRITTEN
 from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
@@ -34,14 +35,14 @@ from tracer.command.process import print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["TROUBLE", "describe_error", "main", "print_unwritten", "without_converted"]
+__all__ = ["TROUBLE", "describe_error", "guarded", "main", "without_converted"]
 
 _FLAVOURS = "stock", "exact"
 
 TROUBLE = (ChildProcessError, ImportError, MemoryError, RuntimeError, ValueError)
 """What the reader, the tracer, the converter and Mitsuba raise over a scene."""
 
-_Work = Callable[[Path, Path, argparse.Namespace], bool]
+_Result = TypeVar("_Result")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.render and not _ready(options):
             return 1
         pairs = zip(scenes, found, strict=True)
-        done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
+        done = [guarded(work, scene, Path(target), options) for scene, target in pairs]
     except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
@@ -156,7 +157,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
+def guarded(
+    work: Callable[[Path, Path, argparse.Namespace], _Result],
+    scene: Path,
+    target: Path,
+    options: argparse.Namespace,
+) -> _Result | None:
     """Do one scene; its faults are told, a line each, and the other scenes go on."""
     try:
         if options.output is not None and is_folder(options.output):
@@ -165,8 +171,8 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     except TROUBLE as error:
         print_line(sys.stderr, describe_error(scene, error))
     except OSError as error:
-        print_unwritten(target, error)
-    return False
+        _print_unwritten(target, error)
+    return None
 
 
 def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
@@ -185,7 +191,7 @@ def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
     return printable(f"{os.fspath(path)}: {reason}")
 
 
-def print_unwritten(path: Path, error: OSError) -> None:
+def _print_unwritten(path: Path, error: OSError) -> None:
     """Say on standard error that a file cannot be written, and why."""
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
@@ -211,7 +217,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         try:
             write(written, image)
         except OSError as error:
-            print_unwritten(written, error)
+            _print_unwritten(written, error)
             return False
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))

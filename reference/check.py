@@ -43,13 +43,13 @@ from numpy.typing import NDArray
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
 from converters.rendering import Rendering, load
-from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
+from converters.to_mitsuba import guarded, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
 from reference.figures import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import file_name, is_folder, output_paths
+from tracer.command.arguments import file_name, output_paths
 from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.messages import printable
 
@@ -145,11 +145,9 @@ class CheckResult:
 
     def report(self) -> str:
         """The result in a few lines of text."""
-        f = self.figures
         lines = [
             f"{self.name}: {self.verdict}",
-            f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
-            f" median {f.median:.1e}, RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
+            f"  {self.figures}",
             f"  left out: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
             f" ties: {self.ties.sum()}",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
@@ -368,8 +366,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
     # Of a black picture the comparison says enough.
     warnings.simplefilter("ignore", SceneWarning)
-    results = [_checked(*pair, options) for pair in zip(scenes, map(Path, targets), strict=True)]
-    return worst_status(results)
+    pairs = zip(scenes, map(Path, targets), strict=True)
+    return worst_status([guarded(_checked, *pair, options) for pair in pairs])
 
 
 def worst_status(results: Iterable[CheckResult | None]) -> int:
@@ -378,20 +376,11 @@ def worst_status(results: Iterable[CheckResult | None]) -> int:
     return FAILED if FAILED in statuses else max(statuses, default=0)
 
 
-def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult | None:
-    """Check one scene, write the comparison, and print the result, or why there is none."""
-    try:
-        result = check(path, options.variant, options.flavour)
-        if options.output is not None and is_folder(options.output):
-            target.parent.mkdir(parents=True, exist_ok=True)
-        labels = ("tracer", f"Mitsuba {result.variant}")
-        write_comparison(target, result.tracer, result.mitsuba, labels)
-    except TROUBLE as error:
-        print_line(sys.stderr, describe_error(path, error))
-    except OSError as error:
-        print_unwritten(target, error)
-    else:
-        print_line(sys.stdout, result.report())
-        print_line(sys.stdout, printable(f"  {target}"))
-        return result
-    return None
+def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
+    """Check one scene, write the comparison, and print the result."""
+    result = check(path, options.variant, options.flavour)
+    labels = ("tracer", f"Mitsuba {result.variant}")
+    write_comparison(target, result.tracer, result.mitsuba, labels)
+    print_line(sys.stdout, result.report())
+    print_line(sys.stdout, printable(f"  {target}"))
+    return result
