@@ -35,7 +35,8 @@ from tracer.command.process import print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["TROUBLE", "describe_error", "guarded", "main", "without_converted"]
+__all__ = ["TROUBLE", "add_scenes", "describe_error", "guarded", "main", "ready"]
+__all__ += ["without_converted"]
 
 _FLAVOURS = "stock", "exact"
 
@@ -69,17 +70,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     try:
-        if options.render and not _ready(options):
+        if options.render and not ready(options):
             return 1
         pairs = zip(scenes, found, strict=True)
         done = [guarded(work, scene, Path(target), options) for scene, target in pairs]
-    except ModuleNotFoundError as error:  # what converting needs; `_ready` has told the rest
+    except ModuleNotFoundError as error:  # what converting needs; `ready` has told the rest
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
     return 0 if all(done) else 1
 
 
-def _ready(options: argparse.Namespace) -> bool:
+def ready(options: argparse.Namespace) -> bool:
     """Choose Mitsuba's variant; say which it is, or why there is none."""
     try:
         import converters.rendering  # noqa: F401 (and all that it needs)
@@ -124,12 +125,8 @@ def _png_and_exr(target: str) -> tuple[Path, Path]:
     return Path(target + ".png"), Path(target + ".exr")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m converters.to_mitsuba",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_scenes(parser: argparse.ArgumentParser) -> None:
+    """Let a command take scenes, where to write, and Mitsuba's variant."""
     parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
@@ -139,6 +136,18 @@ def _parser() -> argparse.ArgumentParser:
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
+    parser.add_argument(
+        "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m converters.to_mitsuba",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_scenes(parser)
     parser.add_argument("--flavour", choices=_FLAVOURS, help="see above")
     parser.add_argument(
         "--samples",
@@ -146,9 +155,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="samples a pixel, which may be rounded up (default: 64 in the stock flavour, the"
         " pixel's centre in the exact)",
-    )
-    parser.add_argument(
-        "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
     )
     parser.add_argument(
         "--render", action="store_true", help="render with Mitsuba: a PNG and an EXR"

@@ -6,18 +6,15 @@ Both sample the pixels' centres.  With --flavour exact (the default) all light i
 project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own parts.
 
 The verdict is one of three:
-  agrees     Mitsuba's picture is the tracer's.  Left out are pixels at edges, of which some may
-             differ, and ties: where surfaces coincide, Mitsuba may show the other one.
+  agrees     Mitsuba's picture is the tracer's.  Left out are some pixels at edges, where Mitsuba's
+             float32 may fall on the other side, and ties: where surfaces coincide, Mitsuba may
+             show the other one.
   DIFFERS    Exact arithmetic is against the tracer, or the pictures are too far apart as a whole.
   undecided  Exact arithmetic sides with the tracer: Mitsuba or the converter is wrong.
 
 Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or where
 Mitsuba cannot run, 3 if one is undecided and none is worse.
 """
-
-# An edge pixel changes when the tracer's sample moves by a hair (see `Limits`): there
-# Mitsuba's float32 may fall on the other side.  A tie shows what the oracle sees if it takes the
-# last of surfaces that tie, not the first.  No pixel of the tracer's takes the place of Mitsuba's.
 
 from __future__ import annotations
 
@@ -43,13 +40,13 @@ from numpy.typing import NDArray
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
 from converters.rendering import Rendering, load
-from converters.to_mitsuba import guarded, without_converted
+from converters.to_mitsuba import add_scenes, guarded, ready, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
 from reference.figures import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import file_name, output_paths
+from tracer.command.arguments import output_paths
 from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.messages import printable
 
@@ -342,28 +339,15 @@ def _nearby(scene: Scene) -> Iterator[tuple[Scene, float]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     used = parser("reference.check", __doc__)
-    used.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
-    used.add_argument(
-        "-o",
-        "--output",
-        type=file_name,
-        metavar="PATH",
-        help="the comparison to write, or a folder for those of several scenes;"
-        " a folder that ends in / is made if it is missing",
-    )
+    add_scenes(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
-    used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = used.parse_args(arguments)
     scenes = without_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     beside = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
     targets = output_paths(used, [*map(str, scenes)], options.output, beside)
-    try:
-        choice = use(options.variant)
-    except ImportError as error:
-        print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+    if not ready(options):
         return MISUSED
-    print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
     # Of a black picture the comparison says enough.
     warnings.simplefilter("ignore", SceneWarning)
     pairs = zip(scenes, map(Path, targets), strict=True)
