@@ -15,11 +15,10 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import gc
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,20 +62,9 @@ _LONG = 0.7
 _EIGHT_BITS = 1e-3
 
 
-class Point(NamedTuple):
-    """One method on one scene, at one number of samples a pixel: a row of the table.
-
-    `samples` of the certified tracer is one over the error that it certifies; `error` is the root
-    mean square of the linear radiance error; the median, least and largest time are in seconds.
-    """
-
-    scene: str
-    method: str
-    samples: int
-    error: float
-    seconds: float
-    low: float
-    high: float
+# `samples` of the certified tracer is one over the error that it certifies; `rmse` is of the linear
+# radiance; times, the median, the least and the largest, are in seconds.
+_COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
 def _all_pairs(scene: Scene, side: int) -> Floats:
@@ -104,8 +92,8 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
     }
 
 
-def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
-    """Time all methods on one scene, and measure their errors."""
+def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
+    """Time all methods on one scene, and measure their errors: rows of the table."""
     certified = _TRUE * (16 if quick else 1)
     truth, target = true_picture(scene, certified).image, built("povray.ppm")
     # Each of these errs by more than the next.
@@ -121,7 +109,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
             (method, times), picture = key, tasks[key]()
             error = rmse(povray.picture(target) if method == _POVRAY else picture, truth)
             if error > floor:
-                yield Point(name, method, times * 4**k, error, *timing)
+                yield (name, method, times * 4**k, error, *timing)
             if timing.median > _LONG or error <= floor:
                 long.add(key)
         tasks.clear()  # so that Mitsuba's scene goes before the next comes
@@ -130,13 +118,14 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
 def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """A panel for each scene; the names of the curves stand in the last one."""
     figure, grid = plt.subplots(6, 1, figsize=(WIDTH, 19), sharex=True, sharey=True)
-    points = [
-        Point(scene, method, int(samples), *map(float, figures))
-        for scene, method, samples, *figures in rows
-    ]
-    for axes, name in zip(grid, dict.fromkeys(point.scene for point in points), strict=False):
-        _panel(axes, [point for point in points if point.scene == name])
-        axes.set_title(name)
+    for axes, scene in zip(grid, dict.fromkeys(row[0] for row in rows), strict=False):
+        for method, look in _LOOK_OF.items():
+            points = [map(float, row[2:5]) for row in rows if row[:2] == [scene, method]]
+            # Of numbers of samples that make the same picture, the last.
+            curve = {error: seconds for _, error, seconds in sorted(map(tuple, points))}
+            axes.loglog(curve.values(), curve.keys(), label=method, **LOOKS[look])
+        axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
+        axes.set_title(scene)
         axes.minorticks_off()
         axes.tick_params(labelbottom=True)
         axes.set_ylabel("RMSE")
@@ -145,30 +134,6 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     grid[-1].legend(*grid[0].get_legend_handles_labels(), loc="center", fontsize=10)
     figure.subplots_adjust(0.14, 0.03, 0.97, 0.92, hspace=0.3)
     return figure
-
-
-def _panel(axes: Any, points: Sequence[Point]) -> None:
-    """Draw the curves of one scene."""
-    curves: dict[str, dict[float, Point]] = defaultdict(dict)
-    for point in sorted(points, key=lambda point: point.samples):
-        # Of numbers of samples that make the same picture, the last.
-        curves[point.method][point.error] = point
-    for method, curve in curves.items():
-        look = LOOKS[_LOOK_OF[method]]
-        axes.loglog([p.seconds for p in curve.values()], curve.keys(), label=method, **look)
-        for error, point in curve.items() if method in (_OURS, _CERTIFIED) else ():
-            text, right = str(point.samples), method == _CERTIFIED
-            axes.annotate(
-                f"1/{text}" if right else text,
-                (point.seconds, error),
-                (5, 3) if right else (-5, -3),
-                textcoords="offset points",
-                ha="left" if right else "right",
-                va="bottom" if right else "top",
-                fontsize=6.5,
-                color=look["color"],
-            )
-    axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:
@@ -186,7 +151,7 @@ def _scenes(quick: bool) -> dict[str, Scene]:
     }
 
 
-def _measure_all(quick: bool) -> Iterator[Point]:
+def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
     for name, scene in tqdm(_scenes(quick).items(), unit="scene"):
@@ -195,7 +160,6 @@ def _measure_all(quick: bool) -> Iterator[Point]:
 
 def main() -> None:
     """Measure, and draw the chart."""
-    columns = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
     note = (
         "Rendering alone. Error: root mean square in linear radiance, against a\n"
         "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
@@ -203,4 +167,4 @@ def main() -> None:
         "that no pixel exceeds."
     )
     texts = ("Time against error: lower left is better", note)
-    make_chart("speed_accuracy", __doc__, columns, _measure_all, _draw, texts)
+    make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)

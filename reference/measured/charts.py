@@ -19,28 +19,11 @@ __all__ = ["LOOKS", "WIDTH", "make_chart", "plt"]
 WIDTH = 5.6
 """Inches that a phone shows in full."""
 
-plt.rcParams.update(
-    {
-        "font.size": 10,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.edgecolor": "#888888",
-        "axes.labelcolor": "#333333",
-        "axes.titlelocation": "left",
-        "axes.titlepad": 9,
-        "axes.titlesize": 11.5,
-        "axes.titleweight": "bold",
-        "axes.grid": True,
-        "grid.color": "#e8e8e8",
-        "grid.linewidth": 0.7,
-        "legend.frameon": False,
-        "legend.handlelength": 3.2,
-        "xtick.color": "#555555",
-        "ytick.color": "#555555",
-        "svg.fonttype": "none",  # texts as texts: as outlines they would be most of the file
-        "svg.hashsalt": "pencil-tracer",
-    }
-)
+plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
+plt.rcParams.update({"axes.titlelocation": "left", "axes.titleweight": "bold"})
+plt.rcParams.update({"axes.edgecolor": "#888888", "grid.color": "#e8e8e8", "legend.frameon": False})
+# Texts stay texts, which as outlines would be most of the file; and files stay the same.
+plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "pencil-tracer"})
 
 
 def _look(color: str, dashes: Any, marker: str, size: float = 5.0, width: float = 1.6) -> Any:

@@ -1,4 +1,4 @@
-"""The scenes of this project: readable, commented, reproducible."""
+"""The scenes of this project: readable, commented, and what they say."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 import tracer
 from reference.command import SCENES, own_scenes
-from reference.generate import many_objects, write
 
 PATHS = own_scenes()
 
@@ -38,18 +37,6 @@ def test_says_what_it_shows_and_shows_something(path: Path) -> None:
     # Neither an empty picture nor one that is burnt out.
     assert seen.mean() > 0.1
     assert (image[seen].min(axis=1) > 1).mean() < 0.05
-
-
-def test_is_what_is_generated(tmp_path: Path) -> None:
-    assert len(PATHS) >= 12
-    for path in write(tmp_path):
-        assert path.read_bytes() == (SCENES / path.name).read_bytes()
-
-
-def test_seed_and_count() -> None:
-    surfaces = many_objects(count=30, seed=7).surfaces
-    assert (len(surfaces.min_pt), len(surfaces.radius)) == (10, 20)
-    assert many_objects(30, seed=7) != many_objects(30, seed=8)
 
 
 STICKS = ("sticks-perspective", "sticks-axonometric", "sticks-orthographic", "sticks-shifted")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from reference import sheet
+from reference import regenerate
 from reference.command import own_scenes
 from tracer import SceneFileError, load_scene
 
@@ -98,5 +98,5 @@ def test_the_map_names_every_module_of_the_tracer() -> None:
 
 def test_the_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five square scenes and nine wide ones make a row and three."""
-    monkeypatch.setattr(sheet, "_SAMPLES", 1)
-    assert sheet.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
+    monkeypatch.setattr(regenerate, "_SAMPLES", 1)
+    assert regenerate.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
