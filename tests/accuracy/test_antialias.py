@@ -119,52 +119,6 @@ def test_objects_between_pixel_centres(radius, samples):
     assert total == pytest.approx(2 / 3 * np.pi * radius**2, rel=0.05)
 
 
-def test_straight_edges_are_exact():
-    # The eye is 100 away and the wall in the plane of the picture: 0.3 is 4/5 into column 36.
-    image = render(view(wall(0.3, 9), pixels=64), samples=16)
-    assert image[:, 36] == pytest.approx(0.8 * image[:, 35], abs=0.01)
-
-
-@pytest.mark.parametrize("height", [0.37, 0.8125])
-def test_a_level_horizon_is_exact(height):
-    # The edge of a floor that begins behind the eye, level to the last bit: the light is so
-    # far above it that only the background is dark.  The eye is 1 over the floor, which ends 10
-    # ahead: 0.8 below the eye on a window 8 ahead, raised until so much of row 32, 1/16 high, is
-    # floor.
-    floor = Box(min_pt=(-99, -2, -10), max_pt=(99, -1, 100))
-    ahead = (0, ((1 - height) / 16 - 0.8) / 8, -1)
-    window = {"view_point": (0, 0, 0), "view_dir": ahead, "proj_normal": (0, 0, 1)}
-    scene = view(floor, light=(0, 1e6, 0), pixels=64, proj_distance=8, **window)
-    image = render(scene, samples=16)
-    # On the slant the window is a little nearer than it is told to be.
-    assert image[32] == pytest.approx(height * image[33], abs=0.02)
-
-
-@pytest.mark.parametrize("occluder", ["sphere", "box"])
-@pytest.mark.parametrize("receiver", ["plane", "ball"])
-def test_shadows_between_pixel_centres(occluder, receiver):
-    # An object halfway to the light throws a shadow twice its size around a pixel corner.
-    at, size = np.array([0.25, 0.25, 5.0]), 0.02
-    ground = wall(9, 9) if receiver == "plane" else Sphere(center=(0, 0, -50), radius=50)
-    tiny = Box(min_pt=at - size, max_pt=at + size)
-    if occluder == "sphere":
-        tiny = Sphere(center=at, radius=size)
-    with_it, without = view(ground, tiny), view(ground)
-    darker = render(without, samples=64) - render(with_it, samples=64)
-    # Each of the four pixels loses a quarter of the shadow: a disc of radius 0.04, or more.
-    assert (darker[CORNER] > 0.5 * (np.pi * 0.04**2 / 4) * 16).all()
-    assert np.array_equal(render(without)[CORNER], render(with_it)[CORNER])
-
-
-def test_tip_of_one_object_in_another():
-    # A ball that comes a little way through a slab: a cap smaller than a pixel, at a corner.
-    slab, cap = wall(9, 9), Sphere(center=(0.5, 0.5, -0.9999), radius=1, shader=RED)
-    assert (render(view(slab, cap))[..., 1] > 0).all()
-    less = render(view(slab), samples=4096) - render(view(slab, cap), samples=4096)
-    # The cap's radius is sqrt(2 * 0.0001).
-    assert (less[CORNER][..., 1] > 0.5 * (np.pi * 0.0002 / 4) * 16).all()
-
-
 @pytest.mark.parametrize(("name", "better"), [("one-sphere", 9), ("four-spheres", 14)])
 def test_silhouettes_and_terminators_are_nearly_exact(name, better):
     # Both are known in closed form, with how light falls off towards them.
