@@ -30,7 +30,7 @@ from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import HERE, SCENES, built, own_scenes, parser
-from reference.measured.measurements import Task, Timing, interleaved, measured_on, peak, process
+from reference.measured.measurements import Task, Timing, interleaved, measured_on, process
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
@@ -189,25 +189,7 @@ def frames(quick: bool) -> str:
     )
 
 
-def memory(quick: bool) -> str:
-    """Measure the peak resident memory of whole processes."""
-    sticks = load_scene(SCENES / "sticks-perspective.xml")
-    scenes = {"sticks-perspective 2560×1440": resized(sticks, *_LARGE)}
-    if not quick:
-        scenes["100,000 objects 640×360"] = crowd(100_000)
-        scenes["sticks-perspective 8192×8192"] = resized(sticks, 8192, 8192)
-    rows, path = list[tuple[str, str]](), built("scene.xml")
-    for name, scene in scenes.items():
-        save_scene(scene, path)
-        rows.append((name, f"{peak(*_tracer(path)):.0f}"))
-    note = (
-        "Peak resident MB of the largest process of `python -m tracer`; Python with NumPy alone"
-        f" takes {peak(sys.executable, '-c', 'import numpy'):.0f}."
-    )
-    return table("Memory", note, ("scene", "tracer"), rows)
-
-
-SECTIONS: list[Section] = [whole_process, rendering, frames, memory]
+SECTIONS: list[Section] = [whole_process, rendering, frames]
 
 
 def main() -> None:

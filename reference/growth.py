@@ -25,21 +25,13 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
 from converters.variant import LLVM, mi, use
 from reference.command import built
-from reference.measured.charts import LOOKS, WIDTH, make_chart, plt
+from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import Task, interleaved
 from reference.measured.workloads import crowd
 from tracer import load_scene, render, save_scene
 
-_DOTTED = {"ls": ":", "lw": 1.6}
-_LOOK_OF = {
-    "this tracer": LOOKS["tracer"],
-    "loading in this tracer": LOOKS["tracer"] | _DOTTED,
-    "xml.etree alone": LOOKS["a"] | _DOTTED,
-    "loading in Mitsuba": LOOKS["f"] | _DOTTED,
-    "Mitsuba, with loading": LOOKS["g"],
-    "Mitsuba, warm": LOOKS["f"],
-}
-
+_OURS = ["this tracer", "loading in this tracer", "xml.etree alone"]
+_CURVES = [*_OURS, "loading in Mitsuba", "Mitsuba, with loading", "Mitsuba, warm"]
 _COUNTS = (100, 300, 1000, 3000, 10_000, 30_000, 100_000)
 
 # With more objects than this, Mitsuba loads a scene only once: it takes many seconds.
@@ -77,16 +69,16 @@ def _measure(quick: bool) -> Iterator[tuple[str, int, float]]:
     mi.set_log_level(mi.LogLevel.Error)
     _mitsuba(exact(crowd(10)))  # threads start, and what is common to all kernels is compiled
     for count in _COUNTS[:3] if quick else _COUNTS:
-        for name, seconds in zip(_LOOK_OF, _seconds(count), strict=True):
+        for name, seconds in zip(_CURVES, _seconds(count), strict=True):
             yield name, count, seconds
 
 
 def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """One panel, both of its axes logarithmic."""
     figure, axes = plt.subplots(figsize=(WIDTH, 5))
-    for name, look in _LOOK_OF.items():
+    for name in _CURVES:
         points = [(int(count), float(seconds)) for curve, count, seconds in rows if curve == name]
-        axes.loglog(*np.transpose(points), label=name, **look)
+        axes.loglog(*np.transpose(points), label=name)
     axes.set_xlabel("objects")
     axes.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}")
     axes.yaxis.set_major_formatter(lambda y, _: f"{y:g} s" if y >= 1 else f"{1e3 * y:g} ms")

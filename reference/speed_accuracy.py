@@ -32,7 +32,7 @@ from reference.command import SCENES, built
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import rmse, supersampled, true_picture
-from reference.measured.charts import LOOKS, WIDTH, make_chart, plt
+from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render
@@ -40,14 +40,8 @@ from tracer import Scene, load_scene, render
 Floats: TypeAlias = NDArray[np.float64]
 
 _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
-_LOOK_OF = {
-    _OURS: "tracer",
-    _CERTIFIED: "d",
-    "uniform grid": "a",
-    "float32, all pairs": "b",
-    _POVRAY: "c",
-    "Mitsuba multijitter": "f",
-}
+_GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
+_METHODS = (_OURS, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED, _MITSUBA)
 
 # From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
@@ -86,9 +80,9 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
         # With 9, 36, 144, ... samples a pixel: the others have powers of four.
         (_OURS, 9): partial(render, scene, 9 * 4**k),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
-        ("uniform grid", 1): partial(supersampled, scene, 2**k),
-        ("float32, all pairs", 1): partial(_all_pairs, scene, 2**k),
-        ("Mitsuba multijitter", 1): lambda: np.array(mi.render(loaded)),
+        (_GRID, 1): partial(supersampled, scene, 2**k),
+        (_ALL_PAIRS, 1): partial(_all_pairs, scene, 2**k),
+        (_MITSUBA, 1): lambda: np.array(mi.render(loaded)),
     }
 
 
@@ -119,11 +113,11 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """A panel for each scene; the names of the curves stand in the last one."""
     figure, grid = plt.subplots(6, 1, figsize=(WIDTH, 19), sharex=True, sharey=True)
     for axes, scene in zip(grid, dict.fromkeys(row[0] for row in rows), strict=False):
-        for method, look in _LOOK_OF.items():
+        for method in _METHODS:
             points = [map(float, row[2:5]) for row in rows if row[:2] == [scene, method]]
             # Of numbers of samples that make the same picture, the last.
             curve = {error: seconds for _, error, seconds in sorted(map(tuple, points))}
-            axes.loglog(curve.values(), curve.keys(), label=method, **LOOKS[look])
+            axes.loglog(curve.values(), curve.keys(), label=method)
         axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
         axes.set_title(scene)
         axes.minorticks_off()

@@ -13,7 +13,6 @@ from tracer.command.process import run
 if __name__ == "__main__":
     run(__spec__.name)
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from reference.judges import plain
-from reference.measured.charts import LOOKS, WIDTH, make_chart, plt
+from reference.measured.charts import WIDTH, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -94,21 +93,20 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
-METHODS: dict[str, tuple[str, Method]] = {
-    "this tracer": ("tracer", render),
-    "float64, textbook": ("a", partial(plain.render, spheres="textbook")),
-    "float64, multiplied out": ("a", partial(plain.render, spheres="expanded")),
-    "float64, pow(n·h, e)": ("a", plain.render),
-    "float32, closest approach": ("b", _FLOAT32),
-    "float32, pow(n·h, e)": ("b", _FLOAT32),
-    "float32, textbook": ("c", partial(_FLOAT32, spheres="textbook")),
-    "t > 0": ("a", partial(plain.render, shadows="t>0")),
-    "t > 1e-4": ("b", partial(plain.render, shadows="t>1e-4")),
-    "t > 1e-6": ("c", partial(plain.render, shadows="t>1e-6")),
-    "normal offset 1e-4": ("d", partial(plain.render, shadows="normal")),
-    "offset of 256 ulp": ("e", partial(plain.render, shadows="ulps")),
+METHODS: dict[str, Method] = {
+    "this tracer": render,
+    "float64, textbook": partial(plain.render, spheres="textbook"),
+    "float64, multiplied out": partial(plain.render, spheres="expanded"),
+    "float64, pow(n·h, e)": plain.render,
+    "float32, closest approach": _FLOAT32,
+    "float32, pow(n·h, e)": _FLOAT32,
+    "float32, textbook": partial(_FLOAT32, spheres="textbook"),
+    "t > 0": partial(plain.render, shadows="t>0"),
+    "t > 1e-4": partial(plain.render, shadows="t>1e-4"),
+    "t > 1e-6": partial(plain.render, shadows="t>1e-6"),
+    "normal offset 1e-4": partial(plain.render, shadows="normal"),
+    "offset of 256 ulp": partial(plain.render, shadows="ulps"),
 }
-"""The look of each method's curve, and its pictures."""
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
@@ -173,7 +171,7 @@ PANELS = (
 
 def measure(panel: Panel, name: str, at: Iterable[float]) -> Floats:
     """The judge's verdict on a method, at each place of a panel's axis."""
-    draw, found = METHODS[name][1], list[float]()
+    draw, found = METHODS[name], list[float]()
     for x in at:
         scenes = [panel.scene(near * float(x)) for near in panel.nearby]
         found.append(max(panel.judge(draw(scene), _exact(scene)) for scene in scenes))
@@ -209,23 +207,21 @@ def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
     pictures = parts[0].subplots(2, len(STRIP))
     parts[0].subplots_adjust(left=0.03, right=0.97, top=0.66, bottom=0.0, wspace=0.06, hspace=0.0)
     for (title, scene, method), (above, below) in zip(STRIP, pictures.T, strict=True):
-        for axes, draw in ((above, METHODS[method][1]), (below, render)):
+        for axes, draw in ((above, METHODS[method]), (below, render)):
             axes.imshow(to_codes(np.nan_to_num(draw(scene))))
             axes.axis("off")
         above.set_title(f"{title}\n{method}", fontsize=8)
     grid = parts[1].subplots(len(PANELS), 1)
     parts[1].subplots_adjust(left=0.13, right=0.95, top=0.98, bottom=0.055, hspace=1.05)
     for axes, panel in zip(grid, PANELS, strict=True):
-        curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
-        for title, x, name, value in rows:
-            if title == panel.title:
-                curves[name].append((float(x), float(value)))
-        _panel(axes, panel, {name: np.array(points).T for name, points in curves.items()})
+        _panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title])
     return figure
 
 
-def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
-    """Draw curves, each (2, n): where on the axis, and the verdict there."""
+def _panel(axes: Any, panel: Panel, rows: Sequence[Sequence[str]]) -> None:
+    """Draw the curves of a panel, of its rows: where on the axis, the method, the verdict."""
+    names = ("this tracer", *panel.methods)
+    curves = {name: np.array([r[::2] for r in rows if r[1] == name], float).T for name in names}
     error, at = panel.judge is largest_error, curves["this tracer"][0]
     scene = panel.scene(at[0])
     floor, top = (_DIGITS, 1.0) if error else (25 / (scene.width * scene.height), 100.0)
@@ -242,9 +238,9 @@ def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
     axes.minorticks_off()
     for name, (_, values) in curves.items():
         shown = np.where(values <= floor, none[name], np.minimum(values, top))
-        axes.plot(at, shown, **LOOKS[METHODS[name][0]], label=name, clip_on=False)
+        axes.plot(at, shown, label=name, clip_on=False)
     for power, name in enumerate(panel.guides, 1):
-        look = {"color": "#888888", "lw": 1, "ls": ":" if power == 1 else "-.", "zorder": 1}
+        look = {"color": "#888888", "marker": "", "lw": 1, "ls": ":" if power == 1 else "-."}
         axes.plot(at, np.outer(at**power, (2.0**-24, 2.0**-53)), **look, label=[name, None])
     axes.legend(loc="upper center", bbox_to_anchor=(0.46, -0.3), fontsize=8, ncols=2)
 

@@ -1,4 +1,4 @@
-"""What the charts share: the look of their curves, and how they are measured, stored and drawn."""
+"""What the charts share: how their curves look, and how they are measured, stored and drawn."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+from cycler import cycler
 
 from reference.command import HERE, built, parser
 from reference.measured.measurements import measured_on, read_csv, write_csv
 
-__all__ = ["LOOKS", "WIDTH", "make_chart", "plt"]
+__all__ = ["WIDTH", "make_chart", "plt"]
 
 WIDTH = 5.6
 """Inches that a phone shows in full."""
@@ -22,26 +23,17 @@ WIDTH = 5.6
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
 plt.rcParams.update({"axes.titlelocation": "left", "axes.titleweight": "bold"})
 plt.rcParams.update({"axes.edgecolor": "#888888", "grid.color": "#e8e8e8", "legend.frameon": False})
+plt.rcParams.update({"lines.markeredgecolor": "white", "lines.markeredgewidth": 0.5})
 # Texts stay texts, which as outlines would be most of the file; and files stay the same.
 plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "pencil-tracer"})
-
-
-def _look(color: str, dashes: Any, marker: str, size: float = 5.0, width: float = 1.6) -> Any:
-    line = {"color": color, "ls": dashes, "lw": width}
-    return line | {"marker": marker, "ms": size, "mec": "white", "mew": 0.5}
-
-
-# Okabe and Ito's colours; every look also has its own dashes and marker, for print in grey.
-LOOKS: dict[str, dict[str, Any]] = {
-    "tracer": _look("#000000", "-", "o", 5.5, 3.0) | {"zorder": 5},
-    "a": _look("#d55e00", "-", "s", 4.5),
-    "b": _look("#cc79a7", "--", "D", 4.0),
-    "c": _look("#b8860b", "-.", "v"),
-    "d": _look("#009e73", (0, (5, 1.5, 1, 1.5, 1, 1.5)), "P", 6.0),
-    "e": _look("#56b4e9", (0, (1.2, 1.2)), "X"),
-    "f": _look("#0072b2", (0, (7, 2)), "^"),
-    "g": _look("#7b5fc4", (0, (3, 1, 1, 1)), "<"),
-}
+# This tracer is black; the others have Okabe and Ito's colours, and for print in grey each its own
+# dashes and marker.
+plt.rcParams["axes.prop_cycle"] = (
+    cycler(color=["#000000", "#d55e00", "#cc79a7", "#b8860b", "#009e73", "#56b4e9", "#0072b2"])
+    + cycler(ls=["-", "-", "--", "-.", (0, (5, 1, 1, 1, 1, 1)), ":", (0, (7, 2))])
+    + cycler(marker="osDvPX^")
+    + cycler(lw=[3.0, *[1.6] * 6])
+)
 
 
 def make_chart(

@@ -1,4 +1,4 @@
-"""Times of tasks that run in turns, memory of processes, and tables as CSV with their origin."""
+"""Times of tasks that run in turns, and tables of them as CSV, with their origin."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import platform
 import re
 import shlex
 import subprocess
-import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import metadata
@@ -77,22 +76,6 @@ def process(command: Sequence[str]) -> Task:
     """
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
-
-
-# A process starts out with its parent's peak memory: a small one must be in between.
-_WATCH = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-"""
-
-
-def peak(*command: str, given: bytes = b"") -> float:
-    """Peak resident memory of a process that is given input, or of its largest worker, MB."""
-    watch = [sys.executable, "-c", _WATCH, *command]
-    done = subprocess.run(watch, input=given, stdout=subprocess.PIPE, check=True)
-    # In kibibytes on Linux, in bytes on macOS.
-    return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 def write_csv(

@@ -44,6 +44,22 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     return process.returncode, out, err
 
 
+# A process starts out with its parent's peak memory: a small one must be in between.
+_WATCH = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def peak(*command: str, given: bytes = b"") -> float:
+    """Peak resident memory of a process that is given input, or of its largest worker, MB."""
+    watch = [sys.executable, "-c", _WATCH, *command]
+    done = subprocess.run(watch, input=given, stdout=subprocess.PIPE, check=True, env=ENVIRONMENT)
+    # In kibibytes on Linux, in bytes on macOS.
+    return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
+
+
 def names(folder: Path) -> list[str]:
     """Files in a folder and below, but for the first scene in it."""
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())

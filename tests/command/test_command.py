@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 import tqdm
 from PIL import Image
-from running import SCENE, names, run, started
+from running import SCENE, names, peak, run, started
 
 import tracer
 from converters import to_mitsuba
-from reference.measured.measurements import peak
 from tracer.command import cli
 from tracer.picture.png import Compressed
 from tracer.picture.render import Tile

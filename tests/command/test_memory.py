@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from probe import scene_of
+from running import peak
 
-from reference.measured.measurements import peak
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 
 
