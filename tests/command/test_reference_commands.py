@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from messages import run_python, told
+from running import run_python, told
 
 
 @pytest.mark.parametrize(

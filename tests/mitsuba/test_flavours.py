@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import run_python
 from probe import close_up, moved, scene_of
+from running import run_python
 from scene_files import small
 
 from converters.camera import visible_points, window_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import run_python, told
 from PIL import Image
+from running import run_python, told
 from scene_files import ONE_SPHERE, codes, small_one
 
 from converters.to_mitsuba import main

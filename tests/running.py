@@ -15,8 +15,9 @@ import tracer
 SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint></camera><image>{} {}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
 
+ROOT = Path(tracer.__file__).parents[1]
 # The tracer under test, whatever folder a process starts in.
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(tracer.__file__).parents[1])}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
 
 
@@ -42,6 +43,20 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     with started(*arguments, **options) as process:
         out, err = process.communicate(input)
     return process.returncode, out, err
+
+
+def run_python(
+    *arguments: str, cwd: Path = ROOT, stdout: int = subprocess.PIPE, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with this project's packages."""
+    command, environment = [sys.executable, *arguments], ENVIRONMENT | environment
+    options: Any = PIPES | {"stdout": stdout, "timeout": 120}
+    return subprocess.run(command, cwd=cwd, env=environment, **options)
+
+
+def told(err: str) -> str:
+    """What a command wrote to stderr, without Dr.Jit's lines there if it has found no libLLVM."""
+    return "".join(line for line in err.splitlines(True) if not line.startswith("jit"))
 
 
 # A process starts out with its parent's peak memory: a small one must be in between.
