@@ -31,8 +31,6 @@ from reference.command import parser
 from tracer import Phong, Scene, SceneFileError, Sphere, load_scene, write_png
 from tracer.messages import printable
 
-__all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "TIES", "Seen", "render", "trace"]
-
 Array: TypeAlias = NDArray[Any]
 """Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
@@ -75,16 +73,18 @@ def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Arr
 
 def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The quadratic formula as most textbooks print it: error grows as eps D^2."""
-    m, a = o - c, _dot(d, d)
-    b = 2 * _dot(m, d)
-    root = np.sqrt(b * b - 4 * a * (_dot(m, m) - r * r))
-    return (-b - root) / (2 * a), (-b + root) / (2 * a)
+    m = o - c
+    return _quadratic(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
 
 
 def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The same with |o - c|^2 multiplied out: error grows as the square of an offset, too."""
-    a, b = _dot(d, d), 2 * (_dot(o, d) - _dot(c, d))
-    root = np.sqrt(b * b - 4 * a * (_dot(o, o) - 2 * _dot(o, c) + _dot(c, c) - r * r))
+    away2 = _dot(o, o) - 2 * _dot(o, c) + _dot(c, c)
+    return _quadratic(_dot(d, d), 2 * (_dot(o, d) - _dot(c, d)), away2 - r * r)
+
+
+def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 

@@ -38,11 +38,6 @@ class Timing(NamedTuple):
     low: float
     high: float
 
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> Timing:
-        """Sum up what was measured."""
-        return cls(median(seconds), min(seconds), max(seconds))
-
     def __str__(self) -> str:
         shown, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
         return shown if self.low == self.high else f"{shown} ({low}–{high})"
@@ -66,7 +61,7 @@ def interleaved(
                 seconds = task()
                 spent = perf_counter() - start
                 taken[name].append(seconds if isinstance(seconds, float) else spent)
-    return {name: Timing.of(seconds) for name, seconds in taken.items()}
+    return {name: Timing(median(s), min(s), max(s)) for name, s in taken.items()}
 
 
 def process(command: Sequence[str]) -> Task:

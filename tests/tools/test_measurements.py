@@ -38,7 +38,7 @@ def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
 
 
 def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: Path) -> None:
-    time = measurements.Timing.of([0.04, 0.05, 0.09])
+    time = measurements.Timing(0.05, 0.04, 0.09)
     rows = [("room", time, 0.25), ("far", time, 42.4)]
     assert benchmark.table("Title", "A note.", ("scene", "time", "ratio"), rows) == (
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
