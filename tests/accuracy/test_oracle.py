@@ -20,7 +20,7 @@ from scene_files import NAMES, names, small
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
 from reference.measured.workloads import resized
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render, write_png
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 
 # The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the
 # ground sees points rounded by 2^24 EPS; an eye at 10^-9 over a floor has its points further along.
@@ -219,13 +219,3 @@ def test_ground_radius_over_height(ratio, height):
         return scene_of(surface, camera=camera, size=(5, 5), lights=lights)
 
     assert worst(ground() for _ in range(8)) <= 3e-9
-
-
-def test_command_writes_the_picture(tmp_path, monkeypatch, capsys):
-    path, right = tmp_path / "plain.png", tmp_path / "right.png"
-    scene = SCENES / "one-sphere.xml"
-    monkeypatch.setattr("sys.argv", ["plain", str(scene), "-o", str(path), "--shadows", "t>1e-4"])
-    plain.main()
-    assert capsys.readouterr().out == f"{path}\n"
-    write_png(right, render(load_scene(scene)))
-    assert path.read_bytes() == right.read_bytes()
