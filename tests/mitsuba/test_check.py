@@ -12,7 +12,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from PIL import Image
-from probe import close_up, moved
+from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
 from running import run_python
 from scene_files import overflowing, small, small_one
@@ -23,7 +23,7 @@ from reference import check
 from reference.check import STOCK, check_diffuse, check_scene, compare, main, near_edges
 from reference.command import SCENES
 from reference.regenerate import load_small
-from tracer import Box, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 
 BALL, DOT = Sphere(), Sphere(radius=0.3)
 WALL = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0))
@@ -45,6 +45,16 @@ ODD = {
     "brighter": replace(
         close_up(BALL), lights=(PointLight(position=(3, 4, 5), intensity=(300,) * 3),)
     ),
+    # Rays start on a box around the scene, and it on none of its sides.
+    **{
+        f"along {axis}": scene_of(
+            WALL,
+            camera=Camera(view_point=5 * axis, view_dir=-axis, view_up=np.roll(axis, 1)),
+            size=(24, 24),
+            lights=[PointLight(position=9 * axis)],
+        )
+        for axis in (*np.eye(3), *-np.eye(3))
+    },
     "sun": close_up(BALL, light=(3e20, 5e20, 4e20)),
     # What is written is ten units large, even where float32 could not hold the scene.
     "tiny": moved(close_up(DOT), 1e-45),

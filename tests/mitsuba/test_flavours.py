@@ -75,6 +75,14 @@ def test_a_large_ground_is_not_speckled_in_the_stock_flavour():
     assert figures(image, render(scene, samples=16)).ssim > 0.85
 
 
+def test_a_large_ground_is_lit_in_the_exact_flavour():
+    """Hit points err by some roundings of its radius, by which no point is shaded."""
+    scene = close_up(Sphere(center=(0, -1000.3, 0), radius=1000))
+    camera = replace(scene.camera, view_point=(0, 1, 5), view_dir=(0, -0.2, -1))
+    scene = replace(scene, camera=camera)
+    assert np.abs(render_mitsuba(scene, variant=SCALAR) - render(scene)).max() < 1e-4
+
+
 @pytest.mark.parametrize("flavour", SAMPLES)
 def test_what_nothing_is_made_of_is_left_out(flavour):
     odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
@@ -140,10 +148,27 @@ def test_boxes_keep_their_thickness_wherever_they_are():
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
     for flavour, scale in ((stock, 1.0), (exact, normalisation(close_up(thin, flat)).scale)):
         root = ET.fromstring(flavour(close_up(thin, flat)))
-        halves = [[float(s.get(k, "")) for k in "xyz"] for s in root.iter("scale")]
+        halves, middles = (
+            np.array([[float(s.get(k, "")) for k in "xyz"] for s in root.iter(name)])
+            for name in ("scale", "translate")
+        )
         np.testing.assert_allclose(halves[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
         assert halves[1][0] == pytest.approx(0.5 * scale)
-        assert 0 < halves[1][2] < 3 * scale
+        # What is flat is so thick that float32 tells its faces apart, and no thicker.
+        assert halves[1][2] == pytest.approx(1e-6 * np.abs(middles).max(), rel=1e-3)
+
+
+def test_lights_get_as_many_samples_each():
+    """In a grid of whole rows, as Mitsuba's multijitter has it."""
+    for lights, samples, taken in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
+        scene = replace(TINY, lights=[*TINY.lights][:1] * lights)
+        assert f'<integer name="sample_count" value="{taken}"/>' in stock(scene, samples)
+
+
+def test_beside_an_enormous_ball_a_stock_scene_stays_large_enough_for_shadow_rays():
+    ground = Sphere(center=(0, -1e12 - 1, 0), radius=1e12)
+    root = ET.fromstring(stock(close_up(Sphere(radius=0.5), ground)))
+    assert float(root.find(".//shape/float").get("value")) > 1e-5
 
 
 def test_the_window_may_be_measured_in_pixels():
@@ -225,3 +250,5 @@ def test_visible_points_lie_on_the_nearest_surface():
     on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.5) & (points[:, 2] > 0)
     assert (on_ball | np.isclose(points[:, 2], -1)).all()
     assert 0 < on_ball.sum() < len(points)
+    # Where few rays hit anything, more are sent.
+    assert len(visible_points(close_up(Sphere(radius=0.05)))) >= 12
