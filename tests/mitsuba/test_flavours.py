@@ -245,10 +245,18 @@ def test_visible_points_of_a_room_are_on_its_walls(room, distances):
 
 
 def test_visible_points_lie_on_the_nearest_surface():
-    scene = close_up(Sphere(radius=0.5), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
+    scene = close_up(Sphere(radius=0.45), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
     points = visible_points(scene)
-    on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.5) & (points[:, 2] > 0)
+    on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.45) & (points[:, 2] > 0)
     assert (on_ball | np.isclose(points[:, 2], -1)).all()
-    assert 0 < on_ball.sum() < len(points)
+    assert 0 < on_ball.sum() < len(points) == 144
+    # None of the wall behind the ball.
+    ways = points[~on_ball] - (0, 0, 5)
+    past = np.linalg.norm(np.cross(ways, (0, 0, 5)), axis=1) / np.linalg.norm(ways, axis=1)
+    assert past.min() >= 0.45
     # Where few rays hit anything, more are sent.
     assert len(visible_points(close_up(Sphere(radius=0.05)))) >= 12
+    # Rows of rays are 1/8 apart on a box's front, and none of them leaves it out.
+    assert (
+        len(visible_points(close_up(Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))))) == 64
+    )
