@@ -82,9 +82,6 @@ def test_lattices_of_edges_in_their_own_directions(slope, monkeypatch):
 
 
 BALL = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
-RED = Lambertian(diffuse=(1, 0, 0))
-# Around (0.5, 0.5), a corner of four of 16 x 16 pixels.
-CORNER = np.s_[5:7, 9:11]
 
 
 def view(*surfaces: Surface, light: Vector = (0, 0, 10), pixels: int = 16, **camera) -> Scene:
@@ -105,18 +102,6 @@ def test_numbers_of_samples():
     np.testing.assert_allclose(render(view(BALL), samples=1), fine, atol=1e-12)
     # Others are rounded up to squares.
     assert np.array_equal(render(view(BALL), samples=5), render(view(BALL), samples=9))
-
-
-@pytest.mark.parametrize(("radius", "samples"), [(0.02, 1024), (0.05, 256), (0.1, 256)])
-def test_objects_between_pixel_centres(radius, samples):
-    # Centred on a corner of four pixels: no pixel's centre, 1/8 away, sees it.
-    scene = view(Sphere(center=(0.5, 0.5, 0), radius=radius))
-    assert not render(scene).any()
-    assert (render(scene, samples=256) > 0).any(axis=2).sum() == 4
-    # A Lambertian disc under a light from the front shines with 2/3 on average; its four
-    # quarters are spread over pixels of area 1/16.
-    total = render(scene, samples=samples)[..., 0].sum() / 16
-    assert total == pytest.approx(2 / 3 * np.pi * radius**2, rel=0.05)
 
 
 @pytest.mark.parametrize(("name", "better"), [("one-sphere", 9), ("four-spheres", 14)])

@@ -209,6 +209,9 @@ def test_the_camera_is_that_of_the_scene_file():
     np.testing.assert_allclose(window.center, [-6, 0, 8], atol=1e-14)
     np.testing.assert_allclose(window.points(0, 0), [-8, 1, -8], atol=1e-14)
     np.testing.assert_allclose(window.points(1, 0.5), [-4, 0, -8], atol=1e-14)
+    # No square of a length overflows.
+    ahead = window_of(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
+    np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)
 
 
 def test_normalised_scene_is_centred_and_ten_units_large():
