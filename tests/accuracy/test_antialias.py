@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import Surface, Vector, scene_of
+from probe import Surface, scene_of
 from random_scenes import random_scene
 from scene_files import NAMES, names
 from uniform_grid import TRUE, no_worse_than_the_uniform_grid, uniform
@@ -84,16 +84,10 @@ def test_lattices_of_edges_in_their_own_directions(slope, monkeypatch):
 BALL = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
 
 
-def view(*surfaces: Surface, light: Vector = (0, 0, 10), pixels: int = 16, **camera) -> Scene:
+def view(*surfaces: Surface, pixels: int = 16) -> Scene:
     """So many pixels a side, all together of size 4 on the plane z = 0, seen from far away."""
-    lens = {"view_point": (0, 0, 100), "proj_distance": 100, "view_width": 4, "view_height": 4}
-    window = Camera(**{**lens, **camera})
-    return scene_of(*surfaces, camera=window, size=(pixels, pixels), lights=light)
-
-
-def wall(right: float, top: float, z: float = 0, **shader) -> Box:
-    """Reaches far to the left, below and behind."""
-    return Box(min_pt=(-9, -9, -9), max_pt=(right, top, z), **shader)
+    camera = Camera(view_point=(0, 0, 100), proj_distance=100, view_width=4, view_height=4)
+    return scene_of(*surfaces, camera=camera, size=(pixels, pixels), lights=(0, 0, 10))
 
 
 def test_numbers_of_samples():
@@ -118,7 +112,8 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
     counts, candidates = [], visibility._candidates
     at = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
     lights = [PointLight(position=position, intensity=(0.03,) * 3) for position in at]
-    scene = replace(view(wall(9, 9, -1), BALL, pixels=24), lights=lights)
+    wall = Box(min_pt=(-9, -9, -9), max_pt=(9, 9, -1))
+    scene = replace(view(wall, BALL, pixels=24), lights=lights)
 
     def noted(prepared, samples):
         counts.append(samples.size)

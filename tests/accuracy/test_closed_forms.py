@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from probe import EPS, colored, moved, one_ray, radiance_along, scene_of
+from probe import EPS, colored, one_ray, radiance_along, scene_of
 
 from reference.judges import plain
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Sphere, render
@@ -293,27 +293,6 @@ def test_highlights_at_all_angles(tilt, exponent):
         seen = radiance_along(eye, (-eye[0], -eye[1], 0), light, floor)
         exact = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
         assert seen == pytest.approx(exact, abs=1e-10)
-
-
-def test_no_row_of_holes():
-    # Rows 0 and 1 pass above the cube, row 2 lies in its top, rows 3 and 4 meet it; all columns
-    # do: the window 2 x 2 at distance 4 is the cube's face, at 0.8 of its size.
-    camera = Camera(view_point=(0, 1, 5), proj_distance=4, view_width=2, view_height=2)
-    image = render(scene_of(CUBE, camera=camera, size=(5, 5), lights=(0, 1, 5)))
-    assert (image[:, :, 0] > 0).tolist() == 2 * [[False] * 5] + 3 * [[True] * 5]
-
-
-@pytest.mark.parametrize("scale", [1e-8, 2.0**-40, 1e-6, 1.0, 2.0**40, 1e8])
-def test_shadow_at_the_contact(scale):
-    # The cube stands on a floor at y = -1, which is listed first.  The light (4, 5, -3) lies on a
-    # line with the cube's vertex (1, 1, -1) and the point (-0.5, -1, 0) in the contact face, which
-    # the eye within the cube sees.
-    floor = Box(min_pt=(-9, -3, -9), max_pt=(9, -1, 9))
-    scene = one_ray((-0.5, 0, 0), DOWN, (4, 5, -3), floor, CUBE)
-    assert not render(moved(scene, scale)).any()
-    # Without the cube: l = (4.5, 6, -3) / sqrt(65.25).
-    alone = moved(replace(scene, surfaces=[floor]), scale)
-    assert render(alone) == pytest.approx(np.full((1, 1, 3), 6 / math.sqrt(65.25)), abs=4 * EPS)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
