@@ -55,6 +55,11 @@ ODD = {
         )
         for axis in (*np.eye(3), *-np.eye(3))
     },
+    # Shadow rays start at lamps, which hang on surfaces.
+    "lamp": replace(
+        close_up(Box(min_pt=(-9, -9, -9), max_pt=(9, -1, 9)), PLATE, light=(0.1, -0.3, 0)),
+        camera=Camera(view_point=(0, 1, 5), view_dir=(0, -0.4, -1)),
+    ),
     "sun": close_up(BALL, light=(3e20, 5e20, 4e20)),
     # What is written is ten units large, even where float32 could not hold the scene.
     "tiny": moved(close_up(DOT), 1e-45),

@@ -11,6 +11,7 @@ from PIL import Image
 from running import run_python, told
 from scene_files import ONE_SPHERE, codes, small_one
 
+from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
 from reference.command import own_scenes
@@ -186,3 +187,8 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, 
         error = capsys.readouterr().err
         assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
     assert names(small.parent) == {"small.xml"}
+
+
+def test_what_is_no_number_is_told():
+    with pytest.raises(ValueError, match="radius would be nan, and Mitsuba's"):
+        plugin("shape", "sphere", radius=float("nan"))
