@@ -25,7 +25,7 @@ _QUIET = np.errstate(all="ignore")
 _EXTENT = 10.0
 
 # Largest error of a hit point, in roundings (2^-24) of the largest length in the scene.
-_TOLERANCE_ROUNDINGS = 100
+_TOLERANCE_ROUNDINGS = 32
 
 # A stock scene of which so much is seen, no farther from the origin than so many times that, keeps
 # the file's coordinates.

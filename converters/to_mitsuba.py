@@ -27,6 +27,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 from converters.mitsuba_xml import WRITTEN
 from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
@@ -34,14 +35,15 @@ from tracer.command.process import print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["TROUBLE", "describe_error", "main", "print_unwritten", "without_converted"]
+__all__ = ["TROUBLE", "add_scenes", "describe_error", "guarded", "main", "ready"]
+__all__ += ["without_converted"]
 
 _FLAVOURS = "stock", "exact"
 
 TROUBLE = (ChildProcessError, ImportError, MemoryError, RuntimeError, ValueError)
 """What the reader, the tracer, the converter and Mitsuba raise over a scene."""
 
-_Work = Callable[[Path, Path, argparse.Namespace], bool]
+_Result = TypeVar("_Result")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,17 +70,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     try:
-        if options.render and not _ready(options):
+        if options.render and not ready(options):
             return 1
         pairs = zip(scenes, found, strict=True)
-        done = [_guarded(work, scene, Path(target), options) for scene, target in pairs]
+        done = [guarded(work, scene, Path(target), options) for scene, target in pairs]
     except ModuleNotFoundError as error:  # that converting needs
         print_line(sys.stderr, f"{error}; install it with pip install -e .")
         return 1
     return 0 if all(done) else 1
 
 
-def _ready(options: argparse.Namespace) -> bool:
+def ready(options: argparse.Namespace) -> bool:
     """Choose Mitsuba's variant; say which it is, or why there is none."""
     try:
         import converters.rendering  # noqa: F401 (and all that it needs)
@@ -123,12 +125,8 @@ def _png_and_exr(target: str) -> tuple[Path, Path]:
     return Path(target + ".png"), Path(target + ".exr")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m converters.to_mitsuba",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_scenes(parser: argparse.ArgumentParser) -> None:
+    """Let a command take scenes, where to write, and Mitsuba's variant."""
     parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
@@ -138,6 +136,18 @@ def _parser() -> argparse.ArgumentParser:
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is made if it is missing",
     )
+    parser.add_argument(
+        "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m converters.to_mitsuba",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_scenes(parser)
     parser.add_argument("--flavour", choices=_FLAVOURS, help="see above")
     parser.add_argument(
         "--samples",
@@ -147,17 +157,19 @@ def _parser() -> argparse.ArgumentParser:
         " pixel's centre in the exact)",
     )
     parser.add_argument(
-        "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
-    )
-    parser.add_argument(
         "--render", action="store_true", help="render with Mitsuba: a PNG and an EXR"
     )
     parser.add_argument("--check", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 
-def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace) -> bool:
-    """Convert or render one scene; print a line for each fault, return whether there was none."""
+def guarded(
+    work: Callable[[Path, Path, argparse.Namespace], _Result],
+    scene: Path,
+    target: Path,
+    options: argparse.Namespace,
+) -> _Result | None:
+    """Do one scene; print a line for each fault, and return nothing then."""
     try:
         if options.output is not None and is_folder(options.output):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -165,8 +177,8 @@ def _guarded(work: _Work, scene: Path, target: Path, options: argparse.Namespace
     except TROUBLE as error:
         print_line(sys.stderr, describe_error(scene, error))
     except OSError as error:
-        print_unwritten(target, error)
-    return False
+        _print_unwritten(target, error)
+    return None
 
 
 def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
@@ -185,7 +197,7 @@ def describe_error(path: str | os.PathLike[str], error: BaseException) -> str:
     return printable(f"{os.fspath(path)}: {reason}")
 
 
-def print_unwritten(path: Path, error: OSError) -> None:
+def _print_unwritten(path: Path, error: OSError) -> None:
     """Print that a file cannot be written, and why, to standard error."""
     print_line(sys.stderr, printable(f"{path}: cannot be written: {error.strerror or error}"))
 
@@ -211,7 +223,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> bool:
         try:
             write(written, image)
         except OSError as error:
-            print_unwritten(written, error)
+            _print_unwritten(written, error)
             return False
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))

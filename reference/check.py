@@ -6,18 +6,15 @@ Both sample the pixels' centres.  With --flavour exact (the default) all light i
 project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own parts.
 
 The verdict is one of three:
-  agrees     Mitsuba's picture is the tracer's.  Left out are pixels at edges, of which some may
-             differ, and ties: where surfaces coincide, Mitsuba may show the other one.
+  agrees     Mitsuba's picture is the tracer's.  Left out are some pixels at edges, where Mitsuba's
+             float32 may fall on the other side, and ties: where surfaces coincide, Mitsuba may
+             show the other one.
   DIFFERS    Exact arithmetic is against the tracer, or the pictures are too far apart as a whole.
   undecided  Exact arithmetic sides with the tracer: Mitsuba or the converter is wrong.
 
 Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or where
 Mitsuba cannot run, 3 if one is undecided and none is worse.
 """
-
-# An edge pixel changes when the tracer's sample moves by a hair (see `Limits`): there
-# Mitsuba's float32 may fall on the other side.  A tie shows what the oracle sees if it takes the
-# last of surfaces that tie, not the first.  No pixel of the tracer's takes the place of Mitsuba's.
 
 from __future__ import annotations
 
@@ -43,29 +40,15 @@ from numpy.typing import NDArray
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
 from converters.rendering import Rendering, load
-from converters.to_mitsuba import TROUBLE, describe_error, print_unwritten, without_converted
+from converters.to_mitsuba import add_scenes, guarded, ready, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
 from reference.figures import Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import file_name, is_folder, output_paths
+from tracer.command.arguments import output_paths
 from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.messages import printable
-
-__all__ = [
-    "STATUS",
-    "CheckResult",
-    "Verdict",
-    "check",
-    "check_diffuse",
-    "check_scene",
-    "compare",
-    "faults",
-    "main",
-    "near_edges",
-    "worst_status",
-]
 
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
 STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
@@ -159,11 +142,9 @@ class CheckResult:
 
     def report(self) -> str:
         """The result in a few lines of text."""
-        f = self.figures
         lines = [
             f"{self.name}: {self.verdict}",
-            f"  SSIM {f.ssim:.6f}; linear difference: max {f.max:.1e}, 99.9% {f.p999:.1e},"
-            f" median {f.median:.1e}, RMSE {f.rmse:.1e}, pixels over 1e-3: {f.over}",
+            f"  {self.figures}",
             f"  left out: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
             f" ties: {self.ties.sum()}",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
@@ -179,13 +160,12 @@ def _pixels(mask: Mask) -> str:
 
 def faults(measured: Figures) -> list[str]:
     """Say which figures of a comparison are out of tolerance."""
-    limits = {
-        f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}": measured.ssim < MIN_SSIM,
-        f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}": (
-            measured.median > MAX_MEDIAN
-        ),
-    }
-    return [fault for fault, broken in limits.items() if broken]
+    found = []
+    if measured.ssim < MIN_SSIM:
+        found.append(f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}")
+    if measured.median > MAX_MEDIAN:
+        found.append(f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}")
+    return found
 
 
 def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Mask:
@@ -198,11 +178,6 @@ def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) ->
     low, high = np.min(seen, axis=0) - tolerance, np.max(seen, axis=0) + tolerance
     between: Mask = ((low <= picture) & (picture <= high)).all(axis=2)
     return between
-
-
-def _unit(image: Floats) -> float:
-    """What limits are multiples of: 1, or the radiance of a brighter picture's brightest pixel."""
-    return max(1.0, float(image.max(initial=0)))
 
 
 def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
@@ -266,8 +241,8 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
-    # Of the darker picture, so that no mistake widens the limits.
-    unit = min(_unit(image), _unit(mitsuba))
+    # Limits are for radiance up to 1, and grow with the darker picture: no mistake widens them.
+    unit = max(1.0, min(float(image.max()), float(mitsuba.max())))
     difference = np.abs(image - mitsuba).max(axis=2) / unit
     # Where the pictures are too far apart as a whole, the pixels are looked at again, more closely.
     for tolerance in (limits.difference, MAX_MEDIAN):
@@ -289,11 +264,8 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         tracer=image,
         mitsuba=mitsuba,
         edges=edges,
-        ties=judged.ties,
+        **judged._asdict(),
         differing=differing & ~left_out,
-        asked=judged.asked,
-        wrong=judged.wrong,
-        first=judged.first,
         figures=found,
         variant=rendering.variant,
         tracer_seconds=seconds,
@@ -361,32 +333,19 @@ def _nearby(scene: Scene) -> Iterator[tuple[Scene, float]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     used = parser("reference.check", __doc__)
-    used.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
-    used.add_argument(
-        "-o",
-        "--output",
-        type=file_name,
-        metavar="PATH",
-        help="the comparison to write, or a folder for those of several scenes;"
-        " a folder that ends in / is made if it is missing",
-    )
+    add_scenes(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
-    used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = used.parse_args(arguments)
     scenes = without_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     beside = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
     targets = output_paths(used, [*map(str, scenes)], options.output, beside)
-    try:
-        choice = use(options.variant)
-    except ImportError as error:
-        print_line(sys.stderr, printable(f"Mitsuba cannot run: {error}"))
+    if not ready(options):
         return MISUSED
-    print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
     # Of a black picture the comparison says enough.
     warnings.simplefilter("ignore", SceneWarning)
-    results = [_checked(*pair, options) for pair in zip(scenes, map(Path, targets), strict=True)]
-    return worst_status(results)
+    pairs = zip(scenes, map(Path, targets), strict=True)
+    return worst_status([guarded(_checked, *pair, options) for pair in pairs])
 
 
 def worst_status(results: Iterable[CheckResult | None]) -> int:
@@ -395,20 +354,11 @@ def worst_status(results: Iterable[CheckResult | None]) -> int:
     return FAILED if FAILED in statuses else max(statuses, default=0)
 
 
-def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult | None:
-    """Check one scene, write the comparison, and print the result, or why there is none."""
-    try:
-        result = check(path, options.variant, options.flavour)
-        if options.output is not None and is_folder(options.output):
-            target.parent.mkdir(parents=True, exist_ok=True)
-        labels = ("tracer", f"Mitsuba {result.variant}")
-        write_comparison(target, result.tracer, result.mitsuba, labels)
-    except TROUBLE as error:
-        print_line(sys.stderr, describe_error(path, error))
-    except OSError as error:
-        print_unwritten(target, error)
-    else:
-        print_line(sys.stdout, result.report())
-        print_line(sys.stdout, printable(f"  {target}"))
-        return result
-    return None
+def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
+    """Check one scene, write the comparison, and print the result."""
+    result = check(path, options.variant, options.flavour)
+    labels = ("tracer", f"Mitsuba {result.variant}")
+    write_comparison(target, result.tracer, result.mitsuba, labels)
+    print_line(sys.stdout, result.report())
+    print_line(sys.stdout, printable(f"  {target}"))
+    return result

@@ -15,9 +15,6 @@ from tracer.messages import printable
 # Without this, tqdm would have a thread of its own beside what is measured.
 tqdm.monitor_interval = 0
 
-__all__ = ["BUILD", "HERE", "SCENES", "built", "need_scenes", "need_table", "own_scenes", "parser"]
-__all__ += ["result", "spare_inputs"]
-
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 BUILD = HERE.parent / "build"
@@ -29,36 +26,16 @@ def own_scenes() -> list[Path]:
     return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
 
 
-def need_scenes(used: argparse.ArgumentParser) -> None:
-    """End with status 2 where this project's scenes are not: in a copy that pip has installed."""
-    if not own_scenes():
-        wrong = f"{SCENES} holds no scenes; clone the project, and install it from there with -e"
-        used.exit(2, printable(f"{used.prog}: {wrong}") + "\n")
-
-
 def built(name: str) -> Path:
     """A file in the build folder, which is made if need be."""
     BUILD.mkdir(exist_ok=True)
     return BUILD / name
 
 
-def result(name: str, *, quick: bool) -> Path:
-    """Where to write what was measured: this folder, or the build folder if it was `quick`."""
-    return built(name) if quick else HERE / name
-
-
-def need_table(used: argparse.ArgumentParser, path: Path) -> None:
-    """End with status 2 where the measurements that a chart is drawn from are not stored."""
-    if not path.exists():
-        used.exit(2, printable(f"{used.prog}: {path} is missing; measure first") + "\n")
-
-
-def parser(
-    module: str, doc: str | None, quick: str | None = None, *, redraw: bool = False
-) -> argparse.ArgumentParser:
+def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.ArgumentParser:
     """The parser of `python -m module`, described by its docstring.
 
-    `quick` is what its option `--quick` does; `redraw`: whether it can draw stored measurements.
+    `quick` is what its option `--quick` does.
     """
     made = argparse.ArgumentParser(
         prog=f"python -m {module}",
@@ -67,8 +44,6 @@ def parser(
     )
     if quick:
         made.add_argument("--quick", action="store_true", help=f"{quick}; writes into build/")
-    if redraw:
-        made.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
     return made
 
 

@@ -1,7 +1,8 @@
-"""Mitsuba's pictures of every scene: ``python -m reference.regenerate``.
+"""Draw the pictures in this folder again: ``python -m reference.regenerate``.
 
-Writes ``reference/mitsuba/NAME.exr``, linear RGB, `WIDTH` pixels wide, at one sample a pixel in the
-exact flavour of the converter, and a manifest that tells how they were made.
+Mitsuba's, ``mitsuba/NAME.exr``, are linear RGB, `WIDTH` pixels wide, at one sample a pixel in the
+exact flavour of the converter; a manifest tells how they were made.  `sheet.png` shows every scene,
+`sunflower.png` a large one.
 """
 
 from __future__ import annotations
@@ -14,24 +15,25 @@ if __name__ == "__main__":
 import hashlib
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure, mi, use
-from reference.command import HERE, need_scenes, own_scenes, parser
-from tracer import Scene, load_scene
-
-__all__ = ["FOLDER", "WIDTH", "load_small", "main", "manifest", "scene_hash", "stored"]
+from reference.command import HERE, SCENES, own_scenes, parser
+from tracer import Scene, load_scene, render, to_codes
 
 FOLDER = HERE / "mitsuba"
 WIDTH = 160
+
+_SAMPLES = 16
+_SHEET, _HEIGHT, _GAP, _LABEL = 960, 175, 12, 22
 
 # Stored radiance is rounded to steps of 1e-6: below every tolerance, and the files compress better.
 _STEP = 2.0**-20
@@ -48,43 +50,51 @@ def scene_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def manifest(folder: Path = FOLDER) -> dict[str, Any]:
-    """How the stored pictures were made."""
-    return dict(json.loads((folder / "manifest.json").read_text(encoding="utf-8")))
-
-
-def stored(name: str, folder: Path = FOLDER) -> Floats:
-    """The stored picture of a scene, (h, w, 3), linear; FileNotFoundError if there is none."""
-    path = folder / f"{name}.exr"
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is missing; python -m reference.regenerate makes it")
+def stored(name: str) -> Floats:
+    """The stored picture of a scene, (h, w, 3), linear."""
     ensure()
-    return np.array(mi.Bitmap(str(path)), dtype=np.float64)
+    return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Render every scene again; returns 0."""
-    used = parser("reference.regenerate", __doc__)
-    used.add_argument("--variant", help="Mitsuba's variant (default: the fastest that works)")
-    used.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
-    options = used.parse_args(arguments)
-    need_scenes(used)
-    choice = use(options.variant)
-    options.output.mkdir(parents=True, exist_ok=True)
+def sheet(paths: Iterable[Path]) -> Image.Image:
+    """All scenes on one sheet, each over its name, the narrowest first."""
+    image = Image.new("RGB", (_SHEET, 10_000), "white")
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=13)
+    x = y = 0
+    drawn = [(_drawn(load_scene(path), _HEIGHT), path.stem) for path in paths]
+    for picture, name in sorted(drawn, key=lambda each: each[0].width):
+        if x + picture.width > _SHEET:
+            x, y = 0, y + _HEIGHT + _LABEL + _GAP
+        image.paste(picture, (x, y))
+        pen.text((x, y + _HEIGHT + 3), name, fill=(60, 60, 60), font=font)
+        x += picture.width + _GAP
+    return image.crop((0, 0, _SHEET, y + _HEIGHT + _LABEL))
+
+
+def _drawn(scene: Scene, height: int) -> Image.Image:
+    """The scene at another size, anti-aliased."""
+    sized = replace(scene, width=round(scene.width * height / scene.height), height=height)
+    return Image.fromarray(to_codes(render(sized, _SAMPLES)))
+
+
+def main() -> None:
+    """Render every scene again, and draw the README's pictures."""
+    parser("reference.regenerate", __doc__).parse_args()
+    sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
+    sunflower = _drawn(load_scene(SCENES / "sunflower.xml"), 540)
+    sunflower.save(HERE / "sunflower.png", optimize=True)
     for path in own_scenes():
-        image = render_mitsuba(load_small(path), variant=choice.variant)
-        write_exr(options.output / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
-        print(f"{path.stem}.exr")
+        image = render_mitsuba(load_small(path))
+        write_exr(FOLDER / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
     made = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),
         "drjit": version("drjit"),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "variant": choice.variant,
+        "variant": use().variant,
         "samples": 1,
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},
     }
-    (options.output / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
-    return 0
+    (FOLDER / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
 from reference.check import EXACT, CheckResult, check, worst_status
-from reference.command import BUILD, HERE, need_scenes, own_scenes, parser, spare_inputs
+from reference.command import BUILD, HERE, own_scenes, parser, spare_inputs
 from reference.figures import amplified
 from reference.handins import page as pages
 from reference.handins.page import TEMPLATE, Cell, Pair, png
@@ -161,8 +161,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     used.set_defaults(output=str(BUILD / _NAME))
     used.add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     options = used.parse_args(arguments)
-    if not options.scenes:
-        need_scenes(used)
     paths = sorted({*(options.scenes or own_scenes())})
     output = Path(options.output, _NAME if is_folder(options.output) else "")
     spare_inputs(used, (output,), (*paths, TEMPLATE, *CHARTS.values()))

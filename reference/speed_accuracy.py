@@ -15,12 +15,10 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import gc
-import re
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,26 +32,16 @@ from reference.command import SCENES, built
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import rmse, supersampled, true_picture
-from reference.measured.charts import LOOKS, headline, make_chart, plt
+from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
-from tracer import Scene, load_scene, render, to_codes
-
-__all__ = ["Point", "main", "measure"]
+from tracer import Scene, load_scene, render
 
 Floats: TypeAlias = NDArray[np.float64]
 
 _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
-_SAMPLERS = {"Mitsuba independent": "independent", "Mitsuba multijitter": "multijitter"}
-_LOOK_OF = {
-    _OURS: "tracer",
-    _CERTIFIED: "d",
-    "uniform grid": "a",
-    "float32, all pairs": "b",
-    _POVRAY: "c",
-    "Mitsuba independent": "g",
-    "Mitsuba multijitter": "f",
-}
+_GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
+_METHODS = (_OURS, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED, _MITSUBA)
 
 # From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
 _ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
@@ -68,20 +56,9 @@ _LONG = 0.7
 _EIGHT_BITS = 1e-3
 
 
-class Point(NamedTuple):
-    """One method on one scene, at one number of samples a pixel: a row of the table.
-
-    `samples` of the certified tracer is one over the error that it certifies; `error` is the root
-    mean square of the linear radiance error; the median, least and largest time are in seconds.
-    """
-
-    scene: str
-    method: str
-    samples: int
-    error: float
-    seconds: float
-    low: float
-    high: float
+# `samples` of the certified tracer is one over the error that it certifies; `rmse` is of the linear
+# radiance; times, the median, the least and the largest, are in seconds.
+_COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
 def _all_pairs(scene: Scene, side: int) -> Floats:
@@ -95,31 +72,22 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
 
 def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
     """Render with 4^k samples a pixel, times a number, by each method but POV-Ray."""
-    # Mitsuba's kernels choose among all scenes alive: there is one, with a sensor a sampler.
-    gc.collect()
-    text = exact(scene)
-    (sensor,) = re.findall("<sensor .*?</sensor>", text, re.DOTALL)
-    sensors = [
-        re.sub("<sampler .*?</sampler>", f'<sampler type="{name}"/>', sensor, flags=re.DOTALL)
-        for name in _SAMPLERS.values()
-    ]
-    loaded = mi.load_string(text.replace(sensor, "\n".join(sensors)))
-    tasks: dict[tuple[str, int], Callable[[], Any]] = {
+    gc.collect()  # Mitsuba's kernels choose among all scenes alive: there is to be one
+    text = exact(scene, 4**k).replace('"stratified"', '"multijitter"')
+    loaded = mi.load_string(text)
+    return {
         (_OURS, 1): partial(render, scene, 4**k),
         # With 9, 36, 144, ... samples a pixel: the others have powers of four.
         (_OURS, 9): partial(render, scene, 9 * 4**k),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
-        ("uniform grid", 1): partial(supersampled, scene, 2**k),
-        ("float32, all pairs", 1): partial(_all_pairs, scene, 2**k),
+        (_GRID, 1): partial(supersampled, scene, 2**k),
+        (_ALL_PAIRS, 1): partial(_all_pairs, scene, 2**k),
+        (_MITSUBA, 1): lambda: np.array(mi.render(loaded)),
     }
-    for sensor, method in enumerate(_SAMPLERS):
-        drawn = partial(mi.render, loaded, sensor=sensor, spp=4**k)
-        tasks[method, 1] = lambda drawn=drawn: np.array(drawn())  # type: ignore[misc]
-    return tasks
 
 
-def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
-    """Time all methods on one scene, and measure their errors."""
+def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
+    """Time all methods on one scene, and measure their errors: rows of the table."""
     certified = _TRUE * (16 if quick else 1)
     truth, target = true_picture(scene, certified).image, built("povray.ppm")
     # Each of these errs by more than the next.
@@ -133,11 +101,9 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
         tasks = {key: task for key, task in tasks.items() if key not in long}
         for key, timing in interleaved(tasks, 3, enough=0.3).items():
             (method, times), picture = key, tasks[key]()
-            picture = povray.picture(target) if method == _POVRAY else np.asarray(picture)
-            seconds = timing.median, timing.low, timing.high
-            error = rmse(picture, truth)
+            error = rmse(povray.picture(target) if method == _POVRAY else picture, truth)
             if error > floor:
-                yield Point(name, method, times * 4**k, error, *seconds)
+                yield (name, method, times * 4**k, error, *timing)
             if timing.median > _LONG or error <= floor:
                 long.add(key)
         tasks.clear()  # so that Mitsuba's scene goes before the next comes
@@ -145,63 +111,23 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[Point]:
 
 def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     """A panel for each scene; the names of the curves stand in the last one."""
-    # As wide as a phone shows in full.
-    figure, grid = plt.subplots(6, 1, figsize=(5.6, 19), sharex=True, sharey=True)
-    points = [
-        Point(scene, method, int(samples), *map(float, figures))
-        for scene, method, samples, *figures in rows
-    ]
-    for axes, (name, scene) in zip(grid.flat, _scenes(quick).items(), strict=False):
-        _panel(axes, [point for point in points if point.scene == name])
-        axes.set_title(name)
+    figure, grid = plt.subplots(6, 1, figsize=(WIDTH, 19), sharex=True, sharey=True)
+    for axes, scene in zip(grid, dict.fromkeys(row[0] for row in rows), strict=False):
+        for method in _METHODS:
+            points = [map(float, row[2:5]) for row in rows if row[:2] == [scene, method]]
+            # Of numbers of samples that make the same picture, the last.
+            curve = {error: seconds for _, error, seconds in sorted(map(tuple, points))}
+            axes.loglog(curve.values(), curve.keys(), label=method)
+        axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
+        axes.set_title(scene)
         axes.minorticks_off()
-        # The scene stands where no curve comes: at little time and little error.
-        small = resized(scene, round(160 * scene.width / scene.height), 160)
-        inset = axes.inset_axes((0.015, 0.02, 0.33, 0.27), anchor="SW")
-        inset.imshow(to_codes(render(small, 16)))
-        inset.axis("off")
-    first, last = grid.flat[0], grid.flat[-1]
-    first.set_xlim(left=0.5 * min(point.seconds for point in points))
-    first.xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
-    last.axis("off")
-    last.legend(*first.get_legend_handles_labels(), loc="center", fontsize=10)
-    for axes in grid:
         axes.tick_params(labelbottom=True)
         axes.set_ylabel("RMSE")
-    headline(
-        figure,
-        "Time against error: lower left is better",
-        "Rendering alone. Error: root mean square in linear radiance, against a\n"
-        "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
-        "36, ... too); POV-Ray's thresholds; for the certified tracer, the error\n"
-        "that no pixel exceeds.",
-    )
+    grid[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
+    grid[-1].axis("off")
+    grid[-1].legend(*grid[0].get_legend_handles_labels(), loc="center", fontsize=10)
     figure.subplots_adjust(0.14, 0.03, 0.97, 0.92, hspace=0.3)
     return figure
-
-
-def _panel(axes: Any, points: Sequence[Point]) -> None:
-    """Draw the curves of one scene."""
-    curves: dict[str, dict[float, Point]] = defaultdict(dict)
-    for point in sorted(points, key=lambda point: point.samples):
-        # Of numbers of samples that make the same picture, the last.
-        curves[point.method][point.error] = point
-    for method, curve in curves.items():
-        seconds = [point.seconds for point in curve.values()]
-        axes.loglog(seconds, curve.keys(), label=method, **LOOKS[_LOOK_OF[method]])
-        for error, point in curve.items() if method in (_OURS, _CERTIFIED) else ():
-            text, right = str(point.samples), method == _CERTIFIED
-            axes.annotate(
-                f"1/{text}" if right else text,
-                (point.seconds, error),
-                (5, 3) if right else (-5, -3),
-                textcoords="offset points",
-                ha="left" if right else "right",
-                va="bottom" if right else "top",
-                fontsize=6.5,
-                color=LOOKS[_LOOK_OF[method]]["color"],
-            )
-    axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:
@@ -219,7 +145,7 @@ def _scenes(quick: bool) -> dict[str, Scene]:
     }
 
 
-def _measure_all(quick: bool) -> Iterator[Point]:
+def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
     for name, scene in tqdm(_scenes(quick).items(), unit="scene"):
@@ -228,5 +154,11 @@ def _measure_all(quick: bool) -> Iterator[Point]:
 
 def main() -> None:
     """Measure, and draw the chart."""
-    columns = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
-    make_chart("speed_accuracy", __doc__, "one scene, few samples", columns, _measure_all, _draw)
+    note = (
+        "Rendering alone. Error: root mean square in linear radiance, against a\n"
+        "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
+        "36, ... too); POV-Ray's thresholds; for the certified tracer, the error\n"
+        "that no pixel exceeds."
+    )
+    texts = ("Time against error: lower left is better", note)
+    make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)

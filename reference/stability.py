@@ -13,24 +13,18 @@ from tracer.command.process import run
 if __name__ == "__main__":
     run(__spec__.name)
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-import converters.plugins  # noqa: F401 (registers the light without fall-off)
-from converters.camera import window_of
-from converters.variant import LLVM, SCALAR, mi, use
 from reference.judges import plain
-from reference.measured.charts import LOOKS, headline, make_chart, plt
+from reference.measured.charts import WIDTH, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
-
-__all__ = ["METHODS", "PANELS", "Panel", "measure"]
 
 Floats: TypeAlias = NDArray[np.float64]
 Vector: TypeAlias = Floats | tuple[float, float, float]
@@ -39,8 +33,8 @@ Method: TypeAlias = Callable[[Scene], Floats]
 # Half a level of an 8-bit picture near white, where errors begin to be seen; smaller errors than
 # the second are drawn as that.
 _VISIBLE, _DIGITS = 1 / 512, 1e-17
-# Inches that a phone shows in full; how far apart curves are that find nothing wrong.
-_WIDTH, _STEP = 5.6, 1.7
+# How far apart curves are that find nothing wrong.
+_STEP = 1.7
 
 
 def _scene(
@@ -55,11 +49,10 @@ def _scene(
     return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
-def distant(distance: float) -> Scene:
-    """A unit sphere, `distance` radii away; no silhouette and no shadow in view."""
-    x, y, z = 2 / 7, -3 / 7, 6 / 7
-    eye = (distance * x, distance * y, distance * z)
-    return _scene(eye, (-x, -y, -z), (2, 0, 6), Sphere(), view=(distance, 1, 1))
+def distant(distance: float, width: float = 1, height: float = 1) -> Scene:
+    """A unit sphere, `distance` radii away; no silhouette and no shadow in so narrow a view."""
+    way, view = np.array([2, -3, 6]) / 7, (distance, width, height)
+    return _scene(distance * way, -way, (2, 0, 6), Sphere(), view=view, pixels=round(24 * width))
 
 
 def silhouette(distance: float) -> Scene:
@@ -99,54 +92,21 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
     return _scene(eye, (0, 0, -1), light, ground, ball, view=view, pixels=128)
 
 
-def mitsuba_render(scene: Scene, variant: str) -> Floats:
-    """Mitsuba's own sensor, shapes, material and shadow rays; a light without fall-off.
-
-    For scenes of white Lambertian spheres under one light, seen through square pixels.
-    """
-    mi.set_variant(variant)
-    mi.set_log_level(mi.LogLevel.Error)
-    window, depth = window_of(scene.camera), scene.camera.proj_distance
-    right, down, ahead = window.axes
-    to_world = np.vstack([np.transpose([-right, -down, ahead, window.eye]), (0, 0, 0, 1)])
-    film = {"type": "hdrfilm", "width": scene.width, "height": scene.height}
-    sensor = {
-        "type": "perspective",
-        "to_world": mi.ScalarTransform4f(to_world.tolist()),
-        "fov": float(np.degrees(2 * np.arctan(window.width / 2 / depth))),
-        "near_clip": depth * 1e-2,
-        "far_clip": depth * 1e4,
-        "film": film | {"rfilter": {"type": "box"}, "component_format": "float32"},
-        "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
-    }
-    light = {"type": "unattenuated_point", "position": [*scene.lights[0].position]}
-    light["intensity"] = [float(np.pi)] * 3
-    parts = {"integrator": {"type": "direct"}, "sensor": sensor, "light": light}
-    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    for k, s in enumerate(scene.surfaces.center.tolist()):
-        radius = float(scene.surfaces.radius[k])
-        parts[f"{k}"] = {"type": "sphere", "center": s, "radius": radius, "bsdf": white}
-    return np.array(mi.render(mi.load_dict({"type": "scene", **parts})), dtype=np.float64)
-
-
 _FLOAT32 = partial(plain.render, arithmetic="float32")
-METHODS: dict[str, tuple[str, Method]] = {
-    "this tracer": ("tracer", render),
-    "float64, textbook": ("a", partial(plain.render, spheres="textbook")),
-    "float64, multiplied out": ("a", partial(plain.render, spheres="expanded")),
-    "float64, pow(n·h, e)": ("a", plain.render),
-    "float32, closest approach": ("b", _FLOAT32),
-    "float32, pow(n·h, e)": ("b", _FLOAT32),
-    "float32, textbook": ("c", partial(_FLOAT32, spheres="textbook")),
-    "t > 0": ("a", partial(plain.render, shadows="t>0")),
-    "t > 1e-4": ("b", partial(plain.render, shadows="t>1e-4")),
-    "t > 1e-6": ("c", partial(plain.render, shadows="t>1e-6")),
-    "normal offset 1e-4": ("d", partial(plain.render, shadows="normal")),
-    "offset of 256 ulp": ("e", partial(plain.render, shadows="ulps")),
-    "Mitsuba scalar": ("f", partial(mitsuba_render, variant=SCALAR)),
-    "Mitsuba LLVM": ("g", partial(mitsuba_render, variant=LLVM)),
+METHODS: dict[str, Method] = {
+    "this tracer": render,
+    "float64, textbook": partial(plain.render, spheres="textbook"),
+    "float64, multiplied out": partial(plain.render, spheres="expanded"),
+    "float64, pow(n·h, e)": plain.render,
+    "float32, closest approach": _FLOAT32,
+    "float32, pow(n·h, e)": _FLOAT32,
+    "float32, textbook": partial(_FLOAT32, spheres="textbook"),
+    "t > 0": partial(plain.render, shadows="t>0"),
+    "t > 1e-4": partial(plain.render, shadows="t>1e-4"),
+    "t > 1e-6": partial(plain.render, shadows="t>1e-6"),
+    "normal offset 1e-4": partial(plain.render, shadows="normal"),
+    "offset of 256 ulp": partial(plain.render, shadows="ulps"),
 }
-"""The look of each method's curve, and its pictures."""
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
@@ -176,10 +136,10 @@ class Panel:
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
-_MITSUBA = ("Mitsuba scalar", "Mitsuba LLVM")
-_SHADOWS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 256 ulp", *_MITSUBA)
+_SHADOWS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 256 ulp")
 _SHINY = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
-_MOVED = ("float64, multiplied out", "float32, closest approach", *_MITSUBA)
+_MOVED = ("float64, multiplied out", "float32, closest approach")
+
 # Multiplied out, |o - c|^2 is rounded once for all pixels, and not at all where the offset is a
 # round number: so several are tried.
 _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
@@ -187,7 +147,7 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 # fmt: off
 PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant,
-          largest_error, (*_HITS, *_MITSUBA), ("ε D", "ε D²")),
+          largest_error, _HITS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
           np.logspace(3, 25, 12, base=2), silhouette, wrong_share, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
@@ -196,7 +156,7 @@ PANELS = (
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground, largest_error, (*_HITS, *_MITSUBA), ("ε radius: rounding the scene itself",)),
+          ground, largest_error, _HITS, ("ε radius: rounding the scene itself",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
           wrong_share, _SHADOWS),
@@ -209,86 +169,59 @@ PANELS = (
 # fmt: on
 
 
-def measure(panel: Panel, methods: dict[str, Method], at: Iterable[float]) -> dict[str, Floats]:
-    """The judge's verdict on every method of a panel, at each place of the axis."""
-    found: dict[str, list[float]] = defaultdict(list)
+def measure(panel: Panel, name: str, at: Iterable[float]) -> Floats:
+    """The judge's verdict on a method, at each place of a panel's axis."""
+    draw, found = METHODS[name], list[float]()
     for x in at:
         scenes = [panel.scene(near * float(x)) for near in panel.nearby]
-        exact = [plain.render(scene, arithmetic="decimal") for scene in scenes]
-        for name in ("this tracer", *panel.methods):
-            if method := methods.get(name):
-                pictures = zip(map(method, scenes), exact, strict=True)
-                found[name].append(max(panel.judge(*pair) for pair in pictures))
-    return {name: np.array(values) for name, values in found.items()}
+        found.append(max(panel.judge(draw(scene), _exact(scene)) for scene in scenes))
+    return np.array(found)
+
+
+@cache
+def _exact(scene: Scene) -> Floats:
+    return plain.render(scene, arithmetic="decimal")
 
 
 def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Rows of the table; of the methods, those that this machine can run."""
-    missing = set() if use().variant == LLVM else {"Mitsuba LLVM"}
-    methods = {name: method for name, (_, method) in METHODS.items() if name not in missing}
+    """Rows of the table."""
     for panel in tqdm(PANELS, disable=None):
         at = panel.at[:: 3 if quick else 1].tolist()
-        unit = "largest radiance error" if panel.judge is largest_error else "% of pixels wrong"
-        for name, values in measure(panel, methods, at).items():
-            for x, value in zip(at, values.tolist(), strict=True):
-                yield panel.title, panel.axis, x, name, unit, value
-
-
-def _balls(radius: float) -> Scene:
-    """A ball on a ground that it touches, in a picture for the strip."""
-    return replace(ball_on_ground(radius=radius), width=160, height=90)
-
-
-def _far_ball(distance: float) -> Scene:
-    """The whole of a unit sphere, `distance` radii away."""
-    whole = distant(distance)
-    camera = replace(whole.camera, view_width=4.0, view_height=2.25)
-    return replace(whole, camera=camera, width=160, height=90)
-
-
-def _small_ball(scale: float) -> Scene:
-    return replace(ball_on_ground(scale=scale), width=160, height=90)
+        for name in ("this tracer", *panel.methods):
+            for x, value in zip(at, measure(panel, name, at).tolist(), strict=True):
+                yield panel.title, x, name, value
 
 
 # What goes wrong, in which scene, by which method.
 STRIP = (
-    ("Acne", _balls(2.0**14), "t > 0"),
-    ("Lost shadows", _small_ball(2.0**-22), "t > 1e-4"),
-    ("A far sphere in shreds", _far_ball(2000.0), "float32, textbook"),
+    ("Acne", ball_on_ground(radius=2.0**14), "t > 0"),
+    ("Lost shadows", ball_on_ground(scale=2.0**-22), "t > 1e-4"),
+    ("A far sphere in shreds", distant(2000.0, 4.0, 2.25), "float32, textbook"),
 )
 
 
 def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
     """A strip of pictures and all panels, of the rows of the table; one below the other."""
-    figure = plt.figure(figsize=(_WIDTH, 40))
+    figure = plt.figure(figsize=(WIDTH, 40))
     parts: Any = figure.subfigures(2, 1, height_ratios=(1, 9))
-    headline(
-        figure,
-        "Where ray tracers fail, and how far",
-        "Above: as a usual method draws a scene; below it: as this tracer does.\n"
-        "Each point is a picture held against arithmetic of 80 digits: the largest\n"
-        "error of the radiance, no more than 1, or the share of wrong pixels.",
-    )
     pictures = parts[0].subplots(2, len(STRIP))
     parts[0].subplots_adjust(left=0.03, right=0.97, top=0.66, bottom=0.0, wspace=0.06, hspace=0.0)
     for (title, scene, method), (above, below) in zip(STRIP, pictures.T, strict=True):
-        for axes, draw in ((above, METHODS[method][1]), (below, render)):
+        for axes, draw in ((above, METHODS[method]), (below, render)):
             axes.imshow(to_codes(np.nan_to_num(draw(scene))))
             axes.axis("off")
         above.set_title(f"{title}\n{method}", fontsize=8)
     grid = parts[1].subplots(len(PANELS), 1)
     parts[1].subplots_adjust(left=0.13, right=0.95, top=0.98, bottom=0.055, hspace=1.05)
     for axes, panel in zip(grid, PANELS, strict=True):
-        curves: dict[str, list[tuple[float, float]]] = defaultdict(list)
-        for title, _, x, name, _, value in rows:
-            if title == panel.title:
-                curves[name].append((float(x), float(value)))
-        _panel(axes, panel, {name: np.array(points).T for name, points in curves.items()})
+        _panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title])
     return figure
 
 
-def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
-    """Draw curves, each (2, n): where on the axis, and the verdict there."""
+def _panel(axes: Any, panel: Panel, rows: Sequence[Sequence[str]]) -> None:
+    """Draw the curves of a panel, of its rows: where on the axis, the method, the verdict."""
+    names = ("this tracer", *panel.methods)
+    curves = {name: np.array([r[::2] for r in rows if r[1] == name], float).T for name in names}
     error, at = panel.judge is largest_error, curves["this tracer"][0]
     scene = panel.scene(at[0])
     floor, top = (_DIGITS, 1.0) if error else (25 / (scene.width * scene.height), 100.0)
@@ -305,14 +238,20 @@ def _panel(axes: Any, panel: Panel, curves: dict[str, Floats]) -> None:
     axes.minorticks_off()
     for name, (_, values) in curves.items():
         shown = np.where(values <= floor, none[name], np.minimum(values, top))
-        axes.plot(at, shown, **LOOKS[METHODS[name][0]], label=name, clip_on=False)
+        axes.plot(at, shown, label=name, clip_on=False)
     for power, name in enumerate(panel.guides, 1):
-        look = {"color": "#888888", "lw": 1, "ls": ":" if power == 1 else "-.", "zorder": 1}
+        look = {"color": "#888888", "marker": "", "lw": 1, "ls": ":" if power == 1 else "-."}
         axes.plot(at, np.outer(at**power, (2.0**-24, 2.0**-53)), **look, label=[name, None])
     axes.legend(loc="upper center", bbox_to_anchor=(0.46, -0.3), fontsize=8, ncols=2)
 
 
 def main() -> None:
     """Measure, and draw the chart."""
-    columns = ("panel", "axis", "at", "method", "measure", "value")
-    make_chart("stability", __doc__, "every third point only", columns, _measure_all, _draw)
+    columns = ("panel", "at", "method", "value")
+    note = (
+        "Above: as a usual method draws a scene; below it: as this tracer does.\n"
+        "Each point is a picture held against arithmetic of 80 digits: the largest\n"
+        "error of the radiance, no more than 1, or the share of wrong pixels."
+    )
+    texts = ("Where ray tracers fail, and how far", note)
+    make_chart("stability", __doc__, columns, _measure_all, _draw, texts)

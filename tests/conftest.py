@@ -1,12 +1,10 @@
 """What several test files share."""
 
-import gc
 import math
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -90,34 +88,3 @@ def no_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.chdir(gone)
     gone.rmdir()
     return "the working folder cannot be found: No such file or directory; change to another\n"
-
-
-@pytest.fixture
-def files_left() -> Callable[[int], AbstractContextManager[None]]:
-    """A context in which so many more files can be opened, and which must leave none open."""
-    import resource  # not on all systems
-
-    def open_files() -> int:
-        gc.collect()
-        return len(list(Path("/proc/self/fd").iterdir()))
-
-    @contextmanager
-    def context(count: int) -> Iterator[None]:
-        before = open_files()
-        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 1024), hard))
-        taken = []
-        try:
-            with suppress(OSError):
-                while True:
-                    taken.append(os.open(os.devnull, os.O_RDONLY))
-            for _ in range(count):
-                os.close(taken.pop())
-            yield
-        finally:
-            for file in taken:
-                os.close(file)
-            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        assert open_files() == before
-
-    return context

@@ -12,26 +12,16 @@ the normal points inwards.
 
 from __future__ import annotations
 
-from tracer.command.process import run
-
-if __name__ == "__main__":
-    run(__spec__.name)
-
 import decimal
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from decimal import Decimal
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reference.command import parser
-from tracer import Phong, Scene, SceneFileError, Sphere, load_scene, write_png
-from tracer.messages import printable
-
-__all__ = ["ARITHMETICS", "SHADOWS", "SPHERES", "TIES", "Seen", "render", "trace"]
+from tracer import Phong, Scene, Sphere
 
 Array: TypeAlias = NDArray[Any]
 """Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
@@ -75,16 +65,18 @@ def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Arr
 
 def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The quadratic formula as most textbooks print it: error grows as eps D^2."""
-    m, a = o - c, _dot(d, d)
-    b = 2 * _dot(m, d)
-    root = np.sqrt(b * b - 4 * a * (_dot(m, m) - r * r))
-    return (-b - root) / (2 * a), (-b + root) / (2 * a)
+    m = o - c
+    return _quadratic(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
 
 
 def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The same with |o - c|^2 multiplied out: error grows as the square of an offset, too."""
-    a, b = _dot(d, d), 2 * (_dot(o, d) - _dot(c, d))
-    root = np.sqrt(b * b - 4 * a * (_dot(o, o) - 2 * _dot(o, c) + _dot(c, c) - r * r))
+    away2 = _dot(o, o) - 2 * _dot(o, c) + _dot(c, c)
+    return _quadratic(_dot(d, d), 2 * (_dot(o, d) - _dot(c, d)), away2 - r * r)
+
+
+def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
@@ -305,21 +297,3 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     seen = trace(scene, x + offset[0], y + offset[1], **methods)
     return seen.radiance.reshape(scene.height, scene.width, 3)
-
-
-def main() -> None:
-    """Render a scene file by the methods that are asked for."""
-    used = parser("reference.judges.plain", __doc__)
-    used.add_argument("scene", type=Path)
-    used.add_argument("-o", "--output", type=Path, default=Path("plain.png"), help="%(default)s")
-    tables: dict[str, Iterable[str]]
-    tables = {"arithmetic": ARITHMETICS, "spheres": SPHERES, "shadows": SHADOWS, "ties": TIES}
-    for name, choices in tables.items():
-        used.add_argument(f"--{name}", choices=[*choices], default=_USUAL[name])
-    options = vars(used.parse_args())
-    path, output = options.pop("scene"), options.pop("output")
-    try:
-        write_png(output, render(load_scene(path), **options))
-    except (OSError, SceneFileError) as error:
-        used.exit(1, printable(f"{used.prog}: {error}") + "\n")
-    print(printable(str(output)))

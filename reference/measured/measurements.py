@@ -1,4 +1,4 @@
-"""Times of tasks that run in turns, and tables of them: for GitHub, as CSV, with their origin."""
+"""Times of tasks that run in turns, and tables of them as CSV, with their origin."""
 
 from __future__ import annotations
 
@@ -16,21 +16,8 @@ from statistics import median
 from time import perf_counter, sleep
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from reference.command import HERE, need_scenes, parser, result
-
-__all__ = [
-    "Ratio",
-    "Table",
-    "Task",
-    "Timing",
-    "interleaved",
-    "measure_page",
-    "measured_on",
-    "process",
-    "read_csv",
-    "write_csv",
-    "write_tables",
-]
+from reference.command import HERE
+from tracer.picture.parallel import processors
 
 Task: TypeAlias = Callable[[], object]
 """Work to be timed; the seconds that it took if it returns a float."""
@@ -51,22 +38,9 @@ class Timing(NamedTuple):
     low: float
     high: float
 
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> Timing:
-        """Sum up what was measured."""
-        return cls(median(seconds), min(seconds), max(seconds))
-
     def __str__(self) -> str:
         shown, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
         return shown if self.low == self.high else f"{shown} ({low}–{high})"
-
-
-class Ratio(float):
-    """Shown with two digits at least: 0.50×, 3.0×, 42×."""
-
-    def __str__(self) -> str:
-        places = 2 if self < 0.995 else 1 if self < 9.95 else 0
-        return f"{self:.{places}f}×"
 
 
 def interleaved(
@@ -87,7 +61,7 @@ def interleaved(
                 seconds = task()
                 spent = perf_counter() - start
                 taken[name].append(seconds if isinstance(seconds, float) else spent)
-    return {name: Timing.of(seconds) for name, seconds in taken.items()}
+    return {name: Timing(median(s), min(s), max(s)) for name, s in taken.items()}
 
 
 def process(command: Sequence[str]) -> Task:
@@ -97,52 +71,6 @@ def process(command: Sequence[str]) -> Task:
     """
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
-
-
-class Table(NamedTuple):
-    """One table of a page; cells that are timings or ratios go to the CSV in full."""
-
-    title: str
-    note: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[object]]
-
-    def markdown(self) -> str:
-        """As GitHub shows it."""
-        lines = [self.header, ["---"] * len(self.header), *self.rows]
-        table = ["| " + " | ".join(map(str, line)) + " |" for line in lines]
-        return "\n".join([f"## {self.title}", "", self.note, "", *table]) + "\n"
-
-
-def measure_page(
-    name: str, doc: str | None, quick: str, head: str, tables: Callable[[bool], Iterable[Table]]
-) -> None:
-    """Run `python -m reference.NAME`: print tables as they are measured, then write the page.
-
-    `quick` says what `--quick` does, which `tables` is told.
-    """
-    used = parser(f"reference.{name}", doc, quick)
-    options = used.parse_args()
-    need_scenes(used)
-    where, found = measured_on(), []
-    for table in tables(options.quick):
-        print(table.markdown(), flush=True)
-        found.append(table)
-    write_tables(result(f"{name}.md", quick=options.quick), head, where, found)
-
-
-def write_tables(page: Path, head: str, where: str, tables: Sequence[Table]) -> None:
-    """Write a page of tables below its head, and beside it as CSV a line for each cell."""
-    text = "\n".join([f"{head} Measured on {where}.\n", *(table.markdown() for table in tables)])
-    page.write_text(text, encoding="utf-8")
-    cells: list[tuple[object, ...]] = []
-    for table in tables:
-        for name, *row in table.rows:
-            for column, cell in zip(table.header[1:], row, strict=True):
-                values = cell if isinstance(cell, Timing) else (cell, "", "")
-                cells.append((table.title, name, column, *values))
-    header = ("table", "row", "column", "value", "low", "high")
-    write_csv(page.with_suffix(".csv"), where, header, cells)
 
 
 def write_csv(
@@ -165,22 +93,12 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 def measured_on() -> str:
     """One line: date, commit, processor, system, versions."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
-    return ", ".join(
-        [
-            datetime.now(timezone.utc).strftime("%Y-%m-%d"),
-            _commit(),
-            f"{_processor()} ({cores} cores)",
-            platform.system(),
-            f"Python {platform.python_version()}",
-            *(
-                f"{package} {metadata.version(package)}"
-                for package in ("numpy", "mitsuba", "drjit")
-            ),
-            povray[0] if povray else "no POV-Ray",
-        ]
-    )
+    versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
+    system = [platform.system(), f"Python {platform.python_version()}", *versions]
+    machine = f"{_processor()} ({processors()} cores)"
+    today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    return ", ".join([today, _commit(), machine, *system, povray[0] if povray else "no POV-Ray"])
 
 
 def _commit() -> str:

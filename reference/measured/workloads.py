@@ -1,4 +1,4 @@
-"""Scenes made to measure: N small objects, N long rods, and variants of a scene."""
+"""Scenes made to measure: N small objects, and a scene in other pixels."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
-
-__all__ = ["crowd", "field", "resized", "rods"]
 
 _DIM = (0.6, 0.6, 0.6)
 _SHADERS = (
@@ -42,51 +40,6 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
             min_pt=np.vstack([center[spheres:] - half, [(-50, -3, -50)]]),
             max_pt=np.vstack([center[spheres:] + half, [(50, -2.5, 50)]]),
             shader_index=np.append(np.arange(spheres), np.arange(n - spheres + 1)) % len(_SHADERS),
-            shaders=_SHADERS,
-        ),
-    )
-
-
-def field(count: int) -> Scene:
-    """Make `count` small objects, half spheres and half boxes, over a floor that they shade."""
-    rng = np.random.default_rng(count)
-    size = (0.5 / count) ** (1 / 3)
-    center = rng.uniform((-8, size, -8), (8, 3 + size, 8), (count, 3))
-    radius, spheres = size * rng.uniform(0.6, 1.3, count), count // 2
-    boxes, half = center[spheres:], radius[spheres:, None]
-    window: Any = {"view_width": 1, "view_height": 0.5625}
-    return Scene(
-        camera=Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window),
-        width=640,
-        height=360,
-        lights=[PointLight(position=at, intensity=_DIM) for at in ((5, 10, -4), (-7, 13, 8))],
-        surfaces=Surfaces(
-            center=center[:spheres],
-            radius=radius[:spheres],
-            min_pt=np.vstack([boxes - half, [(-60, -0.5, -60)]]),
-            max_pt=np.vstack([boxes + half, [(60, 0, 60)]]),
-            shader_index=np.arange(count + 1) % len(_SHADERS),
-            shaders=_SHADERS,
-        ),
-    )
-
-
-def rods(count: int) -> Scene:
-    """Make a floor and `count` long thin boxes, along all three axes, under two lights."""
-    rng = np.random.default_rng(count)
-    center = rng.uniform(-3, 3, (count, 3))
-    half = np.full((count, 3), 0.01)
-    half[np.arange(count), rng.integers(0, 3, count)] = rng.uniform(0.3, 1, count)
-    window: Any = {"proj_distance": 12, "view_width": 14.4, "view_height": 8.1}
-    return Scene(
-        camera=Camera(view_point=(0, 2, 12), view_dir=(0, -0.2, -1), **window),
-        width=640,
-        height=360,
-        lights=[PointLight(position=at, intensity=_DIM) for at in ((5, 8, 9), (-6, 7, 3))],
-        surfaces=Surfaces(
-            min_pt=np.vstack([center - half, [(-10, -4, -10)]]),
-            max_pt=np.vstack([center + half, [(10, -3.5, 10)]]),
-            shader_index=np.arange(count + 1) % len(_SHADERS),
             shaders=_SHADERS,
         ),
     )

@@ -12,7 +12,7 @@ import pytest
 from probe import EPS, colored, scene_of
 
 from reference.judges import plain
-from tracer import Box, Camera, Lambertian, Sphere, render
+from tracer import Box, Camera, Sphere, render
 
 WALL = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))
 LIGHTS = (0, 0), (1, 0), (0, 1)
@@ -88,19 +88,6 @@ def test_points_of_a_wall(camera, points):
     aside, off = plain.render(scene, (0.25, -0.5)), render(scene, offset=(0.25, -0.5))
     assert np.abs(aside - expected).max() > 0.01
     np.testing.assert_allclose(off, aside, rtol=0, atol=64 * EPS)
-
-
-def test_nothing_is_mirrored():
-    # Four balls at four corners, each of its own colour; the eye looks along +x, so right is
-    # up x w = (0, 1, 0) x (-1, 0, 0) = (0, 0, 1).
-    colors = {(1, -1): (1, 0, 0), (1, 1): (0, 1, 0), (-1, -1): (0, 0, 1), (-1, 1): (1, 1, 0)}
-    balls = [
-        Sphere(center=(4, y, z), radius=0.5, shader=Lambertian(diffuse=color))
-        for (y, z), color in colors.items()
-    ]
-    scene = scene_of(*balls, camera=Camera(view_dir=(1, 0, 0)), size=(2, 2), lights=(0, 0, 0))
-    expected = [[colors[y, z] for z in (-1, 1)] for y in (1, -1)]
-    assert np.array_equal(render(scene) > 0, np.array(expected) > 0)
 
 
 def test_window_is_not_a_near_plane():

@@ -15,7 +15,7 @@ from probe import Surface, scene_of
 from random_scenes import random_scene
 from uniform_grid import no_worse_than_the_uniform_grid
 
-from reference.judges.true_picture import true_picture
+from reference.judges.true_picture import supersampled, true_picture
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, render
 from tracer.antialias import refine as antialias
 from tracer.antialias.classify import curvature
@@ -293,6 +293,17 @@ def test_nearly_exact(scene, samples, errs):
     truth = true_picture(scene, 1 / 16384)
     assert np.abs(render(scene, samples) - truth.image).max() <= errs
     assert truth.error.max() <= errs
+
+
+@pytest.mark.parametrize("right", [0.0, 0.005])
+def test_a_highlight_narrower_than_a_pixel(right):
+    # Of a light much nearer than the eye: directions to it turn within a pixel.
+    view = {"eye": (0, 5, 0), "ahead": (0, -1, 0), "view_up": (0, 0, -1), "proj_distance": 5}
+    mirror = floor(9, shader=gloss(0, 1e4))
+    scene = seen((right + 0.004, 0.2, 0.007), mirror, **view, size=(12, 12), wide=0.36)
+    mean = supersampled(scene, 32)
+    assert mean.max() > 0.08
+    assert np.abs(render(scene, samples=64) - mean).max() < 2e-4
 
 
 def test_more_lights_than_bits(monkeypatch):

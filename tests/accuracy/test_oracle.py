@@ -20,7 +20,7 @@ from scene_files import NAMES, names, small
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
 from reference.measured.workloads import resized
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render, write_png
+from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render
 
 # The tracer's rounding, times 10^4 lengths seen from afar, times exponents of 60; a light near the
 # ground sees points rounded by 2^24 EPS; an eye at 10^-9 over a floor has its points further along.
@@ -90,15 +90,6 @@ def test_faces_that_tie_are_decided_alike_along_their_edge(inside):
     np.testing.assert_allclose(first, left if inside else right, atol=0.02)
     np.testing.assert_allclose(last, right if inside else left, atol=0.02)
     assert (np.abs(first - last) > 0.1).sum() > 7
-
-
-def test_of_surfaces_that_tie_the_oracle_sees_the_first_or_the_last():
-    shades = [Lambertian(diffuse=color) for color in np.eye(3)]
-    plates = [Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0), shader=shader) for shader in shades]
-    scene = scene_of(*plates, camera=Camera(view_point=(0, 0, 3)), size=(1, 1), lights=(0, 0, 9))
-    for ties, color in (("first", (1, 0, 0)), ("last", (0, 0, 1))):
-        seen = plain.render(scene, arithmetic="decimal", ties=ties)
-        np.testing.assert_allclose(seen[0, 0], color, atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -219,13 +210,3 @@ def test_ground_radius_over_height(ratio, height):
         return scene_of(surface, camera=camera, size=(5, 5), lights=lights)
 
     assert worst(ground() for _ in range(8)) <= 3e-9
-
-
-def test_command_writes_the_picture(tmp_path, monkeypatch, capsys):
-    path, right = tmp_path / "plain.png", tmp_path / "right.png"
-    scene = SCENES / "one-sphere.xml"
-    monkeypatch.setattr("sys.argv", ["plain", str(scene), "-o", str(path), "--shadows", "t>1e-4"])
-    plain.main()
-    assert capsys.readouterr().out == f"{path}\n"
-    write_png(right, render(load_scene(scene)))
-    assert path.read_bytes() == right.read_bytes()

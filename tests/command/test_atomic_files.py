@@ -12,10 +12,8 @@ import sys
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
 import pytest
 
-from tracer import write_png
 from tracer.files import atomic_file
 
 MAGIC = b"magic"
@@ -39,17 +37,6 @@ def write(path: Path, data: bytes = MAGIC) -> None:
 
 def contents(folder: Path) -> list[bytes]:
     return [path.read_bytes() for path in folder.iterdir()]
-
-
-def test_a_picture_replaces_another_only_if_it_is_whole(tmp_path):
-    write_png(path := tmp_path / "picture.png", np.zeros((1, 1, 3)))
-    (before,) = contents(tmp_path)
-    with pytest.raises(ValueError, match="NaN"):
-        write_png(path, np.full((1, 1, 3), np.nan))
-    assert contents(tmp_path) == [before]
-    write_png(path, np.ones((1, 1, 3)))
-    assert len(contents(tmp_path)) == 1
-    assert path.read_bytes() != before
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])

@@ -36,7 +36,7 @@ COMMANDS = [
     Command("reference.report ball.xml -o page.html", ("page.html",)),
 ]
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 
 
 @pytest.fixture
@@ -44,10 +44,10 @@ def folder(tmp_path: Path) -> Path:
     """What the commands above read."""
     (tmp_path / "ball.xml").write_text(SCENE.format(60, 40))
     (tmp_path / "large.xml").write_text(SCENE.format(4000, 3000))
-    image = np.random.default_rng(0).uniform(size=(200, 300, 3))
+    image = np.random.default_rng(0).uniform(size=(60, 90, 3))
     write_png(tmp_path / "right.png", image)
     (tmp_path / "hand-ins").mkdir()
-    for k in range(9):
+    for k in range(4):
         write_png(tmp_path / "hand-ins" / f"{k}.png", image * (0.9 + 0.01 * k))
     (tmp_path / "tmp").mkdir()
     return tmp_path
@@ -94,7 +94,7 @@ def interrupt(command: Command, moment: float, number: int, folder: Path) -> int
     send = os.killpg if number % 2 else os.kill
     for _ in range(1 + (number // 2) % 2):
         with suppress(ProcessLookupError):
-            send(process.pid, SIGNALS[number % 3])
+            send(process.pid, SIGNALS[number % 5])
     out, err = process.communicate(timeout=60)
     assert err == "", moment
     deadline = time.monotonic() + 20

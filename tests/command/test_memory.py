@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import platform
 import resource
-import subprocess
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from probe import scene_of
+from running import peak
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 
@@ -36,13 +36,6 @@ def test_a_second_picture_needs_no_fresh_pages(samples):
 
 RENDER = "import pickle, sys, tracer; tracer.render(*pickle.load(sys.stdin.buffer))"
 
-# A process starts out with its parent's peak: one that is small stands between.
-WATCH = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-"""
-
 
 def heavy() -> Iterator[Any]:
     """Scenes, and numbers of samples, with many pairs of a light and a sample."""
@@ -55,8 +48,5 @@ def heavy() -> Iterator[Any]:
 
 @pytest.mark.parametrize(("scene", "samples"), [*heavy()])
 def test_memory_is_bounded(scene, samples):
-    command = [sys.executable, "-c", WATCH, sys.executable, "-c", RENDER]
     given = pickle.dumps((scene, samples))
-    ran = subprocess.run(command, input=given, capture_output=True, check=True, timeout=300)
-    # In kibibytes on Linux, in bytes on macOS.
-    assert int(ran.stdout) * (1 if sys.platform == "darwin" else 1024) < 250e6
+    assert peak(sys.executable, "-c", RENDER, given=given) < 250

@@ -32,11 +32,6 @@ for name in tracer.__all__:
         _ = tracer.ray
 
 
-def test_programs_that_use_the_tracer_can_check_its_types():
-    """Type checkers take the annotations of a package with this file for its interface."""
-    assert (Path(tracer.__file__).parent / "py.typed").exists()
-
-
 def test_help_shows_what_is_public():
     text = pydoc.render_doc(tracer, renderer=pydoc.plaintext)
     shown = re.findall(r"^    (?:class )?(\w+)(?:\(| = )", text, re.MULTILINE)

@@ -309,14 +309,11 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
 
 
 @needs_two
-@pytest.mark.usefixtures("signals_heeded")
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
-def test_workers_end_with_their_command(name: str, large: Path, tmp_path: Path) -> None:
+def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) -> None:
     with started(large, "--quiet", "--processes", 2) as process:
         workers = list(workers_of(process))
-        process.send_signal(getattr(signal, name))
+        process.kill()
         assert process.communicate(timeout=60) == ("", "")
-    assert process.returncode == (130 if name != "SIGKILL" else -signal.SIGKILL)
     wait_until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
     assert [path.name for path in tmp_path.iterdir()] == ["large.xml"]
 

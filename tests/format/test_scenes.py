@@ -1,16 +1,14 @@
-"""The scenes of this project: readable, commented, reproducible."""
+"""The scenes of this project: readable, commented, and worth a look."""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import tracer
-from reference.command import SCENES, own_scenes
-from reference.generate import many_objects, write
+from reference.command import own_scenes
 
 PATHS = own_scenes()
 
@@ -38,37 +36,3 @@ def test_says_what_it_shows_and_shows_something(path: Path) -> None:
     # Neither an empty picture nor one that is burnt out.
     assert seen.mean() > 0.1
     assert (image[seen].min(axis=1) > 1).mean() < 0.05
-
-
-def test_is_what_is_generated(tmp_path: Path) -> None:
-    assert len(PATHS) >= 12
-    for path in write(tmp_path):
-        assert path.read_bytes() == (SCENES / path.name).read_bytes()
-
-
-def test_seed_and_count() -> None:
-    surfaces = many_objects(count=30, seed=7).surfaces
-    assert (len(surfaces.min_pt), len(surfaces.radius)) == (10, 20)
-    assert many_objects(30, seed=7) != many_objects(30, seed=8)
-
-
-STICKS = ("sticks-perspective", "sticks-axonometric", "sticks-orthographic", "sticks-shifted")
-
-
-@pytest.mark.parametrize("name", STICKS)
-def test_cubes_of_sticks_differ_in_camera_and_lights_only(name: str) -> None:
-    scene, first = (tracer.load_scene(SCENES / f"{n}.xml") for n in (name, STICKS[0]))
-    assert len(scene.surfaces) == 21
-    assert list(scene.surfaces) == list(first.surfaces)
-    assert len(scene.lights) == 3
-    assert [light.position for light in scene.lights].count(scene.camera.view_point) == 1
-
-
-def test_touching_scene_touches_exactly() -> None:
-    """Coordinates are dyadic, so contacts and coincidences are exact."""
-    surfaces = tracer.load_scene(SCENES / "touching.xml").surfaces
-    balls = np.column_stack([surfaces.center, surfaces.radius])
-    assert len(np.unique(balls, axis=0)) == len(balls) - 1
-    assert (surfaces.min_pt == surfaces.max_pt).any(axis=1).sum() == 1
-    apart = np.linalg.norm(surfaces.center[:, None] - surfaces.center, axis=2)
-    assert (apart == surfaces.radius[:, None] + surfaces.radius).sum() == 4

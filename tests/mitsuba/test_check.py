@@ -11,10 +11,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from messages import run_python
 from PIL import Image
-from probe import close_up, moved
+from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
+from running import run_python
 from scene_files import overflowing, small, small_one
 
 from converters.rendering import Rendering
@@ -23,7 +23,7 @@ from reference import check
 from reference.check import STOCK, check_diffuse, check_scene, compare, main, near_edges
 from reference.command import SCENES
 from reference.regenerate import load_small
-from tracer import Box, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
 
 BALL, DOT = Sphere(), Sphere(radius=0.3)
 WALL = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0))
@@ -44,6 +44,21 @@ ODD = {
     # Limits are relative in bright pictures.
     "brighter": replace(
         close_up(BALL), lights=(PointLight(position=(3, 4, 5), intensity=(300,) * 3),)
+    ),
+    # Rays start on a box around the scene, and it on none of its sides.
+    **{
+        f"along {axis}": scene_of(
+            WALL,
+            camera=Camera(view_point=5 * axis, view_dir=-axis, view_up=np.roll(axis, 1)),
+            size=(24, 24),
+            lights=[PointLight(position=9 * axis)],
+        )
+        for axis in (*np.eye(3), *-np.eye(3))
+    },
+    # Shadow rays start at lamps, which hang on surfaces.
+    "lamp": replace(
+        close_up(Box(min_pt=(-9, -9, -9), max_pt=(9, -1, 9)), PLATE, light=(0.1, -0.3, 0)),
+        camera=Camera(view_point=(0, 1, 5), view_dir=(0, -0.4, -1)),
     ),
     "sun": close_up(BALL, light=(3e20, 5e20, 4e20)),
     # What is written is ten units large, even where float32 could not hold the scene.
@@ -80,22 +95,14 @@ def test_ties_are_explained_pixel_by_pixel():
     assert np.array_equal(result.mitsuba, seen)
     assert "shows the other of surfaces that tie on 171 pixels" in result.report()
     # All of a picture may be ties; one pixel that is none is not drowned by them.
-    assert compare(scene, "walls", by_mitsuba(other)).verdict == "agrees"
-    seen[23, 23] = 0.5
+    assert compare(scene, "walls", by_mitsuba(other)).ties.all()
+    seen = other.copy()
+    seen[23, 23] = 0.5  # in the last of the parts that are asked about
     result = compare(scene, "walls", by_mitsuba(seen))
     assert (result.verdict, result.differing.sum(), result.first) == ("undecided", 1, (23, 23))
     # Of surfaces that tie the tracer has to show the first.
     wrong = compare(replace(scene, surfaces=scene.surfaces[::-1]), "walls", by_mitsuba(other))
     assert (wrong.verdict, wrong.differing.sum()) == ("agrees", 0)
-
-
-def test_many_ties_are_all_asked_about(monkeypatch):
-    monkeypatch.setattr(check, "_AT_A_TIME", 100)
-    scene, other = close_up(RED_WALL, WALL), render(close_up(WALL, RED_WALL))
-    assert compare(scene, "walls", by_mitsuba(other)).ties.all()
-    other[23, 22] = 0.5  # in the last of the parts
-    result = compare(scene, "walls", by_mitsuba(other))
-    assert (result.verdict, result.first) == ("undecided", (23, 22))
 
 
 def test_where_the_tracer_shows_the_last_of_ties_it_differs(monkeypatch):
@@ -179,7 +186,7 @@ def test_edges_on_which_both_agree_are_not_left_out():
 def hostile_scene(seed: int) -> Scene:
     """A scene that is hard for float32: of any kind; every third with many lights, or flat."""
     kinds = [kind for kind in KINDS if kind != "crowd"]
-    scene, rng = random_scene(kinds[seed % len(kinds)], seed, 64, 48), np.random.default_rng(seed)
+    scene, rng = random_scene(kinds[seed % len(kinds)], seed, 48, 36), np.random.default_rng(seed)
     if seed % 3 == 0:
         places = rng.normal(size=(rng.integers(8, 21), 3)) * 4
         more = [PointLight(position=p, intensity=rng.uniform(0.02, 0.1, 3)) for p in places]
@@ -196,7 +203,7 @@ def hostile_scene(seed: int) -> Scene:
 
 SEEDS = [
     range(4),
-    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 200, 14)),
+    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 102, 14)),
 ]
 
 
@@ -305,13 +312,3 @@ def test_what_mitsuba_stumbles_over_is_told_in_a_line(scene_file, monkeypatch, c
     monkeypatch.setattr(check, "check", Mock(side_effect=error))
     assert main([*VARIANT, str(scene_file)]) == 1
     assert capsys.readouterr().err == f"{scene_file}: {line}\n"
-
-
-@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", "llvm_ad_mono", ""])
-def test_variants_without_rgb_are_refused(scene_file, capsys, variant):
-    assert main(["--variant", variant, str(scene_file)]) == 2
-    error = capsys.readouterr().err
-    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
-    assert error.startswith(wrong)
-    assert SCALAR in error
-    assert "spectral" not in error.removeprefix(wrong)

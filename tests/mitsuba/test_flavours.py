@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import run_python
 from probe import close_up, moved, scene_of
+from running import run_python
 from scene_files import small
 
 from converters.camera import visible_points, window_of
@@ -75,6 +75,14 @@ def test_a_large_ground_is_not_speckled_in_the_stock_flavour():
     assert figures(image, render(scene, samples=16)).ssim > 0.85
 
 
+def test_a_large_ground_is_lit_in_the_exact_flavour():
+    """Hit points err by some roundings of its radius, by which no point is shaded."""
+    scene = close_up(Sphere(center=(0, -1000.3, 0), radius=1000))
+    camera = replace(scene.camera, view_point=(0, 1, 5), view_dir=(0, -0.2, -1))
+    scene = replace(scene, camera=camera)
+    assert np.abs(render_mitsuba(scene, variant=SCALAR) - render(scene)).max() < 1e-4
+
+
 @pytest.mark.parametrize("flavour", SAMPLES)
 def test_what_nothing_is_made_of_is_left_out(flavour):
     odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
@@ -87,8 +95,9 @@ def test_what_nothing_is_made_of_is_left_out(flavour):
 
 
 def test_more_samples_than_mitsuba_can_count():
+    # 10 a pixel are rounded up to 16.
     with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
-        render_mitsuba(replace(close_up(), width=4, height=4), samples=1 << 28)
+        render_mitsuba(replace(close_up(), width=1 << 14, height=1 << 14), samples=10)
 
 
 def test_stock_scenes_stay_where_they_are():
@@ -140,10 +149,27 @@ def test_boxes_keep_their_thickness_wherever_they_are():
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
     for flavour, scale in ((stock, 1.0), (exact, normalisation(close_up(thin, flat)).scale)):
         root = ET.fromstring(flavour(close_up(thin, flat)))
-        halves = [[float(s.get(k, "")) for k in "xyz"] for s in root.iter("scale")]
+        halves, middles = (
+            np.array([[float(s.get(k, "")) for k in "xyz"] for s in root.iter(name)])
+            for name in ("scale", "translate")
+        )
         np.testing.assert_allclose(halves[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
         assert halves[1][0] == pytest.approx(0.5 * scale)
-        assert 0 < halves[1][2] < 3 * scale
+        # What is flat is so thick that float32 tells its faces apart, and no thicker.
+        assert halves[1][2] == pytest.approx(1e-6 * np.abs(middles).max(), rel=1e-3)
+
+
+def test_lights_get_as_many_samples_each():
+    """In a grid of whole rows, as Mitsuba's multijitter has it."""
+    for lights, samples, taken in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
+        scene = replace(TINY, lights=[*TINY.lights][:1] * lights)
+        assert f'<integer name="sample_count" value="{taken}"/>' in stock(scene, samples)
+
+
+def test_beside_an_enormous_ball_a_stock_scene_stays_large_enough_for_shadow_rays():
+    ground = Sphere(center=(0, -1e12 - 1, 0), radius=1e12)
+    root = ET.fromstring(stock(close_up(Sphere(radius=0.5), ground)))
+    assert float(root.find(".//shape/float").get("value")) > 1e-5
 
 
 def test_the_window_may_be_measured_in_pixels():
@@ -184,6 +210,9 @@ def test_the_camera_is_that_of_the_scene_file():
     np.testing.assert_allclose(window.center, [-6, 0, 8], atol=1e-14)
     np.testing.assert_allclose(window.points(0, 0), [-8, 1, -8], atol=1e-14)
     np.testing.assert_allclose(window.points(1, 0.5), [-4, 0, -8], atol=1e-14)
+    # No square of a length overflows.
+    ahead = window_of(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
+    np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)
 
 
 def test_normalised_scene_is_centred_and_ten_units_large():
@@ -220,8 +249,18 @@ def test_visible_points_of_a_room_are_on_its_walls(room, distances):
 
 
 def test_visible_points_lie_on_the_nearest_surface():
-    scene = close_up(Sphere(radius=0.5), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
+    scene = close_up(Sphere(radius=0.45), Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1)))
     points = visible_points(scene)
-    on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.5) & (points[:, 2] > 0)
+    on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.45) & (points[:, 2] > 0)
     assert (on_ball | np.isclose(points[:, 2], -1)).all()
-    assert 0 < on_ball.sum() < len(points)
+    assert 0 < on_ball.sum() < len(points) == 144
+    # None of the wall behind the ball.
+    ways = points[~on_ball] - (0, 0, 5)
+    past = np.linalg.norm(np.cross(ways, (0, 0, 5)), axis=1) / np.linalg.norm(ways, axis=1)
+    assert past.min() >= 0.45
+    # Where few rays hit anything, more are sent.
+    assert len(visible_points(close_up(Sphere(radius=0.05)))) >= 12
+    # Rows of rays are 1/8 apart on a box's front, and none of them leaves it out.
+    assert (
+        len(visible_points(close_up(Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))))) == 64
+    )

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from messages import run_python, told
 from PIL import Image
+from running import run_python, told
 from scene_files import ONE_SPHERE, codes, small_one
 
+from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
 from converters.variant import SCALAR, mi, use
 from reference.command import own_scenes
@@ -87,19 +88,11 @@ def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.xml", "b.xml", "-o", "c.xml"], "several scenes need a folder"),
-        (
-            ["a/x.xml", "b/x.xml", "-o", "/tmp"],
-            "/tmp/x.mitsuba.xml: a/x.xml and b/x.xml would both be written there",
-        ),
-        (["a.xml", "-o", "a.xml"], "would replace a scene"),
         (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
         (["a.xml", "--samples", "0"], "must be a whole number from 1 to 999999999, is '0'"),
         (["a.xml", "--check"], "is a command of its own: python -m reference.check SCENE.xml ..."),
         (["a.xml", "--flavour", "best"], "invalid choice: 'best'"),
         (["a.xml", "--variant", "nope"], "--variant is for --render;"),
-        (["a.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
-        (["a.xml", ""], "argument SCENE.xml: the name is empty; name a file"),
         ([], "the following arguments are required: SCENE.xml"),
     ],
 )
@@ -194,3 +187,8 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, 
         error = capsys.readouterr().err
         assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
     assert names(small.parent) == {"small.xml"}
+
+
+def test_what_is_no_number_is_told():
+    with pytest.raises(ValueError, match="radius would be nan, and Mitsuba's"):
+        plugin("shape", "sphere", radius=float("nan"))

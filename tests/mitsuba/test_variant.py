@@ -1,9 +1,12 @@
 """The choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it."""
 
 import pytest
-from messages import run_python
+from running import run_python
+from scene_files import ONE_SPHERE
 
+from converters import to_mitsuba
 from converters.variant import LLVM, SCALAR, Choice, choose, use
+from reference import check
 
 RENDER = """
 from converters.rendering import render_mitsuba
@@ -60,3 +63,16 @@ def test_asking_for_a_variant_that_does_not_work_says_why():
     child = run_python("-c", code, DRJIT_LIBLLVM_PATH="/nonexistent")
     assert child.returncode == 1
     assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
+
+
+@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
+def test_variants_without_rgb_are_refused(variant, capsys):
+    scene = str(ONE_SPHERE)
+    assert check.main(["--variant", variant, scene]) == 2
+    assert to_mitsuba.main(["--render", "--variant", variant, scene]) == 1
+    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == second
+    assert first.startswith(wrong)
+    assert SCALAR in first
+    assert "spectral" not in first.removeprefix(wrong)

@@ -9,11 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from scene_files import small_one
 
-from reference import sheet
+from reference import regenerate
 from reference.command import own_scenes
-from reference.measured.measurements import Ratio, read_csv
 from tracer import SceneFileError, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,15 +37,15 @@ def test_the_readme_is_one_page_with_two_commands() -> None:
 def test_its_speeds_are_those_of_the_benchmark() -> None:
     """The least and the most of the stored speedups over stock Mitsuba."""
     text = " ".join(README.split())
-    _, rows = read_csv(ROOT / "reference/benchmark.csv")
-    sizes = ("320×180", "320 × 180"), ("2560×1440", "2560 × 1440")
-    for table in ("Whole process: from XML to PNG", "Rendering alone"):
-        for size, shown in sizes:
-            found = [float(value) for title, row, column, value, *_ in rows
-                     if (title, column) == (table, "speedup over stock") and row.endswith(size)
-                     and "mean" not in row]  # fmt: skip
-            low, high = (str(Ratio(end)).rstrip("×") for end in (min(found), max(found)))
-            assert re.search(rf"{re.escape(f'{low} to {high}')} times [^.,]*{shown}", text), table
+    page = (ROOT / "reference/benchmark.md").read_text(encoding="utf-8")
+    for title in ("Whole process: from XML to PNG", "Rendering alone"):
+        table = page.partition(f"## {title}\n")[2].partition("## ")[0]
+        assert " | speedup over stock |\n" in table
+        for size in ("320×180", "2560×1440"):
+            found = re.findall(rf"^\| (?!geometric)\S+ {size} \|.* ([\d.]+)× \|$", table, re.M)
+            low, high = min(found, key=float), max(found, key=float)
+            shown = size.replace("×", " × ")
+            assert re.search(rf"{re.escape(f'{low} to {high}')} times [^.,]*{shown}", text), title
 
 
 def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,16 +98,5 @@ def test_the_map_names_every_module_of_the_tracer() -> None:
 
 def test_the_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five square scenes and nine wide ones make a row and three."""
-    monkeypatch.setattr(sheet, "_SAMPLES", 1)
-    image = sheet.sheet(own_scenes())
-    square = (960 - 4 * 12) // 5 + 22
-    wide = round(180 * ((960 - 2 * 12) // 3) / 320) + 22
-    assert image.size == (960, square + 3 * wide + 3 * 12)
-
-
-def test_a_row_of_the_sheet_is_as_high_as_its_tallest_scene(tmp_path: Path) -> None:
-    paths = []
-    for name, size in (("flat", "40 20"), ("tall", "20 40")):
-        (tmp_path / name).mkdir()
-        paths.append(small_one(tmp_path / name, size))
-    assert sheet.sheet(paths).size == (960, 2 * ((960 - 2 * 12) // 3) + 22)
+    monkeypatch.setattr(regenerate, "_SAMPLES", 1)
+    assert regenerate.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)

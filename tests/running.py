@@ -17,8 +17,9 @@ SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint><projDistance>{0}</projDis
 <viewWidth>{0}</viewWidth><viewHeight>{1}</viewHeight></camera><image>{0} {1}</image>
 <light><position>3 4 5</position></light><surface type="Sphere"/></scene>"""
 
+ROOT = Path(tracer.__file__).parents[1]
 # The tracer under test, whatever folder a process starts in.
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(tracer.__file__).parents[1])}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
 
 
@@ -44,6 +45,36 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     with started(*arguments, **options) as process:
         out, err = process.communicate(input)
     return process.returncode, out, err
+
+
+def run_python(
+    *arguments: str, cwd: Path = ROOT, stdout: int = subprocess.PIPE, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with this project's packages."""
+    command, environment = [sys.executable, *arguments], ENVIRONMENT | environment
+    options: Any = PIPES | {"stdout": stdout, "timeout": 120}
+    return subprocess.run(command, cwd=cwd, env=environment, **options)
+
+
+def told(err: str) -> str:
+    """What a command wrote to stderr, without Dr.Jit's lines there if it has found no libLLVM."""
+    return "".join(line for line in err.splitlines(True) if not line.startswith("jit"))
+
+
+# A process starts out with its parent's peak memory: a small one must be in between.
+_WATCH = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def peak(*command: str, given: bytes = b"") -> float:
+    """Peak resident memory of a process that is given input, or of its largest worker, MB."""
+    watch = [sys.executable, "-c", _WATCH, *command]
+    done = subprocess.run(watch, input=given, stdout=subprocess.PIPE, check=True, env=ENVIRONMENT)
+    # In kibibytes on Linux, in bytes on macOS.
+    return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 def names(folder: Path) -> list[str]:
