@@ -29,8 +29,7 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import main
 from reference.figures import figures, write_comparison
-from reference.handins.alignment import Codes
-from reference.handins.reading import read_picture
+from reference.handins.reading import Codes, read_picture
 from reference.handins.results import Result
 from reference.handins.workers import shared
 from tracer import load_scene, render, to_codes

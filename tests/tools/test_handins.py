@@ -15,13 +15,11 @@ import student
 from PIL import Image
 
 from reference.command import SCENES
-from reference.handins.alignment import Codes
-from reference.handins.diagnosis import SceneDiagnosis
+from reference.handins.diagnosis import Solution
 from reference.handins.drawing import draw
 from reference.handins.formulas import parameters
 from reference.handins.mistakes import RIGHT, mistakes_of
-from reference.handins.pictures import compare_pictures
-from reference.handins.reading import Picture, read_picture
+from reference.handins.reading import Codes, Picture, read_picture
 from tracer import Scene, load_scene, render, to_codes
 
 NAMES = ["four-spheres", "room", "highlights", "touching", "non-square-pixels", "two-boxes"]
@@ -37,14 +35,14 @@ def scene(name: str) -> Scene:
 
 
 @cache
-def diagnosis(name: str) -> SceneDiagnosis:
-    return SceneDiagnosis(scene(name), f"{name}.xml")
+def diagnosis(name: str) -> Solution:
+    return Solution(scene(name), f"{name}.xml")
 
 
 def verdict(name: str, made: tuple[str, ...]) -> str | None:
     """How right the diagnosis is: it names what was made, or what draws the same; None: unseen."""
     codes = student.draw(scene(name), *made)
-    if codes is None or (codes == diagnosis(name).right).all() or not np.ptp(codes, (0, 1)).any():
+    if codes is None or (codes == diagnosis(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
     found = diagnosis(name).diagnose(Picture(codes)).kind
     causes = [cause.split("+") for cause in found.split("|")]
@@ -115,7 +113,7 @@ def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
 
 def test_what_no_mistake_draws_is_described() -> None:
     """Half as bright in a rectangle: surfaces, the worst pixel, and the command, but no cause."""
-    codes = diagnosis("room").right.copy()
+    codes = diagnosis("room").codes.copy()
     codes[60:90, 100:140] //= 2
     kind, text = diagnosis("room").diagnose(Picture(codes))
     assert kind == "unknown"
@@ -123,16 +121,16 @@ def test_what_no_mistake_draws_is_described() -> None:
     number, on, of = re.search(
         r"(\d+) pixels differ: (\d+) of (\d+) on \w+ \d \(line", text
     ).groups()
-    assert int(number) == (abs(codes.astype(int) - diagnosis("room").right) > 1).any(axis=2).sum()
+    assert int(number) == (abs(codes.astype(int) - diagnosis("room").codes) > 1).any(axis=2).sum()
     assert int(on) <= int(of)
     x, y, here, right = re.search(r"is (\d+),(\d+): ([\d ]+) in place of ([\d ]+);", text).groups()
-    for image, words in ((codes, here), (diagnosis("room").right, right)):
+    for image, words in ((codes, here), (diagnosis("room").codes, right)):
         assert image[int(y), int(x)].tolist() == [*map(int, words.split())]
     assert f"tracer room.xml --pixel {x},{y} explains it" in text
 
 
 def test_lights_that_are_lacking_are_named() -> None:
-    right = diagnosis("room").right
+    right = diagnosis("room").codes
     codes = np.where(
         np.indices(right.shape)[1] < 120, student.draw(scene("room"), "light-first"), right
     )
@@ -151,7 +149,7 @@ def test_speckles_and_single_precision() -> None:
         diagnosis("room").diagnose(Picture(student.run(source, scene("room")))).kind
         == "shadow-speckles"
     )
-    few = diagnosis("room").right.copy()
+    few = diagnosis("room").codes.copy()
     near = to_codes(render(scene("room"), offset=(0.04, 0.0)))
     differ = np.argwhere((abs(near.astype(int) - few) > 1).any(axis=2))[:9]
     few[tuple(differ.T)] = near[tuple(differ.T)]
@@ -182,13 +180,13 @@ def test_a_jpeg_hides_nothing(tmp_path: Path, made: str) -> None:
 )
 def test_whole_pictures(change, kind: str) -> None:
     found = diagnosis("room").diagnose(
-        Picture(np.ascontiguousarray(change(diagnosis("room").right)))
+        Picture(np.ascontiguousarray(change(diagnosis("room").codes)))
     )
     assert found.kind in kind.split("|"), found.text
 
 
 def pair(*kinds: str) -> tuple[Codes, Codes]:
-    return student.draw(scene("four-spheres"), *kinds), diagnosis("four-spheres").right
+    return student.draw(scene("four-spheres"), *kinds), diagnosis("four-spheres").codes
 
 
 @pytest.mark.parametrize(
