@@ -39,7 +39,7 @@ class Diagnosis(NamedTuple):
 
 
 class Solution:
-    """A scene, or a right picture, against which hand-ins are held; drawings of it serve all of them.
+    """A scene, or a right picture, that hand-ins are held against; its drawings serve all of them.
 
     `name` is what the scene's file is called on a command line.
     """
@@ -119,9 +119,10 @@ class Solution:
         x, y = worst_pixel(*(_picture(codes, d.columns) for codes in (search.handin, d.right)))
         pixel = y * d.columns + x
         here, right = (" ".join(map(str, codes[:, pixel])) for codes in (search.handin, d.right))
-        worst = f" The worst is {x},{y}: {here} in place of {right};"
+        worst = f" The worst is {x},{y}: {here} in place of {right}"
         if not self.scene:
-            return f"{wrong.sum()} pixels differ.{worst} with the scene more can be said."
+            more = "With the scene in place of the right picture, more can be said."
+            return f"{wrong.sum()} pixels differ.{worst}. {more}"
         change = search.handin.astype(np.int16) - d.right
         found = []
         for k in np.unique(d.surface[wrong]):
@@ -135,7 +136,7 @@ class Solution:
         rest = sum(number for number, _ in found[_NAMED:])
         words += f", {rest} on others" if rest else ""
         return (
-            f"{wrong.sum()} pixels differ: {words}.{self._lights(search)}{worst}"
+            f"{wrong.sum()} pixels differ: {words}.{self._lights(search)}{worst};"
             f" tracer {self.name} --pixel {x},{y} explains it."
         )
 

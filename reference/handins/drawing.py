@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from reference.figures import linear
 from reference.handins.formulas import Array, Formulas, parameters
 from reference.handins.mistakes import RIGHT, mistakes_of, offset
 from reference.handins.reading import Codes
@@ -17,7 +18,7 @@ from tracer import Phong, Scene, Sphere
 def given(scene: Scene | Codes) -> dict[str, Any]:
     """What formulas are computed from: a scene, or codes (h, w, 3) of a right picture alone."""
     if not isinstance(scene, Scene):
-        return {"picture": scene}
+        return {"picture": linear(scene)}
     c, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
     shaders = [s.shader for s in surfaces]
     seen = 1 if len(scene.surfaces) else np.nan  # formulas need a surface, if one that rays miss

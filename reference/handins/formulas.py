@@ -11,8 +11,7 @@ from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
-
-from reference.figures import linear
+from scipy.ndimage import map_coordinates
 
 Array: TypeAlias = Any
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
@@ -156,22 +155,17 @@ def fitted_background(bytes: Array, hit: Array, handin: Array) -> Array:
     return np.where(hit, bytes, shades[:, count.argmax()][:, None]).astype(np.uint8)
 
 
-def _at_pixel(picture: Array, x: Array, y: Array) -> Array:
-    """A picture's values (3, n) at places in the window, or at the nearest in it."""
-    height, width = picture.shape[:2]
-    column = np.clip(np.floor((x + 0.5) * width + 1e-9), 0, width - 1).astype(int)
-    row = np.clip(np.floor((0.5 - y) * height + 1e-9), 0, height - 1).astype(int)
-    return picture[row, column].T
-
-
 def light_in(picture: Array, x: Array, y: Array) -> Array:
-    """Look up the light (3, n) that a picture's codes (h, w, 3) show."""
-    return linear(_at_pixel(picture, x, y))
+    """Look up light (3, n) in a picture's (h, w, 3), interpolated between its pixels' centres."""
+    height, width = picture.shape[:2]
+    places = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
+    channels = (picture[:, :, k] for k in range(3))
+    return np.array([map_coordinates(c, places, order=1, mode="nearest") for c in channels])
 
 
 def shown_in(picture: Array, x: Array, y: Array, handin: Array) -> Array:
     """Where something is seen: not where a picture is black, and the hand-in is not."""
-    return _at_pixel(picture, x, y).any(axis=0) | ~handin.any(axis=0)
+    return light_in(picture, x, y).any(axis=0) | ~handin.any(axis=0)
 
 
 _OWN: tuple[Callable[..., Any], ...] = (

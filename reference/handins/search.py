@@ -132,7 +132,7 @@ class Drawings:
         parts: list[list[Any]] = [[] for _ in changes]
         step = max(2000, 400_000 // max(1, self.surfaces))
         for start in range(0, self.number, step):
-            drawing = self.drawing(np.arange(start, min(start + step, self.number)), handin, 100)
+            drawing = self.drawing(np.arange(start, min(start + step, self.number)), handin, 500)
             for found, changed in zip(parts, changes, strict=True):
                 found.append(drawing.pixels(changed, names))
         return [{name: np.concatenate([part[name] for part in found], axis=-1) for name in found[0]}
@@ -159,17 +159,13 @@ class Drawings:
         found = {c: drawing.codes(self.changes(c) or {}) for c in causes}
         return {c: codes[:, : len(sample.pixels)] for c, codes in found.items()}
 
-    def both_ways(self, kinds: Iterable[str]) -> list[Cause]:
-        """Each mistake alone, for tracers whose shadow rays spare the surface itself and others."""
-        ways = product(((), (mistakes.OWN_SURFACE,)), kinds)
-        causes = [(kind, *own) for own, kind in ways if kind != mistakes.OWN_SURFACE]
-        return [c for c in causes if c[-1] in self.table and self.changes(c) is not None]
-
     @cached_property
     def singles(self) -> dict[Cause, Array]:
-        """The scene's sample drawn with each mistake alone."""
-        fixed = [kind for kind in self.table if kind not in self.alone and not self.fitted((kind,))]
-        return self.codes(self.both_ways(fixed), self.samples[1], self.blank)
+        """The scene's sample drawn with each mistake; shadow rays spare the surface or not."""
+        kinds = [kind for kind in self.table if kind not in self.alone and not self.fitted((kind,))]
+        causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
+        possible = [c for c in causes if c[-1] in self.table and self.changes(c) is not None]
+        return self.codes(possible, self.samples[1], self.blank)
 
     @cached_property
     def alike(self) -> dict[Cause, list[Cause]]:
@@ -253,9 +249,9 @@ class Search:
     def single(self) -> tuple[int, list[Cause]]:
         """Draw each mistake alone."""
         d = self.drawings
+        good = self.good([*d.singles], [*d.singles.values()], d.samples[1], _SOME)
         kinds = [kind for kind in d.table if d.fitted((kind,))] + self.of_suspects()
-        drawn = d.singles | d.codes(d.both_ways(kinds), d.samples[1], self.handin)
-        return self.best(self.sifted(self.good([*drawn], [*drawn.values()], d.samples[1], _FEW), 1))
+        return self.best(self.sifted([*good, *((kind,) for kind in kinds)], 1))
 
     def of_suspects(self) -> list[str]:
         """Mistakes of one surface of many: each wrong pixel is on it, or in its shadow."""
