@@ -37,6 +37,8 @@ _MANY_SURFACES, _MANY_LIGHTS = 40, 4
 # Rounding decides so many pixels at most, each within so many pixels from its centre, or where
 # shadow rays start so far above or below a surface, in parts of its distance from the origin.
 _TIES, _HAIR, _LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
+# Dots: neighbours differ so often, as a part of how often they would by chance.
+_DOTS = 0.3
 # Levels: where a format changes them, those further apart count as these.
 _FAR = 32
 # Bytes of whole pictures that are kept for other hand-ins.
@@ -368,15 +370,14 @@ class Search:
                 found[:, better] = lights[:, None]
         return lit & ~found, found & ~lit, np.isfinite(fewest)
 
-    def speckled(self) -> int | None:
-        """How many pixels are not as if surfaces shadowed themselves, in dots; None if too many.
+    def speckled(self) -> bool:
+        """Whether surfaces shadow themselves, in dots that depend on rounding.
 
-        Which are dark depends on rounding: neighbours differ nearly as if by chance.
+        Light is lost alone, and so that neighbours differ nearly as often as by chance.
         """
         lost, too_much, known = self.lights
-        left = int((too_much.any(axis=0) | ~known).sum())
-        if left > self.most or lost.any(axis=0).mean() < _OF_ALL:
-            return None
+        if (too_much.any(axis=0) | ~known).sum() > self.most or not lost.any():
+            return False
         shape = len(lost), -1, self.drawings.columns
         lost, lit = lost.reshape(shape), self.drawings.lit.reshape(shape)
         share, differ, expected = lost.sum() / lit.sum(), 0, 0.0
@@ -384,4 +385,4 @@ class Search:
             both = lit & np.roll(lit, 1, axis)
             differ += int((both & (lost != np.roll(lost, 1, axis))).sum())
             expected += 2 * share * (1 - share) * both.sum()
-        return left if differ > 0.3 * expected else None
+        return bool(lost.any(axis=0).mean() > _OF_ALL and differ > _DOTS * expected)
