@@ -15,8 +15,6 @@ from tracer import Scene, SurfaceRef
 _PAGE = Path(__file__).with_name("mistakes.md")
 OWN_SURFACE = "shadow-own"
 """Not a mistake: tracers whose shadow rays test the surface itself draw some others differently."""
-FITTED = ("gamma", "brightness", "ambient")
-"""Their numbers are read from the hand-in: they are named only where no other draws it."""
 BACKGROUND: tuple[str, ...] = ("background",)
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
 """They show where light is beyond 1, which another mistake may bring about."""

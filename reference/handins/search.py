@@ -321,7 +321,7 @@ class Search:
         levels = {c: self.left(c, self.lossy) for c in group}
         exact = max(_APART * min(levels.values()), _OF_ALL * self.number)
         group = [c for c in group if levels[c] <= exact]
-        group = [c for c in group if not {*c} & {*mistakes.FITTED}] or group
+        group = [c for c in group if not self.drawings.fitted(c)] or group
         place = {name: k for k, name in enumerate(self.drawings.table)}
         return least, sorted(group, key=lambda c: [place[kind] for kind in c])
 
