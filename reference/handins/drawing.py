@@ -65,6 +65,7 @@ class Drawing:
     """Values of formulas for some pixels; each is computed once for all mistakes that share it.
 
     A value's version is the number of its recipe: its formula and the versions of its arguments.
+    Those of the right picture are kept, and as many of others as the capacity.
     """
 
     def __init__(self, given: dict[str, Any], capacity: int = 3000) -> None:
@@ -73,6 +74,7 @@ class Drawing:
         self._recipes: list[Any] = [None] * len(given)
         self._numbers: dict[Any, int] = {}
         self._right = self._versions(RIGHT, {name: k for k, name in enumerate(given)}, {})
+        self._kept = len(self._recipes)
 
     def _versions(
         self, names: Iterable[str], known: dict[str, int], changes: Formulas
@@ -115,8 +117,8 @@ class Drawing:
             formula, *used = self._recipes[version]
             known = self._values
             value = formula(*[known[v] if v in known else self._value(v) for v in used])
-            if len(self._values) > self._capacity:
-                self._values = dict(enumerate(self._given.values()))
+            if len(self._values) > self._kept + self._capacity:
+                self._values = {v: self._values[v] for v in range(self._kept) if v in known}
             self._values[version] = value
         return self._values[version]
 

@@ -129,16 +129,24 @@ class Drawings:
         places = {"i": pixels % self.columns, "j": pixels // self.columns}
         return Drawing(self.given | places | {"handin": handin[:, pixels]}, capacity)
 
-    def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
-        """Formulas' values for all pixels, computed in parts that fit into a processor's cache."""
-        parts: list[list[Any]] = [[] for _ in changes]
+    def parts(self, handin: Array) -> list[Drawing]:
+        """All pixels in parts that fit into a processor's cache."""
         step = max(2000, 400_000 // max(1, self.surfaces))
-        for start in range(0, self.number, step):
-            drawing = self.drawing(np.arange(start, min(start + step, self.number)), handin, 500)
-            for found, changed in zip(parts, changes, strict=True):
-                found.append(drawing.pixels(changed, names))
-        return [{name: np.concatenate([part[name] for part in found], axis=-1) for name in found[0]}
-                for found in parts]  # fmt: skip
+        starts = range(0, self.number, step)
+        return [self.drawing(np.arange(k, min(k + step, self.number)), handin, 100) for k in starts]
+
+    @cached_property
+    def parts_of_scene(self) -> list[Drawing]:
+        """The same, to be used again, for what does not depend on a hand-in."""
+        return self.parts(self.blank)
+
+    def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
+        """Formulas' values for all pixels, in terms of a scene or of a right picture."""
+        again = 0 < self.surfaces <= _MANY_SURFACES  # others would take too much memory
+        parts = self.parts_of_scene if again else self.parts(handin)
+        found = [[part.pixels(changed, names) for part in parts] for changed in changes]
+        return [{name: np.concatenate([values[name] for values in each], axis=-1)
+                 for name in each[0]} for each in found]  # fmt: skip
 
     def whole(self, causes: Iterable[Cause], handin: Array) -> dict[Cause, Array]:
         """Whole pictures (3, n)."""
