@@ -89,9 +89,11 @@ class Drawing:
             except KeyError:  # what was known of it holds no longer
                 known.pop(name, None)
                 continue
-            known[name] = self._numbers.setdefault(recipe, len(self._recipes))
-            if known[name] == len(self._recipes):
+            number = self._numbers.get(recipe)
+            if number is None:
+                number = self._numbers[recipe] = len(self._recipes)
                 self._recipes.append(recipe)
+            known[name] = number
         return known
 
     def able(self, changes: Formulas) -> bool:
