@@ -23,8 +23,8 @@ import os
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,15 +33,12 @@ from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
 from reference.figures import figures, linear, write_comparison
-from reference.handins.alignment import Codes, Diagnosis
 from reference.handins.class_page import class_page, pair_of
-from reference.handins.diagnosis import SceneDiagnosis
+from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
 from reference.handins.page import Pair
-from reference.handins.pictures import AGREEING, compare_pictures, worst_pixel
 from reference.handins.reading import (
     UNREADABLE,
     HandIn,
-    Picture,
     empty_folders,
     hand_ins,
     match,
@@ -59,15 +56,10 @@ __all__ = ["main"]
 
 
 class Job(NamedTuple):
-    """A hand-in to be judged, where its comparison goes, and what is tolerated."""
+    """A hand-in to be judged, and where its comparison goes."""
 
     hand_in: HandIn
     output: Path | None
-    many: bool
-    ssim: float | None
-    max: float | None
-    html: bool
-    """Whether its pictures are to be shown in a page."""
 
 
 def tolerance(text: str) -> float:
@@ -96,85 +88,71 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not path.exists():
             print_line(sys.stderr, printable(f"{path}: does not exist"))
             return 3
-    many = options.a.is_dir()
-    pictures = hand_ins(options.a) if many else [options.a]
+    options.many = options.a.is_dir()
+    folder = options.a if options.many else options.a.parent
+    pictures = hand_ins(folder) if options.many else [options.a]
     if not pictures:
         used.error(printable(f"{options.a}: holds no pictures"))
-    if many and options.output is not None and not is_folder(options.output):
+    if options.many and options.output and not is_folder(options.output):
         wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
         used.error(printable(wrong))
     matched, nobodys = match(pictures, options.b)
-    outputs = _outputs(options, pictures) if options.output else [None] * len(pictures)
-    pages = [Path(options.html)] if options.html else []
+    outputs = _outputs(options, folder, pictures) if options.output else [None] * len(pictures)
     rights = (hand_in.right for hand_in in matched if hand_in.right)
-    spare_inputs(used, (*filter(None, outputs), *pages), (*pictures, *rights))
-    jobs = [Job(hand_in, output, many, options.ssim, options.max, bool(pages))
-            for hand_in, output in zip(matched, outputs, strict=True)]  # fmt: skip
+    page = Path(options.html) if options.html else None
+    spare_inputs(used, filter(None, (*outputs, page)), (*pictures, *rights))
     # Hand-ins of one scene follow one another: what is drawn of it serves all of them.
-    jobs.sort(key=lambda job: (str(job.hand_in.right), str(job.hand_in.picture)))
+    jobs = sorted(map(Job, matched, outputs), key=lambda job: str(job.hand_in.right))
+    judged = shared(partial(judge, options), jobs, lost)
     few = len(jobs) < 3 or sys.stderr is None
-    judged = [
-        *tqdm(shared(judge, jobs, lost), total=len(jobs), unit="picture", disable=few or None)
-    ]
-    pairs = {str(result.picture): pair for result, pair in judged if pair}
-    results = sorted((result for result, _ in judged), key=lambda result: str(result.picture))
-    results += [_missing(None, path, f"{path}: nobody has handed in a picture of it")
-                for path in nobodys]  # fmt: skip
-    results += [_missing(path, None, f"{path}: holds no pictures")
-                for path in (empty_folders(options.a) if many else ())]  # fmt: skip
+    judged = tqdm(judged, total=len(jobs), unit="picture", disable=few or None)
+    found = sorted(judged, key=lambda one: str(one[0].picture))
+    results = [result for result, _ in found]
+    for path in nobodys:
+        error = printable(f"{path}: nobody has handed in a picture of it")
+        results.append(Result(None, str(path), kind=MISSING, error=error))
+    for path in empty_folders(folder) if options.many else ():
+        error = printable(f"{path}: holds no pictures")
+        results.append(Result(str(path), None, kind=MISSING, error=error))
     unread = any(result.word == "unread" for result in results)
     try:
-        where = printable(str(options.html))
-        for path in pages:
-            text = class_page(results, pairs, options.a if many else options.a.parent)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(path, b"<!doctype html>") as file:
+        where = printable(str(page))
+        if page:
+            pairs = {str(result.picture): pair for result, pair in found if pair}
+            text = class_page(results, pairs, folder)
+            page.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_file(page, b"<!doctype html>") as file:
                 file.write(text.encode())
         where = "standard output"
         if options.json or options.csv:
             print_result(sys.stdout, (json_of if options.json else csv_of)(results))
-        elif unread and not many:
+        elif unread and not options.many:
             print_line(sys.stderr, text_of(results, many=False))
         else:
-            print_result(sys.stdout, text_of(results, many=many))
+            print_result(sys.stdout, text_of(results, many=options.many))
     except OSError as error:
         print_line(sys.stderr, f"{where}: cannot be written: {error.strerror or error}")
         return 3
     return 3 if unread else int(not all(result.agrees for result in results))
 
 
-def _missing(picture: Path | None, right: Path | None, error: str) -> Result:
-    a, b = (None if path is None else str(path) for path in (picture, right))
-    return Result(a, b, kind=MISSING, error=printable(error))
-
-
-def _outputs(options: argparse.Namespace, pictures: list[Path]) -> list[Path]:
+def _outputs(options: argparse.Namespace, folder: Path, pictures: list[Path]) -> list[Path]:
     """Where the comparison of each picture goes; none to another's place."""
-    many = options.a.is_dir()
-    if not many and not is_folder(options.output):
+    if not options.many and not is_folder(options.output):
         return [Path(options.output)]
-    above, outputs = options.a if many else options.a.parent, []
-    taken = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
-    for picture in pictures:
-        name = picture.stem if taken[picture.with_suffix("")] == 1 else picture.name
-        folder = Path(options.output, picture.parent.relative_to(above))
-        outputs.append(folder / f"{name}.compare.png")
-    return outputs
+    alike = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
+    names = [p.stem if alike[p.with_suffix("")] == 1 else p.name for p in pictures]
+    return [Path(options.output, p.parent.relative_to(folder), f"{name}.compare.png")
+            for p, name in zip(pictures, names, strict=True)]  # fmt: skip
 
 
-@lru_cache(maxsize=4)
-def _right(path: Path) -> tuple[Codes, Callable[[Picture], Diagnosis], Picture | None]:
-    """The right picture, what names how another differs from it, and how it was read."""
+@lru_cache(maxsize=2)
+def _solution(path: Path) -> tuple[Solution, str]:
+    """The right picture of a file, and a note on what its format does to it."""
     if path.suffix.lower() == ".xml":
-        scene = SceneDiagnosis(load_scene(path), shlex.quote(str(path)))
-        return scene.right, scene.diagnose, None
+        return Solution(load_scene(path), shlex.quote(str(path))), ""
     picture = read_picture(path)
-
-    def diagnose(other: Picture) -> Diagnosis:
-        lossy = bool(picture.lossy or other.lossy)
-        return compare_pictures(other.codes, picture.codes, lossy=lossy)
-
-    return picture.codes, diagnose, picture
+    return Solution(picture), picture.note
 
 
 def lost(job: Job) -> tuple[Result, None]:
@@ -184,7 +162,7 @@ def lost(job: Job) -> tuple[Result, None]:
     return Result(str(picture), str(right), error=error), None
 
 
-def judge(job: Job) -> tuple[Result, Pair | None]:
+def judge(options: argparse.Namespace, job: Job) -> tuple[Result, Pair | None]:
     """Compare a picture; of many, a comparison is written only of those that differ."""
     pair = None
     picture, right, error = job.hand_in
@@ -195,10 +173,10 @@ def judge(job: Job) -> tuple[Result, Pair | None]:
     try:
         a = read_picture(picture)
         where = right
-        b, diagnose, other = _right(right)
+        solution, note = _solution(right)
         where, what = picture, "compared"
-        found = diagnose(a)
-        notes = [f"{n} {p.note}" for n, p in zip("AB", (a, other), strict=True) if p and p.note]
+        found, b = solution.diagnose(a), solution.codes
+        notes = [f"{name} {n}" for name, n in (("It", a.note), (f"{right.name}", note)) if n]
         text = " ".join([*(() if found.kind == "identical" else notes), found.text])
         result = result._replace(kind=found.kind, diagnosis=text)
         if a.codes.shape != b.shape:
@@ -206,17 +184,17 @@ def judge(job: Job) -> tuple[Result, Pair | None]:
         light = linear(a.codes), linear(b)
         distance = figures(*light)
         same = found.kind in AGREEING
-        if job.ssim is not None or job.max is not None:
-            same = (job.max is None or distance.max <= job.max) and (
-                job.ssim is None or distance.ssim >= job.ssim
+        if options.ssim is not None or options.max is not None:
+            same = (options.max is None or distance.max <= options.max) and (
+                options.ssim is None or distance.ssim >= options.ssim
             )
         result = result._replace(
             agrees=same, ssim=distance.ssim, rmse=distance.rmse, max=distance.max,
             differing=int((a.codes != b).any(axis=2).sum()), worst=worst_pixel(a.codes, b),
         )  # fmt: skip
-        if job.html:
+        if options.html:
             pair = pair_of(result, (a.codes, b), light)
-        if job.output is not None and not (job.many and same):
+        if job.output is not None and not (options.many and same):
             where, what = job.output, "written"
             job.output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(job.output, *light, (printable(picture.name), printable(right.name)))

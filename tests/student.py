@@ -8,20 +8,25 @@ import numpy as np
 from tracer import Box, Phong, Scene, Sphere
 
 SOURCE = """
+def dot(a, b):
+    return np.einsum("...k,...k", a, b)
+
 def norm(a):
-    return a / np.sqrt((a ** 2).sum(-1))[..., None]
+    return a / np.sqrt(dot(a, a))[..., None]
 
 def hit_sphere(s, o, d):
     q = o - CENTER
-    a, b, c = (d * d).sum(-1), 2 * (d * q).sum(-1), (q * q).sum(-1) - RADIUS ** 2
+    a, b, c = dot(d, d), 2 * dot(d, q), dot(q, q) - RADIUS ** 2
     root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 def hit_box(s, o, d):
     lo, hi = np.array(s.min_pt), np.array(s.max_pt)
     t1, t2 = (lo - o) / d, (hi - o) / d
-    t1, t2 = np.minimum(t1, t2), np.maximum(t1, t2)
-    near, far = t1.max(-1), t2.min(-1)
+    near, far = -np.inf, np.inf
+    for k in range(3):
+        near = np.maximum(near, np.minimum(t1[..., k], t2[..., k]))
+        far = np.minimum(far, np.maximum(t1[..., k], t2[..., k]))
     miss = ~(near <= far)
     return np.where(miss, np.nan, near), np.where(miss, np.nan, far)
 
@@ -62,11 +67,11 @@ def picture(scene):
         p = eye + best[mine][:, None] * d[mine]
         ray, sh = d[mine], s.shader
         n = (p - CENTER) / RADIUS if isinstance(s, Sphere) else box_normal(s, p)
-        n = np.where(((n * ray).sum(-1) > 0)[:, None], -n, n)
+        n = np.where((dot(n, ray) > 0)[:, None], -n, n)
         color = np.zeros(p.shape)
         for number, light in enumerate(lights):
             way = np.array(light.position) - p
-            far = np.sqrt((way ** 2).sum(-1))[:, None]
+            far = np.sqrt(dot(way, way))[:, None]
             l = way / far
             view = -ray
             h = norm(l + view)
@@ -74,8 +79,8 @@ def picture(scene):
             for m, other in enumerate(surfaces):
                 if m != k:
                     lit &= ~(hit(other, p, way, 1e-7) < 1)
-            nl = (n * l).sum(-1)[:, None]
-            nh = (n * h).sum(-1)[:, None]
+            nl = dot(n, l)[:, None]
+            nh = dot(n, h)[:, None]
             see = lit[:, None]
             part = KD * np.maximum(nl, 0)
             if isinstance(sh, Phong):
@@ -162,7 +167,7 @@ h-difference: h = norm(l + view) => h = norm(l - view)
 v-viewDir: view = -ray => view = -norm(forward)
 v-position: view = -ray => view = norm(eye)
 v-length: view = -ray => view = eye - p
-reflection: nh = (n * h) => nh = ((2 * nl * n - l) * view)
+reflection: nh = dot(n, h) => nh = dot(2 * nl * n - l, view)
 exponent-1: EXPONENT => 1
 exponent-halved: EXPONENT => (sh.exponent / 2)
 exponent-times-4: EXPONENT => (4 * sh.exponent)

@@ -11,8 +11,8 @@ import numpy as np
 
 from reference.figures import Floats, amplified
 from reference.handins import page as pages
-from reference.handins.alignment import Codes
 from reference.handins.page import Cell, Pair, png
+from reference.handins.reading import Codes
 from reference.handins.results import Result
 
 _LEGEND = (

@@ -1,148 +1,198 @@
 """Say what is wrong with a hand-in: which mistakes draw it, or where it differs.
 
-With the scene, mistakes are drawn; a cause that was not drawn is never named.  With two pictures
-alone, see `pictures`.
+Mistakes are drawn, and a cause that was not drawn is never named.  Of a scene any can be drawn; of
+a right picture alone, some of geometry and encoding.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from reference.handins.alignment import Codes, Diagnosis
 from reference.handins.formulas import Array, Formulas
-from reference.handins.mistakes import SINGLE_PRECISION, UNKNOWN
-from reference.handins.pictures import AGREEING, agreement, featureless, worst_pixel
-from reference.handins.reading import Picture
-from reference.handins.search import Finding, SceneDrawings, Search
+from reference.handins.mistakes import OF_PICTURE
+from reference.handins.reading import Codes, Picture
+from reference.handins.search import Drawings, Finding, Search
 from tracer import Scene, SurfaceRef
 
+AGREEING = ("identical", "rounding", "format")
+"""Kinds of pictures that are right."""
 # So many surfaces are named where a picture differs, and so many alternatives.
 _NAMED = 3
 # Lights are named that are wrong at this part of the pixels that differ.
 _PART = 0.1
+# Levels that light read from a picture may be off: they were rounded.
+_ROUNDED = 3
 # Pictures of another size are compared with the scene drawn in theirs.
 _TURNS = ("transposed", "turned-90", "turned-270")
 
 
-class SceneDiagnosis:
-    """A scene whose pictures were handed in; what is drawn of it serves all of them.
+class Diagnosis(NamedTuple):
+    """A keyword, such as ``"gamma-none"``, and a sentence.
+
+    Of several mistakes, keywords are joined by ``+``; those that draw the same, by ``|``.
+    """
+
+    kind: str
+    text: str
+
+
+class Solution:
+    """A scene, or a right picture, that hand-ins are held against; its drawings serve all of them.
 
     `name` is what the scene's file is called on a command line.
     """
 
-    def __init__(self, scene: Scene, name: str) -> None:
-        self.scene, self.name = scene, name
-        self._drawings: dict[tuple[int, int, str], SceneDrawings] = {}
+    def __init__(self, scene: Scene | Picture, name: str = "") -> None:
+        self.name, self._drawings = name, dict[tuple[int, int, str], Drawings]()
+        self.scene = scene if isinstance(scene, Scene) else None
+        self.right = scene if isinstance(scene, Scene) else scene.codes
+        self.lossy = 0 if isinstance(scene, Scene) else scene.lossy
+        if isinstance(scene, Scene):
+            self.height, self.width = scene.height, scene.width
+        else:
+            self.height, self.width = scene.codes.shape[:2]
 
     @property
-    @np.errstate(all="ignore")
-    def right(self) -> Codes:
+    def codes(self) -> Codes:
         """The right picture (h, w, 3)."""
-        return _picture(self._drawn(self.scene).right, self.scene.width)
+        return _picture(self._drawn(self.height, self.width).right, self.width)
 
-    def _drawn(self, scene: Scene, turn: str = "") -> SceneDrawings:
-        key = scene.width, scene.height, turn
+    @np.errstate(all="ignore")
+    def _drawn(self, height: int, width: int, turn: str = "") -> Drawings:
+        key = height, width, turn
         if key not in self._drawings:
-            base: Formulas = self._drawn(self.scene).table[turn] if turn else {}
-            self._drawings[key] = SceneDrawings(scene, base, scene.height if turn else scene.width)
+            base: Formulas = {} if self.scene else OF_PICTURE
+            if turn:
+                base = self._drawn(height, width).table[turn]
+            columns = height if turn else width
+            self._drawings[key] = Drawings(self.right, height, width, columns, base)
         return self._drawings[key]
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
         """Name what draws a hand-in of any size, or say where it differs."""
-        handin = picture.codes
-        height, width = handin.shape[:2]
-        if (height, width) == (self.scene.height, self.scene.width):
-            return self._of_size(picture, self._drawn(self.scene))
-        if flat := featureless(handin, handin):
+        height, width = picture.codes.shape[:2]
+        if (height, width) == (self.height, self.width):
+            return self._of_size(picture, self._drawn(height, width))
+        size = f"The picture has {width}x{height} pixels in place of {self.width}x{self.height}."
+        if flat := featureless(picture.codes):
             return flat
-        tries = {"size": self._drawn(replace(self.scene, width=width, height=height))}
-        if (height, width) == (self.scene.width, self.scene.height):
-            tries |= {turn: self._drawn(self.scene, turn) for turn in _TURNS}
-        codes = _flat(handin)
+        tries = {"size": self._drawn(height, width)}
+        if (height, width) == (self.width, self.height):
+            tries |= {turn: self._drawn(self.height, self.width, turn) for turn in _TURNS}
+        codes = _flat(picture.codes)
         kind = min(tries, key=lambda kind: int(Search(codes, tries[kind]).wrong.sum()))
         found = self._of_size(picture, tries[kind])
-        size = f"The picture has {width}x{height} pixels in place of {self.scene.width}x"
-        text = f"{size}{self.scene.height}."
-        if kind != "size":
-            text += f" {self._drawn(self.scene).text[kind]}"
+        text = size if kind == "size" else f"{size} {tries['size'].text[kind]}"
         if found.kind not in AGREEING:
             return Diagnosis(f"{kind}+{found.kind}", f"{text} {found.text}")
         return Diagnosis(kind, text)
 
-    def _of_size(self, picture: Picture, drawings: SceneDrawings) -> Diagnosis:
+    def _of_size(self, picture: Picture, drawings: Drawings) -> Diagnosis:
         handin, width = picture.codes, picture.codes.shape[1]
-        right = _picture(drawings.right, width)
-        if plain := agreement(handin, right) or featureless(handin, right):
+        if plain := agreement(handin, _picture(drawings.right, width)) or featureless(handin):
             return plain
-        saved = picture.saved
-        search = Search(_flat(handin), drawings, picture.lossy,
+        saved, lossy = picture.saved, max(picture.lossy, self.lossy)
+        search = Search(_flat(handin), drawings, lossy or _ROUNDED * (self.scene is None),
                         saved and (lambda flat: _flat(saved(_picture(flat, width)))))  # fmt: skip
-        if picture.lossy and search.wrong.mean() < 0.01:
+        if lossy and search.wrong.mean() < 0.01:
             return Diagnosis("format", "It is the right picture.")
-        found = search.find()
+        found, wrong = search.find(), search.wrong.sum()
         if found.causes:
-            return Diagnosis(_kinds(found), self._named(found, drawings))
-        if search.near_ties():
-            text = f"{found.wrong} pixels differ where rounding decides, as in single precision."
-            return Diagnosis(SINGLE_PRECISION, text)
-        return Diagnosis(UNKNOWN, f"No mistake of the table draws this. {self._where(search)}")
-
-    def _named(self, found: Finding, drawings: SceneDrawings) -> str:
-        common = [kind for kind in found.causes[0] if all(kind in c for c in found.causes)]
-        texts = [drawings.text[kind] for kind in common]
-        others = [" ".join(drawings.text[kind] for kind in cause if kind not in common)
-                  for cause in found.causes if len(cause) > len(common)]  # fmt: skip
-        texts += others[:1]
-        if others[1:]:
-            texts.append(
-                f"(In this scene one cannot tell it from: {' Or: '.join(others[1:_NAMED])}"
-            )
-            more = len(others) - _NAMED
-            texts[-1] += f" Or one of {more} more.)" if more > 0 else ")"
-        if found.left:
-            texts.append(f"That leaves {found.left} of {found.wrong} pixels that differ.")
-        return " ".join(texts)
+            text = _named(found, drawings)
+            if found.left:
+                text += f" That leaves {found.left} of {wrong} pixels that differ."
+            return Diagnosis("|".join("+".join(cause) for cause in found.causes), text)
+        if not search.lossy and search.speckled():
+            text = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+            return Diagnosis("shadow-speckles", text)
+        if not search.lossy and search.near_ties():
+            text = f"{wrong} pixels differ where rounding decides, as in single precision."
+            return Diagnosis("single-precision", text)
+        return Diagnosis("unknown", f"No mistake of the table draws this. {self._where(search)}")
 
     def _where(self, search: Search) -> str:
         """Which pixels differ, in words of the scene."""
         d, wrong = search.drawings, search.wrong
+        x, y = worst_pixel(*(_picture(codes, d.columns) for codes in (search.handin, d.right)))
+        pixel = y * d.columns + x
+        here, right = (" ".join(map(str, codes[:, pixel])) for codes in (search.handin, d.right))
+        worst = f" The worst is {x},{y}: {here} in place of {right}"
+        if not self.scene:
+            more = "With the scene in place of the right picture, more can be said."
+            return f"{wrong.sum()} pixels differ.{worst}. {more}"
         change = search.handin.astype(np.int16) - d.right
         found = []
         for k in np.unique(d.surface[wrong]):
             on = d.surface == k
-            name = str(SurfaceRef.of(d.scene, int(k))) if k >= 0 else "the background"
+            name = str(SurfaceRef.of(self.scene, int(k))) if k >= 0 else "the background"
             number = int((wrong & on).sum())
-            found.append(
-                (number, f"{number} of {on.sum()} on {name}{_brighter(change[:, wrong & on])}")
-            )
+            text = f"{number} of {on.sum()} on {name}{_brighter(change[:, wrong & on])}"
+            found.append((number, text))
         found.sort(key=lambda one: -one[0])
         words = ", ".join(text for _, text in found[:_NAMED])
         rest = sum(number for number, _ in found[_NAMED:])
         words += f", {rest} on others" if rest else ""
-        x, y = worst_pixel(*(_picture(codes, d.columns) for codes in (search.handin, d.right)))
-        pixel = y * d.columns + x
-        here, right = (" ".join(map(str, codes[:, pixel])) for codes in (search.handin, d.right))
         return (
-            f"{wrong.sum()} pixels differ: {words}.{self._lights(search)} The worst is {x},{y}:"
-            f" {here} in place of {right}; tracer {self.name} --pixel {x},{y} explains it."
+            f"{wrong.sum()} pixels differ: {words}.{self._lights(search)}{worst};"
+            f" tracer {self.name} --pixel {x},{y} explains it."
         )
 
     def _lights(self, search: Search) -> str:
         """Which lights the wrong pixels lack, or have too much of."""
-        found = search.misplaced_lights()
-        lights = [f"light {k}" + (f" (line {light.line})" if light.line else "")
-                  for k, light in enumerate(search.drawings.scene.lights)]  # fmt: skip
-        words = []
-        for name, (lacks, too_much) in zip(lights, found, strict=False):
+        words = ""
+        for k, (lacks, too_much) in enumerate(zip(*search.lights[:2], strict=True)):
+            line = self.scene.lights[k].line if self.scene else None
+            name = f"ight {k}" + (f" (line {line})" if line else "")
             few = _PART * search.wrong.sum()
-            words += [f" It lacks {name} at {lacks}."] if lacks > few else []
-            words += (
-                [f" {name.capitalize()} is not kept out at {too_much}."] if too_much > few else []
-            )
-        return "".join(words)
+            if (number := (lacks & search.wrong).sum()) > few:
+                words += f" It lacks l{name} at {number}."
+            if (number := (too_much & search.wrong).sum()) > few:
+                words += f" L{name} is not kept out at {number}."
+        return words
+
+
+def worst_pixel(a: Codes, b: Codes) -> tuple[int, int]:
+    """Column and row of the pixel whose codes differ most."""
+    y, x = np.unravel_index(np.abs(a.astype(np.int16) - b).max(axis=2).argmax(), a.shape[:2])
+    return int(x), int(y)
+
+
+def agreement(a: Codes, b: Codes) -> Diagnosis | None:
+    """Whether pictures of one size agree, but for one level in some pixels."""
+    count = int((a != b).any(axis=2).sum())
+    if not count:
+        return Diagnosis("identical", "The pictures are identical.")
+    if count < 0.01 * a.shape[0] * a.shape[1] and np.abs(a.astype(np.int16) - b).max() == 1:
+        differ = "One pixel differs" if count == 1 else f"{count} pixels differ"
+        return Diagnosis("rounding", f"{differ} by one level: rounding, nothing to worry about.")
+    return None
+
+
+def featureless(codes: Codes) -> Diagnosis | None:
+    """Whether a picture has one colour: no cause is looked for."""
+    if np.ptp(codes, axis=(0, 1)).any():
+        return None
+    if codes.any():
+        return Diagnosis("flat", "The picture has one colour everywhere.")
+    return Diagnosis("black", "The picture is black.")
+
+
+def _named(found: Finding, drawings: Drawings) -> str:
+    """What is common to all causes, and of the rest some."""
+    common = [kind for kind in found.causes[0] if all(kind in cause for cause in found.causes)]
+    texts = [drawings.text[kind] for kind in common]
+    first, *others = [" ".join(drawings.text[kind] for kind in cause if kind not in common)
+                      for cause in found.causes]  # fmt: skip
+    if first:
+        texts.append(first)
+    if others:
+        more = len(others) - _NAMED + 1
+        ways = " Or: ".join(others[: _NAMED - 1]) + (f" Or one of {more} more." * (more > 0))
+        texts.append(f"(In this scene one cannot tell it from: {ways})")
+    return " ".join(texts)
 
 
 def _flat(codes: Codes) -> Array:
@@ -151,10 +201,6 @@ def _flat(codes: Codes) -> Array:
 
 def _picture(flat: Array, width: int) -> Codes:
     return np.ascontiguousarray(flat.T.reshape(-1, width, 3))
-
-
-def _kinds(found: Finding) -> str:
-    return "|".join("+".join(cause) for cause in found.causes)
 
 
 def _brighter(change: Array) -> str:

@@ -7,39 +7,43 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reference.figures import linear
 from reference.handins.formulas import Array, Formulas, parameters
 from reference.handins.mistakes import RIGHT, mistakes_of, offset
+from reference.handins.reading import Codes
 from tracer import Phong, Scene, Sphere
 
 
-def given(scene: Scene, columns: Array, rows: Array, handin: Array) -> dict[str, Any]:
-    """What formulas are computed from: the scene, pixels (n,), and a hand-in's codes (3, n)."""
+def given(scene: Scene | Codes) -> dict[str, Any]:
+    """What formulas are computed from: a scene, or codes (h, w, 3) of a right picture alone."""
+    if not isinstance(scene, Scene):
+        return {"picture": linear(scene)}
     c, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
     shaders = [s.shader for s in surfaces]
     seen = 1 if len(scene.surfaces) else np.nan  # formulas need a surface, if one that rays miss
 
-    def vectors(name: str, default: float) -> Array:
-        found = [getattr(s, name, 3 * (default,)) for s in surfaces]
-        return np.array(found, dtype=float).reshape(-1, 3).T[:, :, None]
+    def of_each(things: Sequence[Any], name: str, default: Any) -> Array:
+        return np.array([getattr(each, name, default) for each in things])
+
+    def vectors(things: Sequence[Any], name: str, default: Any = (0.0, 0, 0)) -> Array:
+        return of_each(things, name, default).reshape(-1, 3).T
 
     return {
         "view_point": np.array(c.view_point), "view_dir": np.array(c.view_dir),
         "view_up": np.array(c.view_up), "normal": np.array(c.proj_normal or c.view_dir),
         "proj_distance": c.proj_distance, "view_width": c.view_width,
-        "view_height": c.view_height, "width": scene.width, "height": scene.height,
-        "i": columns, "j": rows, "handin": handin,
-        "is_sphere": np.array([isinstance(s, Sphere) for s in surfaces], dtype=bool),
-        "center": vectors("center", 0), "min_pt": vectors("min_pt", -1),
-        "max_pt": vectors("max_pt", 1),
-        "radius": np.array([getattr(s, "radius", 1.0) for s in surfaces])[:, None] * seen,
-        "phong": np.array([isinstance(s, Phong) for s in shaders], dtype=bool),
-        "diffuse": np.array([s.diffuse for s in shaders]).reshape(-1, 3).T,
-        "specular": np.array([getattr(s, "specular", (0, 0, 0)) for s in shaders]).reshape(-1, 3).T,
-        "exponent": np.array([getattr(s, "exponent", 1.0) for s in shaders]),
-        "position": np.array([a.position for a in scene.lights]).reshape(-1, 3, 1),
-        "color": np.array([a.intensity for a in scene.lights]).reshape(-1, 3, 1),
+        "view_height": c.view_height,
+        "is_sphere": np.array([isinstance(s, Sphere) for s in surfaces]),
+        "center": vectors(surfaces, "center")[:, :, None],
+        "min_pt": vectors(surfaces, "min_pt", (-1.0, -1, -1))[:, :, None],
+        "max_pt": vectors(surfaces, "max_pt", (1.0, 1, 1))[:, :, None],
+        "radius": of_each(surfaces, "radius", 1.0)[:, None] * seen,
+        "phong": np.array([isinstance(s, Phong) for s in shaders]),
+        "diffuse": vectors(shaders, "diffuse"), "specular": vectors(shaders, "specular"),
+        "exponent": of_each(shaders, "exponent", 1.0),
+        "position": vectors(scene.lights, "position").T[:, :, None],
+        "color": vectors(scene.lights, "intensity").T[:, :, None],
     }  # fmt: skip
 
 
@@ -61,6 +65,7 @@ class Drawing:
     """Values of formulas for some pixels; each is computed once for all mistakes that share it.
 
     A value's version is the number of its recipe: its formula and the versions of its arguments.
+    Those of the right picture are kept, and as many of others as the capacity.
     """
 
     def __init__(self, given: dict[str, Any], capacity: int = 3000) -> None:
@@ -69,20 +74,31 @@ class Drawing:
         self._recipes: list[Any] = [None] * len(given)
         self._numbers: dict[Any, int] = {}
         self._right = self._versions(RIGHT, {name: k for k, name in enumerate(given)}, {})
+        self._kept = len(self._recipes)
 
     def _versions(
         self, names: Iterable[str], known: dict[str, int], changes: Formulas
     ) -> dict[str, int]:
         """Versions of formulas, and of what is `known`; none of what cannot be computed."""
         for name in names:
+            if name in self._given:
+                continue
             formula = changes.get(name, RIGHT[name])
-            used = parameters(formula)
-            if name not in self._given and all(one in known for one in used):
-                recipe = (formula, *[known[one] for one in used])
-                known[name] = self._numbers.setdefault(recipe, len(self._recipes))
-                if known[name] == len(self._recipes):
-                    self._recipes.append(recipe)
+            try:
+                recipe = (formula, *[known[used] for used in parameters(formula)])
+            except KeyError:  # what was known of it holds no longer
+                known.pop(name, None)
+                continue
+            number = self._numbers.get(recipe)
+            if number is None:
+                number = self._numbers[recipe] = len(self._recipes)
+                self._recipes.append(recipe)
+            known[name] = number
         return known
+
+    def able(self, changes: Formulas) -> bool:
+        """Whether codes can be computed from what is given."""
+        return "codes" in self._changed(changes)
 
     def get(self, name: str, changes: Formulas) -> Any:
         """Compute a formula, some formulas being replaced."""
@@ -100,17 +116,19 @@ class Drawing:
 
     def _value(self, version: int) -> Any:
         if version not in self._values:
-            formula, *arguments = self._recipes[version]
-            value = formula(*map(self._value, arguments))
-            if len(self._values) > self._capacity:
-                self._values = dict(enumerate(self._given.values()))
+            formula, *used = self._recipes[version]
+            known = self._values
+            value = formula(*[known[v] if v in known else self._value(v) for v in used])
+            if len(self._values) > self._kept + self._capacity:
+                self._values = {v: self._values[v] for v in range(self._kept) if v in known}
             self._values[version] = value
         return self._values[version]
 
     def pixels(self, changes: Formulas, names: Sequence[str] = PER_PIXEL) -> dict[str, Any]:
-        """Compute formulas that look at each pixel by itself."""
+        """Compute those formulas that can be, each of which looks at each pixel by itself."""
         if "samples" not in changes or "radiance" not in names:
-            return {name: self.get(name, changes) for name in names}
+            known = self._changed(changes)
+            return {name: self._value(known[name]) for name in names if name in known}
         count = changes["samples"]()
         places = [(k + 0.5) / count for k in range(count)]
         once = {name: formula for name, formula in changes.items() if name != "samples"}
@@ -136,28 +154,19 @@ def join(parts: Iterable[Formulas]) -> Formulas | None:
     return found
 
 
-def _whole(scene: Scene, kinds: tuple[str, ...]) -> tuple[Drawing, Formulas]:
-    table = mistakes_of(scene)
-    changes = join(table[kind].formulas for kind in kinds)
-    if changes is None:
-        raise ValueError(f"{' and '.join(kinds)} change the same formula")
-    rows, columns = np.indices((scene.height, scene.width)).reshape(2, -1)
-    return Drawing(given(scene, columns, rows, np.zeros((3, rows.size), np.uint8))), changes
-
-
 @np.errstate(all="ignore")
-def draw(scene: Scene, *kinds: str) -> NDArray[np.uint8]:
-    """Draw a picture (h, w, 3) of 8-bit codes with mistakes, named as in `mistakes_of`.
+def draw(scene: Scene, *kinds: str, formula: str = "codes") -> Array:
+    """Draw a picture (h, w, 3) with mistakes, named as in `mistakes_of`: 8-bit codes, or a formula.
 
     Raises KeyError for a name that is not in the table, ValueError if two exclude each other.
     """
-    drawing, changes = _whole(scene, kinds)
-    return np.ascontiguousarray(drawing.codes(changes).T.reshape(scene.height, scene.width, 3))
-
-
-@np.errstate(all="ignore")
-def radiance(scene: Scene, *kinds: str) -> NDArray[np.float64]:
-    """Compute linear radiance (h, w, 3) with mistakes, before it is clipped; see `draw`."""
-    drawing, changes = _whole(scene, kinds)
-    light = np.nan_to_num(drawing.get("image", changes))
-    return np.ascontiguousarray(light.T.reshape(scene.height, scene.width, 3))
+    table, number = mistakes_of(scene), scene.width * scene.height
+    changes = join(table[kind].formulas for kind in kinds)
+    if changes is None:
+        raise ValueError(f"{' and '.join(kinds)} change the same formula")
+    j, i = np.divmod(np.arange(number), scene.width)
+    size = {"width": scene.width, "height": scene.height}
+    blank = np.zeros((3, number), dtype=np.uint8)
+    drawing = Drawing(given(scene) | size | {"i": i, "j": j, "handin": blank})
+    values = drawing.codes(changes) if formula == "codes" else drawing.get(formula, changes)
+    return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

@@ -11,6 +11,7 @@ from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 Array: TypeAlias = Any
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
@@ -51,11 +52,12 @@ def sphere_roots(c: Array, r: Array, o: Array, d: Array, *, unit_d: bool = False
 
 def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = True) -> Array:
     """Both t (2, boxes, n); NaN where rays miss."""
-    ends = [[(side[k] - o[k]) / d[k] for k in range(3)] for side in (low, high)]
-    if ordered:
-        ends = [[f(a, b) for a, b in zip(*ends, strict=True)] for f in (np.minimum, np.maximum)]
-    near, far = np.maximum.reduce(ends[0]), np.minimum.reduce(ends[1])
-    return np.where(near <= far, [near, far], np.nan)
+    near, far = -np.inf, np.inf
+    for k in range(3):
+        ends = (low[k] - o[k]) / d[k], (high[k] - o[k]) / d[k]
+        first, last = (np.minimum(*ends), np.maximum(*ends)) if ordered else ends
+        near, far = np.maximum(near, first), np.minimum(far, last)
+    return np.where(near <= far, np.stack([near, far]), np.nan)
 
 
 def scaled(roots: Callable[..., Array], factor: float) -> Callable[..., Array]:
@@ -100,12 +102,12 @@ def each_light(
     return [intersect(p, d) for d in to_lights]
 
 
-def blocked(shadow_roots: list[Array], t_min: Array, t_max: Array, tested: Array) -> Array:
-    """Whether something keeps each light from each point (lights, n)."""
-    found = np.zeros(t_min.shape, dtype=bool)
+def blockers(shadow_roots: list[Array], t_min: Array, t_max: Array, tested: Array) -> Array:
+    """Which surfaces keep each light from each point (lights, surfaces, n)."""
+    found = np.zeros((len(shadow_roots), *tested.shape), dtype=bool)
     for k, ((near, far), low, high) in enumerate(zip(shadow_roots, t_min, t_max, strict=True)):
         t = np.where(near > low, near, far)
-        found[k] = ((t > low) & (t < high) & tested).any(axis=0)
+        found[k] = (t > low) & (t < high) & tested
     return found
 
 
@@ -153,22 +155,24 @@ def fitted_background(bytes: Array, hit: Array, handin: Array) -> Array:
     return np.where(hit, bytes, shades[:, count.argmax()][:, None]).astype(np.uint8)
 
 
-_OWN: tuple[Any, ...] = (
-    *(
-        unit,
-        dot,
-        at,
-        middle,
-        sphere_roots,
-        box_roots,
-        scaled,
-        intersection,
-        first_positive,
-        far_roots,
-    ),
-    *(each_light, blocked, box_normals, grey, fitted_ambient, fitted_background),
-    *(fitted_brightness, fitted_gamma, len, partial),
-)
+def light_in(picture: Array, x: Array, y: Array) -> Array:
+    """Look up light (3, n) in a picture's (h, w, 3), interpolated between its pixels' centres."""
+    height, width = picture.shape[:2]
+    places = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
+    channels = (picture[:, :, k] for k in range(3))
+    return np.array([map_coordinates(c, places, order=1, mode="nearest") for c in channels])
+
+
+def shown_in(picture: Array, x: Array, y: Array, handin: Array) -> Array:
+    """Where something is seen: not where a picture is black, and the hand-in is not."""
+    return light_in(picture, x, y).any(axis=0) | ~handin.any(axis=0)
+
+
+_OWN: tuple[Callable[..., Any], ...] = (
+    unit, dot, at, middle, sphere_roots, box_roots, scaled, intersection, first_positive, far_roots,
+    each_light, blockers, box_normals, grey, fitted_ambient, fitted_background, fitted_brightness,
+    fitted_gamma, light_in, shown_in, len, partial,
+)  # fmt: skip
 _NUMPY = """abs arange arccos array clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis uint8 where
     zeros"""

@@ -15,25 +15,18 @@ from tracer import Scene, SurfaceRef
 _PAGE = Path(__file__).with_name("mistakes.md")
 OWN_SURFACE = "shadow-own"
 """Not a mistake: tracers whose shadow rays test the surface itself draw some others differently."""
-FITTED = ("gamma", "brightness", "ambient")
-"""Their numbers are read from the hand-in: they are named only where no other draws it."""
 BACKGROUND: tuple[str, ...] = ("background",)
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
 """They show where light is beyond 1, which another mistake may bring about."""
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-256-wrapped")
-SPECKLED = "shadow-speckles"
-"""Not drawn: which pixels are speckled depends on rounding."""
-SPECKLED_TEXT = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
-SINGLE_PRECISION = "single-precision"
-"""Not drawn: rounding decides each pixel that differs."""
-UNKNOWN = "unknown"
 
 
 class Mistake(NamedTuple):
-    """A sentence on what is wrong, and the formulas that draw it."""
+    """A sentence on what is wrong, and the formulas that draw it; of one `surface`, its number."""
 
     text: str
     formulas: Formulas
+    surface: int | None = None
 
 
 def _rows() -> Iterator[list[str]]:
@@ -59,19 +52,25 @@ def offset(x: float, y: float) -> Formulas:
     return read(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
 
 
-def mistakes_of(scene: Scene, *, each_surface: bool = True) -> dict[str, Mistake]:
+# Where the right picture is given in place of a scene, its light is looked up.
+OF_PICTURE = read("hit = shown_in(picture, x, y, handin); radiance = light_in(picture, x, y)")
+
+
+def mistakes_of(scene: Scene) -> dict[str, Mistake]:
     """The table for a scene: what stands for any light or surface, {k}, is there for each of them.
 
     They are numbered from 0, as `tracer --pixel` does.
     """
-    surfaces = range(len(scene.surfaces) if each_surface else 0)
-    named = {"{surface}": [str(SurfaceRef.of(scene, k)) for k in surfaces]}
     lines = [f" (line {light.line})" if light.line else "" for light in scene.lights]
-    named["{light}"] = [f"Light {k}{line}" for k, line in enumerate(lines)]
+    named = {
+        "{surface}": [str(SurfaceRef.of(scene, k)) for k in range(len(scene.surfaces))],
+        "{light}": [f"Light {k}{line}" for k, line in enumerate(lines)],
+    }
     found = {}
     for kind, text, formulas in _MISTAKES:
-        word = next((word for word in named if word in text), "{}")
+        word = next((word for word in named if word in text), "")
         for k, name in enumerate(named.get(word, [""])):
-            one = Mistake(text.replace(word, name), read(formulas.replace("{k}", str(k))))
+            changes = read(formulas.replace("{k}", str(k)))
+            one = Mistake(text.replace(word, name), changes, k if word == "{surface}" else None)
             found[kind.replace("{k}", str(k))] = one
     return found

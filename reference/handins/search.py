@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from reference.handins import mistakes
 from reference.handins.drawing import PER_PIXEL, Drawing, given, join
-from reference.handins.formulas import Array, Formulas, formula, parameters
+from reference.handins.formulas import Array, Formulas, parameters
+from reference.handins.reading import Codes
 from tracer import Scene
 
 # A picture drawn may differ in so many pixels: of all, of those in which the right one differs, and
@@ -24,14 +26,19 @@ _OF_ALL, _OF_WRONG, _OF_SHOWN = 0.005, 0.2, 0.05
 _APART = 5
 # If a single mistake leaves more pixels wrong, pairs are tried.
 _ENOUGH = 10
+# So many pixels of a sample count as chance.
+_ODD = 3
 # Pixels of a scene on which single mistakes and pairs are drawn for all hand-ins; how many pairs
 # are drawn on as many pixels of the hand-in, on more of them, and whole.
 _SINGLES, _PAIRS = 2400, 240
 _SOME, _FEW, _FINAL = 400, 60, 16
-# Of more surfaces, no single one is left out; of more lights, speckles are not looked for.
+# Of more surfaces, single ones are left out of pairs; of more lights, none is missed at pixels.
 _MANY_SURFACES, _MANY_LIGHTS = 40, 4
-# Rounding decides so many pixels at most, each within so many pixels from its centre.
-_TIES, _HAIR = 0.001, 0.05
+# Rounding decides so many pixels at most, each within so many pixels from its centre, or where
+# shadow rays start so far above or below a surface, in parts of its distance from the origin.
+_TIES, _HAIR, _LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
+# Dots: neighbours differ so often, as a part of how often they would by chance.
+_DOTS = 0.3
 # Levels: where a format changes them, those further apart count as these.
 _FAR = 32
 # Bytes of whole pictures that are kept for other hand-ins.
@@ -45,19 +52,13 @@ def difference(a: Array, b: Array) -> Array:
     return (np.maximum(a, b) - np.minimum(a, b)).max(axis=-2)
 
 
-def differing(a: Array, b: Array, tolerance: int) -> Array:
-    """Pixels (..., n) in which codes (..., 3, n) differ by more."""
-    return difference(a, b) > tolerance
-
-
 class Finding(NamedTuple):
     """Sets of mistakes, each of which draws the hand-in; none if nothing does.
 
-    `wrong` pixels differ from the right picture, `left` ones from the picture drawn.
+    `left` pixels differ from the picture drawn.
     """
 
     causes: tuple[Cause, ...]
-    wrong: int
     left: int
 
 
@@ -80,33 +81,40 @@ class Sample(NamedTuple):
         return cls(order[chosen], weights)
 
 
-class SceneDrawings:
-    """A scene drawn with mistakes, and with all of them some formulas `base`, so many columns wide.
+class Drawings:
+    """A scene, or a right picture alone, drawn with mistakes; all have the formulas of `base`.
 
-    What does not depend on a hand-in is drawn once for all of them.
+    `columns` are the picture's, which are the scene's unless it is turned.  What does not depend on
+    a hand-in is drawn once for all of them.
     """
 
-    def __init__(self, scene: Scene, base: Formulas, columns: int = 0) -> None:
-        self.scene, self.base, self.columns = scene, base, columns or scene.width
-        self.number, few = scene.width * scene.height, len(scene.surfaces) <= _MANY_SURFACES
-        table = mistakes.mistakes_of(scene, each_surface=few)
-        self.table = {
-            k: m.formulas for k, m in table.items() if not m.formulas.keys() & base.keys()
-        }
-        self.text = {kind: one.text for kind, one in table.items()} | {
-            mistakes.SPECKLED: mistakes.SPECKLED_TEXT
-        }
-        self._whole: dict[Cause, Array] = {}
+    def __init__(
+        self, scene: Scene | Codes, height: int, width: int, columns: int, base: Formulas
+    ) -> None:
+        self.given = given(scene) | {"width": width, "height": height}
+        self.base, self.columns, self.number = base, columns, height * width
         self.blank = np.zeros((3, self.number), dtype=np.uint8)
+        known = scene if isinstance(scene, Scene) else Scene(width=width, height=height)
+        self.surfaces = len(known.surfaces)
+        mistake = mistakes.mistakes_of(known)
+        self.text = {kind: one.text for kind, one in mistake.items()}
+        # With a picture alone, few mistakes can be drawn.
+        pixel = self.drawing(np.array([0]), self.blank)
+        self.table = {kind: one.formulas for kind, one in mistake.items()
+                      if (both := join([base, one.formulas])) and pixel.able(both)}  # fmt: skip
+        # Of many surfaces, each is drawn where a hand-in calls for it.
+        self.alone = {kind: one.surface for kind, one in mistake.items()
+                      if one.surface is not None and self.surfaces > _MANY_SURFACES}  # fmt: skip
+        self._whole: dict[Cause, Array] = {}
         self.right = self.whole([()], self.blank)[()]
-        names = ("surface", "hit", "lit", "image")
-        self.surface, hit, self.lit, image = self.values(names, [self.base], self.blank)[0].values()
-        self.surface = np.where(hit, self.surface, -1)
-        self.brightest = image.argmax(axis=1)
-        self.strata = self.surface
+        seen = self.values(("surface", "hit", "lit", "image"), [base], self.blank)[0]
+        self.surface = np.where(seen["hit"], seen.get("surface", 0), -1)
+        self.lit = seen.get("lit", np.zeros((0, self.number), dtype=np.bool_))
+        self.brightest = seen["image"].argmax(axis=1)
+        strata = self.surface
         for lit in self.lit[:_MANY_LIGHTS]:
-            self.strata = 2 * self.strata + lit
-        self.sample = Sample.of(self.strata, _SINGLES)
+            strata = 2 * strata + lit
+        self.samples = [Sample.of(strata, size) for size in (_PAIRS, _SINGLES)]
 
     def changes(self, cause: Cause) -> Formulas | None:
         """The formulas of a set of mistakes; None if they exclude each other."""
@@ -117,19 +125,28 @@ class SceneDrawings:
         return any("handin" in parameters(f) for kind in cause for f in self.table[kind].values())
 
     def drawing(self, pixels: Array, handin: Array, capacity: int = 3000) -> Drawing:
-        rows, columns = np.divmod(pixels, self.columns)
-        return Drawing(given(self.scene, columns, rows, handin[:, pixels]), capacity)
+        """Some pixels, to be drawn."""
+        places = {"i": pixels % self.columns, "j": pixels // self.columns}
+        return Drawing(self.given | places | {"handin": handin[:, pixels]}, capacity)
+
+    def parts(self, handin: Array) -> list[Drawing]:
+        """All pixels in parts that fit into a processor's cache."""
+        step = max(2000, 400_000 // max(1, self.surfaces))
+        starts = range(0, self.number, step)
+        return [self.drawing(np.arange(k, min(k + step, self.number)), handin, 100) for k in starts]
+
+    @cached_property
+    def parts_of_scene(self) -> list[Drawing]:
+        """The same, to be used again, for what does not depend on a hand-in."""
+        return self.parts(self.blank)
 
     def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
-        """Formulas' values for all pixels, computed in parts that fit into a processor's cache."""
-        parts: list[list[Any]] = [[] for _ in changes]
-        step = max(2000, 400_000 // max(1, len(self.scene.surfaces)))
-        for start in range(0, self.number, step):
-            drawing = self.drawing(np.arange(start, min(start + step, self.number)), handin, 100)
-            for found, changed in zip(parts, changes, strict=True):
-                found.append(drawing.pixels(changed, names))
-        return [{name: np.concatenate([part[name] for part in found], axis=-1) for name in names}
-                for found in parts]  # fmt: skip
+        """Formulas' values for all pixels, in terms of a scene or of a right picture."""
+        again = 0 < self.surfaces <= _MANY_SURFACES  # others would take too much memory
+        parts = self.parts_of_scene if again else self.parts(handin)
+        found = [[part.pixels(changed, names) for part in parts] for changed in changes]
+        return [{name: np.concatenate([values[name] for values in each], axis=-1)
+                 for name in each[0]} for each in found]  # fmt: skip
 
     def whole(self, causes: Iterable[Cause], handin: Array) -> dict[Cause, Array]:
         """Whole pictures (3, n)."""
@@ -154,11 +171,11 @@ class SceneDrawings:
 
     @cached_property
     def singles(self) -> dict[Cause, Array]:
-        """The scene's sample drawn with each mistake alone."""
-        kinds = [kind for kind in self.table if kind != mistakes.OWN_SURFACE]
+        """The scene's sample drawn with each mistake; shadow rays spare the surface or not."""
+        kinds = [kind for kind in self.table if kind not in self.alone and not self.fitted((kind,))]
         causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
-        fixed = [c for c in causes if not self.fitted(c)]
-        return self.codes(fixed, self.sample, self.blank)
+        possible = [c for c in causes if c[-1] in self.table and self.changes(c) is not None]
+        return self.codes(possible, self.samples[1], self.blank)
 
     @cached_property
     def alike(self) -> dict[Cause, list[Cause]]:
@@ -166,15 +183,17 @@ class SceneDrawings:
         found: dict[bytes, list[Cause]] = {}
         for cause, codes in self.singles.items():
             found.setdefault(codes.tobytes(), []).append(cause)
-        found.pop(self.right[:, self.sample.pixels].tobytes(), None)
+        found.pop(self.right[:, self.samples[1].pixels].tobytes(), None)
         # With another mistake, some show that do not show alone.
-        hidden: dict[Cause, list[Cause]] = {(kind,): [(kind,)] for kind in mistakes.OVEREXPOSED}
+        hidden: dict[Cause, list[Cause]] = {
+            (kind,): [(kind,)] for kind in mistakes.OVEREXPOSED if kind in self.table
+        }
         return hidden | {causes[0]: causes for causes in found.values()}
 
     @cached_property
-    def pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Sample]:
+    def pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array]:
         """All pairs of mistakes that show, and these drawn on a sample: (pairs, 3, n)."""
-        sample = Sample.of(self.strata, _PAIRS)
+        sample = self.samples[0]
         drawing = self.drawing(np.append(sample.pixels, self.brightest), self.blank)
         heads = [c for c in self.alike if "samples" not in self.table[c[0]]]  # takes too long
         found: dict[Cause, tuple[Cause, Cause]] = {}
@@ -184,7 +203,7 @@ class SceneDrawings:
             others = [self.changes(b) or {} for _, b in new.values()]
             drawn += drawing.pairs(self.changes(a) or {}, others)
             found |= new
-        return found, np.array(drawn)[..., : len(sample.pixels)], sample
+        return found, np.array(drawn)[..., : len(sample.pixels)]
 
     def joined(self, a: Cause, b: Cause) -> Cause | None:
         """Both causes; None if they exclude each other."""
@@ -194,12 +213,15 @@ class SceneDrawings:
 
 
 class Search:
-    """A hand-in's pixels (3, n), and what draws them."""
+    """A hand-in's pixels (3, n), and what draws them.
+
+    Its format, or that of the right picture, changes levels by `lossy`; `saved` does so to others.
+    """
 
     def __init__(
         self,
         handin: Array,
-        drawings: SceneDrawings,
+        drawings: Drawings,
         lossy: int = 0,
         saved: Callable[[Array], Array] | None = None,
     ) -> None:
@@ -207,9 +229,9 @@ class Search:
         self.lossy, self.saved = lossy, saved or (lambda codes: codes)
         right = self.saved(drawings.right)
         self.near = lossy or 1
-        if differing(right, handin, 1).sum() <= 2:  # rounding, if anything
+        if (difference(right, handin) > 1).sum() <= 2:  # rounding, if anything
             self.near = 0
-        self.wrong = differing(right, handin, self.near)
+        self.wrong = difference(right, handin) > self.near
         colours = handin.T.astype(np.int32) @ (65536, 256, 1)
         commonest = np.unique(colours, return_counts=True)[1].max()
         self.most = min(_OF_ALL * self.number, _OF_WRONG * self.wrong.sum(),
@@ -220,13 +242,10 @@ class Search:
     def left(self, cause: Cause, tolerance: int) -> int:
         """Count the pixels that a cause leaves wrong."""
         drawn = self.saved(self.drawings.whole([cause], self.handin)[cause])
-        return int(differing(drawn, self.handin, tolerance).sum())
+        return int((difference(drawn, self.handin) > tolerance).sum())
 
     def find(self) -> Finding:
         """Say what draws the hand-in, if anything does."""
-        wrong = int(self.wrong.sum())
-        if not np.ptp(self.handin, axis=1).any():
-            return Finding((), wrong, wrong)
         left, group = self.single()
         if not group or left > _ENOUGH:
             fewer, two = self.double()
@@ -234,81 +253,68 @@ class Search:
                 left, group = fewer, two
         if group:
             group = self.rounded(group)
-        else:
-            left, group = (0, []) if self.lossy else self.speckled()
         causes = dict.fromkeys(tuple(k for k in c if k != mistakes.OWN_SURFACE) for c in group)
-        return Finding(tuple(causes), wrong, left if causes else wrong)
-
-    def near_ties(self) -> bool:
-        """Whether few pixels are wrong, and each is drawn so a hair beside its centre."""
-        pixels = np.flatnonzero(difference(self.drawings.right, self.handin) > 1)
-        if len(pixels) > _TIES * self.number:
-            return False
-        drawing, base = self.drawings.drawing(pixels, self.handin), self.drawings.base
-        hairs = [
-            mistakes.offset(0.5 + x, 0.5 + y)
-            for x in (-_HAIR, 0, _HAIR)
-            for y in (-_HAIR, 0, _HAIR)
-        ]
-        lifts = [
-            mistakes.read(f"shadow_p = p + {sign * 1e-3} * sqrt(dot(p, p)) * n")
-            for sign in (-1, 0, 1)
-        ]
-        drawn = np.array([drawing.codes(base | a | b) for a in hairs for b in lifts]).astype(int)
-        here = self.handin[:, pixels]
-        return bool(((here >= drawn.min(axis=0) - 1) & (here <= drawn.max(axis=0) + 1)).all())
+        return Finding(tuple(causes), left)
 
     def single(self) -> tuple[int, list[Cause]]:
-        drawings, fixed = self.drawings, self.drawings.singles
-        kinds = [kind for kind in drawings.table if drawings.fitted((kind,))]
-        causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
-        drawn = fixed | drawings.codes(causes, drawings.sample, self.handin)
-        good = self.good([*drawn], np.array([*drawn.values()]), drawings.sample, 4 * _OF_ALL, _FEW)
-        return self.best(self.sifted(good, 1, _FINAL))
+        """Draw each mistake alone."""
+        d = self.drawings
+        good = self.good([*d.singles], [*d.singles.values()], d.samples[1], _SOME)
+        kinds = [kind for kind in d.table if d.fitted((kind,))] + self.of_suspects()
+        return self.best(self.sifted([*good, *((kind,) for kind in kinds)], 1))
+
+    def of_suspects(self) -> list[str]:
+        """Mistakes of one surface of many: each wrong pixel is on it, or in its shadow."""
+        d = self.drawings
+        if not d.alone:
+            return []
+        sample = self.samples[0].pixels[self.wrong[self.samples[0].pixels]]
+        on = d.surface[sample] == np.arange(d.surfaces)[:, None]
+        blocked = d.drawing(sample, self.handin).get("blocking", d.base).any(axis=0)
+        touched = (on | blocked).mean(axis=1) > 1 - 2 * _OF_WRONG
+        return [kind for kind, surface in d.alone.items() if touched[surface]]
 
     def double(self) -> tuple[int, list[Cause]]:
         """Of mistakes that show, one for all that draw the same, all pairs."""
-        pairs, drawn, sample = self.drawings.pairs
+        pairs, drawn = self.drawings.pairs
         parts = dict(pairs)
-        good = self.good([*parts], drawn, sample, 6 * _OF_ALL, _SOME)
-        alike = {mistakes.BACKGROUND: [mistakes.BACKGROUND]} | self.drawings.alike
+        good = self.good([*parts], drawn, self.drawings.samples[0], _SOME)
+        background = mistakes.BACKGROUND
+        alike = {background: [background]} | self.drawings.alike
         join = self.drawings.joined
         if self.handin[:, self.drawings.surface < 0].any():
-            shown = {
-                both: (mistakes.BACKGROUND, a)
-                for a in alike
-                if (both := join(mistakes.BACKGROUND, a))
-            }
+            shown = {both: (background, a) for a in alike if (both := join(background, a))}
             parts |= shown
-            good += self.sifted([*shown], 0, _FEW)
-        least, group = self.best(self.sifted(self.sifted(good, 0, _FEW), 1, _FINAL))
+            good += self.sifted([*shown], 0)
+        least, group = self.best(self.sifted(self.sifted(good, 0), 1))
         all_of_them = {c: None for both in group for a in alike[parts[both][0]]
                 for b in alike[parts[both][1]] if (c := join(a, b))}  # fmt: skip
         wide = [*all_of_them][: 4 * _FINAL]
         return self.best(wide) if len(wide) > len(group) else (least, group)
 
     def good(
-        self, causes: list[Cause], drawn: Array, sample: Sample, most: float, count: int
+        self, causes: list[Cause], drawn: Array | list[Array], sample: Sample, count: int
     ) -> list[Cause]:
         """Those that leave fewest pixels wrong in a sample."""
         if not causes:
             return []
-        off = difference(drawn, self.handin[:, sample.pixels])
+        off = difference(np.asarray(drawn), self.handin[:, sample.pixels])
         if self.lossy:  # what a format does to a few pixels depends on others around them
             left, limit = np.minimum(off, _FAR) @ sample.weights, np.inf
         else:
             left = (off > self.near) @ sample.weights
-            limit = max(min(most * self.number, 2 * _OF_WRONG * self.wrong.sum()), 4)
+            few = _ODD * sample.weights.max()
+            limit = min(self.most, _APART * left.min()) + few
         order = np.argsort(left, kind="stable")
         return [causes[k] for k in order[left[order] <= limit][:count]]
 
-    def sifted(self, causes: list[Cause], size: int, count: int) -> list[Cause]:
+    def sifted(self, causes: list[Cause], size: int) -> list[Cause]:
         """The best in a sample of the hand-in, half of it wrong."""
-        if len(causes) <= count // 2:
+        count = (_FEW, _FINAL)[size]
+        if len(causes) <= count // 8:
             return causes
         drawn = self.drawings.codes(causes, self.samples[size], self.handin)
-        most = (3 if size == 0 else 2) * _OF_ALL
-        return self.good(causes, np.array([*drawn.values()]), self.samples[size], most, count)
+        return self.good(causes, [*drawn.values()], self.samples[size], count)
 
     def best(self, causes: list[Cause]) -> tuple[int, list[Cause]]:
         """Draw them whole: how many pixels the best leaves wrong, and all that leave as few."""
@@ -323,7 +329,7 @@ class Search:
         levels = {c: self.left(c, self.lossy) for c in group}
         exact = max(_APART * min(levels.values()), _OF_ALL * self.number)
         group = [c for c in group if levels[c] <= exact]
-        group = [c for c in group if not {*c} & {*mistakes.FITTED}] or group
+        group = [c for c in group if not self.drawings.fitted(c)] or group
         place = {name: k for k, name in enumerate(self.drawings.table)}
         return least, sorted(group, key=lambda c: [place[kind] for kind in c])
 
@@ -337,71 +343,54 @@ class Search:
                     return [(*c, kind) for c in group]
         return group
 
-    def lights(self, pixels: Array, cause: Cause = ()) -> tuple[Array, Array, Array]:
-        """Which lights the hand-in has at some pixels, which it should have; where that is known.
+    def near_ties(self) -> bool:
+        """Whether few pixels are wrong, and each is drawn so a hair beside its centre."""
+        pixels = np.flatnonzero(difference(self.drawings.right, self.handin) > 1)
+        if len(pixels) > _TIES * self.number:
+            return False
+        drawing, base = self.drawings.drawing(pixels, self.handin), self.drawings.base
+        hairs = [
+            mistakes.offset(0.5 + x, 0.5 + y) for x, y in product((-_HAIR, 0, _HAIR), repeat=2)
+        ]
+        lifts = [mistakes.read(f"shadow_p = p + {by} * sqrt(dot(p, p)) * n") for by in _LIFTS]
+        drawn = np.array([drawing.codes(base | a | b) for a in hairs for b in lifts]).astype(int)
+        here = self.handin[:, pixels]
+        return bool(((here >= drawn.min(axis=0) - 1) & (here <= drawn.max(axis=0) + 1)).all())
+
+    @cached_property
+    def lights(self) -> tuple[Array, Array, Array]:
+        """Which lights (lights, n) the hand-in lacks, which it has too much; whether that is known.
 
         These are the fewest changes that give its levels.
         """
-        d = self.drawings
-        changes, flat, drawing = d.changes(cause) or {}, self.handin[:, pixels], d.drawing(
-            pixels, self.handin)  # fmt: skip
-        lit, count = drawing.get("lit", changes), len(d.scene.lights)
-        everywhere = changes | {"lit": formula("distance > 0")}
-        per_light = drawing.get("per_light", everywhere)
-        rest = {name: drawing.get(name, changes) for name in PER_PIXEL} | {"handin": flat}
-        fewest, found = np.full(len(pixels), count + 1), lit.copy()
-        for code in range(2**count):
-            some = np.array([code >> k & 1 for k in range(count)], dtype=bool)
-            sum_of_some = (per_light * some[:, None, None]).sum(axis=0)
-            codes = Drawing(rest | {"radiance": sum_of_some}).get("codes", changes)
-            number = (lit != some[:, None]).sum(axis=0)
-            better = ~differing(codes, flat, 1) & (number < fewest)
-            fewest[better] = number[better]
-            found[:, better] = some[:, None]
-        return found, lit, fewest <= count
+        d, lit = self.drawings, self.drawings.lit
+        found, fewest = lit.copy(), np.full(self.number, np.inf)
+        if len(lit) <= _MANY_LIGHTS:
+            choices = [*product((False, True), repeat=len(lit))]
+            some = [
+                mistakes.read(f"lit = array({[*c]})[:, None] & (distance > 0)") for c in choices
+            ]
+            drawn = d.values(["codes"], [d.base | chosen for chosen in some], self.handin)
+            for lights, one in zip(np.array(choices), drawn, strict=True):
+                number = (lit != lights[:, None]).sum(axis=0)
+                better = (difference(one["codes"], self.handin) <= 1) & (number < fewest)
+                fewest[better] = number[better]
+                found[:, better] = lights[:, None]
+        return lit & ~found, found & ~lit, np.isfinite(fewest)
 
-    def misplaced_lights(self) -> list[tuple[int, int]]:
-        """For each light, at how many wrong pixels it is missing, and at how many too much."""
-        if len(self.drawings.scene.lights) > _MANY_LIGHTS:
-            return []
-        found, lit, known = self.lights(np.flatnonzero(self.wrong))
-        pairs = zip(found & known, lit & known, strict=True)
-        return [(int((should & ~has).sum()), int((has & ~should).sum())) for has, should in pairs]
+    def speckled(self) -> bool:
+        """Whether surfaces shadow themselves, in dots that depend on rounding.
 
-    def speckled(self) -> tuple[int, list[Cause]]:
-        """Surfaces that shadow themselves, in dots that depend on rounding: lights are lost."""
-        d = self.drawings
-        light = self.handin.max(axis=0).reshape(-1, d.columns).astype(np.int16)
-        dots = light[:, 1:-1] < np.minimum(light[:, :-2], light[:, 2:]) - 1
-        if len(d.scene.lights) > _MANY_LIGHTS or dots.sum() < _OF_ALL * self.number / 2:
-            return 0, []
-        names = list(mistakes.RIGHT)
-        free = {*names[: names.index("centers")], *names[names.index("image") :]}
-        for cause in [(), *d.alike]:
-            # With mistakes of the camera and of colours.
-            if any(not d.table[kind].keys() <= free for kind in cause):
-                continue
-            found, lit, known = self.lights(self.samples[0].pixels, cause)
-            if (~known | (found & ~lit).any(axis=0)).mean() > 2 * _OF_ALL:
-                continue
-            found, lit, known = self.lights(np.arange(self.number), cause)
-            left = int((~known | (found & ~lit).any(axis=0)).sum())
-            if left <= self.most and self.scattered(cause, lit & ~found, lit):
-                return left, [(*cause, mistakes.SPECKLED)]
-        return 0, []
-
-    def scattered(self, cause: Cause, lost: Array, lit: Array) -> bool:
-        """Whether light is lost in dots: neighbours on a surface differ nearly as if by chance."""
-        d = self.drawings
-        surface = d.values(["surface"], [d.changes(cause) or {}], self.handin)[0]["surface"]
-        differ = expected = 0.0
-        for k in range(len(lit)):
-            dots = lost[k].reshape(-1, d.columns)
-            for index in np.unique(surface[lost[k]]):
-                on = ((surface == index) & lit[k]).reshape(dots.shape)
-                share = dots[on].mean()
-                for axis in (0, 1):
-                    inner = on & np.roll(on, 1, axis)
-                    differ += (inner & (dots != np.roll(dots, 1, axis))).sum()
-                    expected += 2 * share * (1 - share) * inner.sum()
-        return bool(lost.any(axis=0).mean() > _OF_ALL and differ > 0.3 * expected > 0)
+        Light is lost alone, and so that neighbours differ nearly as often as by chance.
+        """
+        lost, too_much, known = self.lights
+        if (too_much.any(axis=0) | ~known).sum() > self.most or not lost.any():
+            return False
+        shape = len(lost), -1, self.drawings.columns
+        lost, lit = lost.reshape(shape), self.drawings.lit.reshape(shape)
+        share, differ, expected = lost.sum() / lit.sum(), 0, 0.0
+        for axis in (1, 2):
+            both = lit & np.roll(lit, 1, axis)
+            differ += int((both & (lost != np.roll(lost, 1, axis))).sum())
+            expected += 2 * share * (1 - share) * both.sum()
+        return bool(lost.any(axis=0).mean() > _OF_ALL and differ > _DOTS * expected)

@@ -5,10 +5,12 @@ gone through that camera may enter what is rendered by Mitsuba.  The others chan
 picture, or what Mitsuba is given.
 """
 
+import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 
+import drjit as dr
 import numpy as np
 import pytest
 from probe import Surface
@@ -17,12 +19,15 @@ import tracer.geometry.camera
 from converters import flavours
 from converters.camera import Window, window_of
 from converters.flavours import exact
+from converters.rendering import Rendering
+from converters.variant import SCALAR, use
 from reference import check
-from reference.check import check_diffuse, check_scene
+from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
-from reference.handins.drawing import radiance
-from reference.regenerate import load_small
-from tracer import Phong, PointLight, Scene, Sphere, render
+from reference.handins.drawing import draw
+from reference.regenerate import load_small, stored
+from tracer import Phong, PointLight, Scene, Sphere, first_hits, render
+from tracer.arrays import Floats
 
 pytestmark = pytest.mark.cross_validation
 
@@ -76,6 +81,39 @@ def test_a_wrong_camera_is_caught(monkeypatch, compared, camera, name):
     assert compared(scene, name).verdict == "DIFFERS"
 
 
+def boxes_out(scene: Scene) -> Floats:
+    """Boxes, and there is nothing else, one unit beside where they should be."""
+    aside = np.array([1, 0, 0])
+    boxes = [replace(b, min_pt=b.min_pt + aside, max_pt=b.max_pt + aside) for b in scene.surfaces]
+    return render(replace(scene, surfaces=boxes))
+
+
+# What is usually asked of SSIM between two renderers.  The last column: whether the mistake passes.
+USUAL_SSIM = 0.98
+
+
+@pytest.mark.parametrize(
+    ("mutation", "name", "ssim_misses"),
+    [
+        # Encoded with 1.8 and, like all pictures, shown with 2.2.
+        (lambda scene: np.clip(render(scene), 0, 1) ** (2.2 / 1.8), "non-square-pixels", True),
+        (lambda scene: render(scene) * 1.02, "non-square-pixels", True),
+        (lambda scene: draw(scene, "specular-none", formula="image"), "non-square-pixels", True),
+        (lambda scene: draw(scene, "shadow-none", formula="image"), "non-square-pixels", False),
+        (boxes_out, "two-boxes", False),
+    ],
+    ids=["gamma", "brighter", "no highlights", "no shadows", "boxes out"],
+)
+def test_a_wrong_picture_is_caught(monkeypatch, mutation, name, ssim_misses):
+    scene = load_small(SCENES / f"{name}.xml")
+    assert compare(scene, name, Rendering(stored(name), "stored", 0.0)).verdict == "agrees"
+    wrong = mutation(scene)
+    monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
+    result = check_scene(scene, name)
+    assert result.verdict == "DIFFERS"
+    assert (result.figures.ssim >= USUAL_SSIM) == ssim_misses
+
+
 # Mistakes as `reference/handins/mistakes.md` draws them.
 BEGINNERS = """
 ambient-.1 diffuse-ignored exponent-2 falloff-2 h-length l-length light-first mirrored
@@ -93,8 +131,8 @@ def test_mistakes_of_beginners_are_caught(monkeypatch, mistake):
         balls = Sphere(center=(0, 0, -4)), Sphere(center=(0, 3, -4))
         lights = (PointLight(position=(0, 1.5, -4)),)
         scene = replace(scene, camera=tracer.Camera(), lights=lights, surfaces=balls)
-    assert np.allclose(radiance(scene), render(scene), atol=1e-9)
-    wrong = radiance(scene, mistake)
+    assert np.allclose(draw(scene, formula="image"), render(scene), atol=1e-9)
+    wrong = draw(scene, mistake, formula="image")
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
     assert check_scene(scene, mistake).verdict == "DIFFERS"
 
@@ -104,33 +142,99 @@ def moved_aside(window: Window) -> Window:
     return window._replace(center=window.center + np.array([0.2 * window.width, 0, 0]))
 
 
+def reflected(window: Window) -> Window:
+    """Right is left."""
+    flip = np.array([-1, 1, 1])
+    return window._replace(axes=window.axes * flip[:, None], center=window.center * flip)
+
+
+def wider(window: Window) -> Window:
+    """A field of view that is 1 % too large."""
+    return window._replace(width=window.width * 1.01, height=window.height * 1.01)
+
+
+def without_a_surface(scene: Scene) -> Scene:
+    """Without the one that is in fewest pixels, of those which are in the light."""
+    y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
+    lit = render(scene).max(axis=2).ravel() > 0.05
+    surface, count = np.unique(first_hits(scene, x, y).surface[lit], return_counts=True)
+    surfaces = [*scene.surfaces]
+    del surfaces[surface[count.argmin()]]
+    return replace(scene, surfaces=surfaces)
+
+
+def with_surfaces(change: Callable[[Surface], Surface]) -> Callable[[Scene], Scene]:
+    return lambda scene: replace(scene, surfaces=[change(surface) for surface in scene.surfaces])
+
+
 def larger(surface: Surface) -> Surface:
-    """A ball that is 1 % too large, or a box as it was."""
     is_sphere = isinstance(surface, Sphere)
     return replace(surface, radius=surface.radius * 1.01) if is_sphere else surface
 
 
-def sharper(surface: Surface) -> Surface:
-    """With an exponent that is 1 % too large, if there is a highlight."""
-    if not isinstance(shader := surface.shader, Phong):
-        return surface
-    return replace(surface, shader=replace(shader, exponent=1.01 * shader.exponent))
+def shiny(strength: float, exponent: float) -> Callable[[Surface], Surface]:
+    """A surface with another highlight, if it has one."""
 
+    def change(surface: Surface) -> Surface:
+        if not isinstance(old := surface.shader, Phong):
+            return surface
+        specular = tuple(strength * k for k in old.specular)
+        return replace(
+            surface, shader=replace(old, specular=specular, exponent=exponent * old.exponent)
+        )
+
+    return change
+
+
+def lights_swapped(scene: Scene) -> Scene:
+    intensities = [light.intensity for light in scene.lights]
+    swapped = zip(scene.lights, intensities[1:] + intensities[:1], strict=True)
+    return replace(scene, lights=[replace(light, intensity=i) for light, i in swapped])
+
+
+WRONG_WINDOWS = {"moved": moved_aside, "mirrored": reflected, "field of view": wider}
 
 WRONG_SCENES: dict[str, Callable[[Scene], Scene]] = {
     "no light": lambda scene: replace(scene, lights=scene.lights[1:]),
-    "radius": lambda scene: replace(scene, surfaces=[*map(larger, scene.surfaces)]),
-    "exponent": lambda scene: replace(scene, surfaces=[*map(sharper, scene.surfaces)]),
+    "lights swapped": lights_swapped,
+    "no surface": without_a_surface,
+    "radius": with_surfaces(larger),
+    "no highlight": with_surfaces(shiny(0, 1)),
+    "exponent": with_surfaces(shiny(1, 1.01)),
 }
 
 
-@pytest.mark.parametrize("mistake", ["camera", *WRONG_SCENES])
-def test_a_broken_converter_is_caught(monkeypatch, mistake):
-    scene = replace(load_small(SCENES / "sticks-perspective.xml"), width=64, height=48)
-    if mistake == "camera":
-        monkeypatch.setattr(flavours, "window_of", lambda camera: moved_aside(window_of(camera)))
-    else:
+def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
+    if mistake in WRONG_WINDOWS:
+        wrong = WRONG_WINDOWS[mistake]
+        monkeypatch.setattr(flavours, "window_of", lambda camera: wrong(window_of(camera)))
+    elif mistake in WRONG_SCENES:
         monkeypatch.setattr(check, "exact", lambda scene: exact(WRONG_SCENES[mistake](scene)))
-    result = check_scene(scene, mistake)
+    else:
+        plugins = importlib.import_module("converters.plugins")
+        right = plugins.BlinnPhong.eval
+
+        def without_cosine(self, ctx, si, wo, active=True):  # type: ignore[no-untyped-def]
+            more = self.diffuse * (1 - dr.abs(wo.z))
+            return right(self, ctx, si, wo, active) + dr.select(si.wi.z * wo.z > 0, more, 0)
+
+        monkeypatch.setattr(plugins.BlinnPhong, "eval", without_cosine)
+
+
+@pytest.mark.parametrize("variant", [SCALAR, None])  # and the fastest that works here
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sticks-perspective",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("four-spheres", "many-objects")),
+    ],
+)
+@pytest.mark.parametrize("mistake", [*WRONG_WINDOWS, *WRONG_SCENES, "no cosine"])
+def test_a_broken_converter_is_caught(monkeypatch, mistake, name, variant):
+    scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
+    use(variant)
+    break_converter(monkeypatch, mistake)
+    result = check_scene(scene, name, variant)
+    use()
     assert result.verdict == "undecided"
     assert "Mitsuba or the converter is wrong" in result.report()

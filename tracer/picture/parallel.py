@@ -85,11 +85,11 @@ def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) 
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if number := getattr(signal, name, None):
             signal.signal(number, signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     initializer(*arguments)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     import multiprocessing
 
     parent = multiprocessing.parent_process()
