@@ -5,6 +5,9 @@ from __future__ import annotations
 import copy
 import io
 import pickle
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import tracer
 from tracer import (
     Box,
     Camera,
