@@ -190,7 +190,7 @@ def test_edges_on_which_both_agree_are_not_left_out():
 def hostile_scene(seed: int) -> Scene:
     """A scene that is hard for float32: of any kind; every third with many lights, or flat."""
     kinds = [kind for kind in KINDS if kind != "crowd"]
-    scene, rng = random_scene(kinds[seed % len(kinds)], seed, 48, 36), np.random.default_rng(seed)
+    scene, rng = random_scene(kinds[seed % len(kinds)], seed, 64, 48), np.random.default_rng(seed)
     if seed % 3 == 0:
         places = rng.normal(size=(rng.integers(8, 21), 3)) * 4
         more = [PointLight(position=p, intensity=rng.uniform(0.02, 0.1, 3)) for p in places]
@@ -207,7 +207,7 @@ def hostile_scene(seed: int) -> Scene:
 
 SEEDS = [
     range(4),
-    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 102, 14)),
+    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 200, 14)),
 ]
 
 
