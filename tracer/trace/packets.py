@@ -13,9 +13,8 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, run_lengths, segment_indices, take3
 from tracer.trace.hits import Hits
 
-# The most points in a row, the least and the most pixels along each side of a square of rows, and
-# how many times as deep as wide it may be: towards a horizon neighbouring rows are far apart.
-_MOST_POINTS, _LEAST_SIDE, _MOST_SIDE, _MOST_DEPTH = 6, 6, 16, 8
+# The most points in a row, and the least and the most pixels along each side of a square of rows.
+_MOST_POINTS, _LEAST_SIDE, _MOST_SIDE = 6, 6, 16
 
 
 class Packets(NamedTuple):
@@ -85,12 +84,9 @@ def packets_of(
     for at in (hits.row[run] // side, column // side):
         square = square * (at.max() + 1) + at
     order = square.argsort(kind="stable")
-    # The bits of a number are nearly its logarithm; of twice a number, they are 2^52 more.
-    wide = side * prepared.frame.step_u / (prepared.frame.depth * hits.density)
-    part = min(_MOST_DEPTH * wide, 1.0)
-    depth = hits.p[2].take(start).view(np.int64) // max(1, int(2**52 * part))
+    layer = prepared.frame.layer(hits.p[2].take(start), side / hits.density)
     rows, lit = Packets._make(m.take(order, axis=-1) for m in rows), lit.take(order, axis=1)
-    start, length = run_lengths(square[order], depth[order])
+    start, length = run_lengths(square[order], layer[order])
     return [_gathered(rows, start, length), rows], [np.logical_or.reduceat(lit, start, axis=1), lit]
 
 
