@@ -20,7 +20,7 @@ from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, unit
 
 # How many times as deep as wide the parts of a packet may lie.
-_LAYER = 8
+_LAYER = 4
 
 
 class CameraFrame(NamedTuple):
