@@ -90,7 +90,7 @@ def test_no_packet_is_without_end(up, high, monkeypatch):
 @pytest.mark.usefixtures("pixels_are_split")
 def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere(monkeypatch):
     # What a pixel sees there is larger than all else: every object may shade some of it.
-    # 20,946 tests at rows of three points, 5.1 a pixel; without borders in depth 20 a pixel.
+    # 0.8 tests a pixel; where layers of depth are octaves 5, without layers 20.
     rng = np.random.default_rng(0)
     floor = Box(min_pt=(-1e6, -1, -1e6), max_pt=(1e6, 0, 1e6))
     at = rng.uniform((-20, -60), (20, -2), (200, 2)).tolist()
@@ -105,4 +105,4 @@ def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere(monkeypatch
 
     monkeypatch.setattr(Spheres, "occludes", counted)
     render(scene, samples=4)
-    assert 0 < sum(tried) < 6 * 64 * 64
+    assert 0 < sum(tried) < 64 * 64

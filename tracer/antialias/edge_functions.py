@@ -17,7 +17,8 @@ All vectors are in the camera's axes, seen from the eye.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -39,7 +40,7 @@ from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
 EDGES_AT_ONCE = 1 << 16
-"""Edge functions are found for so many pairs of a cell and an edge at a time, and fitted."""
+"""Edge functions are found for so many pairs of a cell and an edge at a time."""
 
 EdgeValues: TypeAlias = tuple[Ints, Floats]
 """Cells (n,), and edge functions at the six points of each (6, n); NaN where unknown."""
@@ -122,19 +123,9 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     -1/2 < u < 1/2, by t . H t / 24 on average, which is added to the line's c.  The zero's
     curvature, and so its turn over that length, is |t . H t| / |g|.
     """
-    lines, curved = zip(*(_fit(*some, tolerance) for some in _gathered(edges)), strict=True)
+    none: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
+    lines, curved = zip(*(_fit(*some, tolerance) for some in chain([none], edges)), strict=True)
     return Lines.joined(lines), np.concatenate(curved)
-
-
-def _gathered(edges: Iterable[EdgeValues]) -> Iterator[EdgeValues]:
-    """Edges in few arrays, none of which is much longer than those given."""
-    cells, values, count = [np.zeros(0, dtype=np.intp)], [np.zeros((6, 0))], 0
-    for cell, value in edges:
-        cells, values, count = [*cells, cell], [*values, value], count + cell.size
-        if count >= EDGES_AT_ONCE:
-            yield np.concatenate(cells), np.concatenate(values, axis=1)
-            cells, values, count = cells[:1], values[:1], 0
-    yield np.concatenate(cells), np.concatenate(values, axis=1)
 
 
 def _fit(cell: Ints, value: Floats, tolerance: float) -> tuple[Lines, Ints]:

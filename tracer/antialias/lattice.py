@@ -14,7 +14,7 @@ Points2D: TypeAlias = NDArray[np.complex128]
 """Positions x + iy in cells."""
 
 # Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
-_GENERATORS = {5: 2, 13: 5, 25: 7}
+_GENERATORS = {5: 2, 13: 5, 25: 7, 65: 18}
 
 # A lattice has at least this many points for each of the grid's.
 _MORE = 2.5
@@ -25,7 +25,7 @@ class Lattice(NamedTuple):
 
     Edges of boxes often follow the rows or columns of an upright grid, and pass a whole row of its
     points at once.  Here few points share a row or a column, and yet all pixels can have the same:
-    a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of 13 or 25
+    a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of 13, 25 or 65
     points, or one of five that is repeated `columns` times across the pixel and down.  A quarter
     turn maps it onto itself, so what is smooth is averaged as well as by an upright grid.  Where
     all pixels have it (`samples`), every other row of them has its mirror image: an edge along one
@@ -36,7 +36,7 @@ class Lattice(NamedTuple):
     columns : int
         Points in each row.
     rows : int
-        13, 25 or 5 * `columns`; or, of an upright grid, as many as the columns.
+        13, 25, 65 or 5 * `columns`; or, of an upright grid, as many as the columns.
     """
 
     columns: int
@@ -50,8 +50,8 @@ class Lattice(NamedTuple):
         largest error, and for edges along its own directions.
         """
         repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
-        lattices = (m for m in (cls(1, 13), cls(1, 25), *repeated) if m.size >= more * per_side**2)
-        return min(lattices, key=lambda m: m.size)
+        lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated
+        return min((m for m in lattices if m.size >= more * per_side**2), key=lambda m: m.size)
 
     @property
     def size(self) -> int:

@@ -16,8 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Triple, cross, dot
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, unit
+
+# How many times as deep as wide the parts of a packet may lie.
+_LAYER = 4
 
 
 class CameraFrame(NamedTuple):
@@ -86,6 +89,15 @@ class CameraFrame(NamedTuple):
     def row(self, g: Floats) -> Floats:
         """Inverse of `down`."""
         return (g - self.shift_v) / self.step_v + self.height / 2
+
+    def layer(self, ahead: Floats, pixels: float) -> Ints:
+        """Number layers of depth, each some times as deep there as so many pixels are wide.
+
+        Towards a horizon neighbours in the picture are far apart: layers keep packets small.
+        """
+        part = min(_LAYER * pixels * self.step_u / self.depth, 1.0)
+        # The bits of a number are nearly its logarithm; of twice a number, they are 2^52 more.
+        return ahead.view(np.int64) // max(1, int(2**52 * part))
 
     @property
     def longest(self) -> float:

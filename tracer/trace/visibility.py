@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, changes, indices, ranges, repeat_runs
+from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples, Scattered
 from tracer.world.prepared_scene import PreparedScene, Shape
@@ -72,16 +73,16 @@ class _Candidates(NamedTuple):
             counts = np.diff(index.searchsorted(counts.cumsum()), prepend=0)
         return _Candidates(shape, counts, obj, g, *(values.take(index) for values in pairs))
 
-    def runs(self, samples: Samples, ahead: Floats) -> Ints:
+    def runs(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
         """The first hit of each run, see `ShapeHits`; `ahead` (n,): their depth before the eye.
 
-        Runs of scattered samples end at the borders of squares and of octaves of depth: towards a
-        horizon neighbours are far apart, and a packet of them would meet all objects.
+        Runs of scattered samples end at the borders of squares and of layers of depth.
         """
         begins = changes(self.detail) if self.shape.flat else np.zeros(ahead.size, dtype=np.bool_)
         if self.counts is None:
             x, y = samples.at(self.sample)
-            begins |= changes(self.obj, np.floor(y), np.floor(x / _TILE), np.frexp(ahead)[1])
+            layer = frame.layer(ahead, _TILE)
+            begins |= changes(self.obj, np.floor(y), np.floor(x / _TILE), layer)
         else:
             begins[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
             begins[1:] |= np.diff(self.sample) > 1  # what hides samples in between
@@ -135,7 +136,7 @@ def _hits(prepared: PreparedScene, samples: Samples, candidates: list[_Candidate
         np.multiply(part.t, part.s, out=here[0])
         np.multiply(part.t, repeat_runs(part.g, part.counts), out=here[1])
         np.multiply(part.t, frame.depth, out=here[2])
-        first = part.runs(samples, here[2])
+        first = part.runs(samples, frame, here[2])
         counts, obj = np.diff(first, append=end - start), repeat_runs(part.obj, part.counts)[first]
         surface = part.shape.surface(frame, obj, counts, here, part.t, part.detail)
         groups.append(ShapeHits(part.shape, slice(start, end), part.sample, counts, obj, *surface))
