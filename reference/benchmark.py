@@ -21,7 +21,6 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from statistics import geometric_mean
-from typing import TypeAlias
 
 import numpy as np
 
@@ -51,8 +50,6 @@ mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
 
 ROUNDS = 3
-Section: TypeAlias = Callable[[bool], str]
-"""Measures one table of the page, given whether to be quick."""
 
 
 def _speedup(of: Timing, over: Timing) -> float:
@@ -74,25 +71,18 @@ def table(title: str, note: str, header: Sequence[str], rows: Sequence[Sequence[
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
-def _mitsuba(text: str) -> Task:
-    loaded = mi.load_string(text)
-    return lambda: np.array(mi.render(loaded))
-
-
 def _beside(scene: Scene, text: str) -> list[Timing]:
     """Time the tracer and Mitsuba, whose kernels choose among all objects alive, in turns."""
     gc.collect()
-    tasks: dict[str, Task] = {"ours": partial(render, scene), "theirs": _mitsuba(text)}
-    return [*interleaved(tasks, ROUNDS).values()]
-
-
-def _tracer(source: Path) -> list[str]:
-    return [sys.executable, "-m", "tracer", "--quiet", "-o", str(built("out.png")), str(source)]
+    loaded = mi.load_string(text)
+    tasks: list[Task] = [partial(render, scene), lambda: np.array(mi.render(loaded))]
+    return [*interleaved(dict(enumerate(tasks)), ROUNDS).values()]
 
 
 def whole_process(quick: bool) -> str:
     """Time commands from XML to PNG."""
     variant, png = use().variant, str(built("out.png"))
+    tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
     mitsuba = [sys.executable, "-c", _MITSUBA]
     rows: list[tuple[object, ...]] = []
     sizes, names = ((_SMALL,), _FEW[:1]) if quick else ((_SMALL, _LARGE), _FEW)
@@ -103,7 +93,7 @@ def whole_process(quick: bool) -> str:
         (similar := built("stock.xml")).write_text(stock(scene, 1))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
-            "tracer": _tracer(ours),
+            "tracer": [*tracer, str(ours)],
             "Mitsuba exact": [*mitsuba, variant, str(exactly), png],
             "Mitsuba stock": [*mitsuba, variant, str(similar), png],
             "the same, scalar": [*mitsuba, SCALAR, str(similar), png],
@@ -189,7 +179,7 @@ def frames(quick: bool) -> str:
     )
 
 
-SECTIONS: list[Section] = [whole_process, rendering, frames]
+SECTIONS = (whole_process, rendering, frames)
 
 
 def main() -> None:

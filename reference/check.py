@@ -35,7 +35,6 @@ from time import perf_counter
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
@@ -43,7 +42,7 @@ from converters.rendering import Rendering, load
 from converters.to_mitsuba import add_scenes, guarded, ready, without_converted
 from converters.variant import LLVM, use
 from reference.command import parser
-from reference.figures import Figures, figures, write_comparison
+from reference.figures import Bools, Figures, figures, write_comparison
 from reference.judges import plain
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
 from tracer.command.arguments import output_paths
@@ -78,8 +77,6 @@ _AT_A_TIME = 100
 # How near, relatively and in pixels, is too near for float64 to tell apart.
 _NEAR, _NEAR_SHIFT = 1e-12, 1e-6
 
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
@@ -93,11 +90,11 @@ class CheckResult:
     name: str
     tracer: Floats
     mitsuba: Floats
-    edges: Mask
+    edges: Bools
     """Pixels at edges that differ."""
-    ties: Mask
+    ties: Bools
     """Pixels that differ, and where exact arithmetic shows both values: surfaces coincide."""
-    differing: Mask
+    differing: Bools
     """All others that differ."""
     asked: int
     """How many of `differing` were traced in exact arithmetic: not all, if the first say enough."""
@@ -111,7 +108,7 @@ class CheckResult:
     mitsuba_seconds: float
 
     @property
-    def left_out(self) -> Mask:
+    def left_out(self) -> Bools:
         """Pixels that count in no figure."""
         return self.edges | self.ties
 
@@ -153,7 +150,7 @@ class CheckResult:
         return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
 
 
-def _pixels(mask: Mask) -> str:
+def _pixels(mask: Bools) -> str:
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
@@ -168,7 +165,7 @@ def faults(measured: Figures) -> list[str]:
     return found
 
 
-def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Mask:
+def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
     """Pixels (h, w) that lie between values which the tracer finds when its samples move.
 
     They move by `shift` pixels, both ways.
@@ -176,7 +173,7 @@ def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) ->
     aside = (-shift, shift)
     seen = [render(scene, offset=(dx, dy)) for dx, dy in product(aside, aside)]
     low, high = np.min(seen, axis=0) - tolerance, np.max(seen, axis=0) + tolerance
-    between: Mask = ((low <= picture) & (picture <= high)).all(axis=2)
+    between: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
     return between
 
 
@@ -276,14 +273,14 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
 class _Judgement(NamedTuple):
     """See `CheckResult`."""
 
-    ties: Mask
+    ties: Bools
     asked: int = 0
     wrong: int = 0
     first: tuple[int, int] | None = None
 
 
 def _judge(
-    scene: Scene, image: Floats, mitsuba: Floats, differing: Mask, tolerance: float
+    scene: Scene, image: Floats, mitsuba: Floats, differing: Bools, tolerance: float
 ) -> _Judgement:
     """Ask exact arithmetic about pixels that differ, until one is no tie."""
     pixels, ties = np.argwhere(differing), np.zeros_like(differing)
@@ -296,7 +293,7 @@ def _judge(
                 plain.trace(
                     near, columns + 0.5 + shift, rows + 0.5 + shift, arithmetic="decimal", ties=of
                 ).radiance
-                for of in plain.TIES
+                for of in ("first", "last")
             )
             ours, *theirs = (
                 np.abs(picture[rows, columns] - exact).max(axis=1) <= tolerance

@@ -101,9 +101,7 @@ The first leaves out the own object, which is exact, since all are convex.
 """
 
 
-TIES = ("first", "last")
-"""Which of equal roots is seen, in the order of the file, or of a box's axes."""
-
+# Of equal roots the first or the last is seen, in the order of the file, or of a box's axes.
 _USUAL = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact", "ties": "first"}
 
 
@@ -283,7 +281,8 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> Seen:
     """Trace one ray through each of n places in the picture.
 
     They are pixels `x` (n,) to the right of and `y` below the upper left corner; centres are at
-    + 0.5.  `methods` are `arithmetic`, `spheres`, `shadows` and `ties`, each out of its table.
+    + 0.5.  `methods` are `arithmetic`, `spheres` and `shadows`, each out of its table, and `ties`,
+    "first" or "last".
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
         return _Plain(scene, **_USUAL | methods).trace(np.asarray(x), np.asarray(y))

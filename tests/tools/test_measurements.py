@@ -53,7 +53,7 @@ def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("section", benchmark.SECTIONS, ids=lambda section: section.__name__)
 def test_benchmark_tables_are_complete(
-    section: benchmark.Section, monkeypatch: pytest.MonkeyPatch
+    section: Callable[[bool], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(benchmark, "ROUNDS", 1)
     monkeypatch.setattr(measurements, "_MORE", 1)
