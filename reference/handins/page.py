@@ -99,7 +99,7 @@ def png(codes: NDArray[np.uint8], *, thumbnail: bool = False) -> bytes:
     data, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
     if thumbnail:
         image.thumbnail((_THUMBNAIL, _THUMBNAIL))
-    image.save(data, format="PNG", optimize=True)
+    image.save(data, format="PNG")
     return data.getvalue()
 
 

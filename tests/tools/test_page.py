@@ -205,7 +205,7 @@ def test_a_class(browser: Browser, tmp_path: Path) -> None:
         widths = page.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert widths == [8] * len(widths)
         links = page.locator("td a")
-        assert links.all_text_contents() == ["✗ differs", "✓ agrees"]
+        assert links.all_text_contents() == ["✗ brightness", "✓ agrees"]
         links.first.click()
         assert page.url.endswith("#pair-0")
         for _ in range(2):
@@ -215,4 +215,4 @@ def test_a_class(browser: Browser, tmp_path: Path) -> None:
                 middle = (ring[axis] + ring[side] / 2 - panel[axis]) / panel[side]
                 assert middle == pytest.approx(zoom * (at - (zoom - 1) / 4), abs=0.01)
             page.locator(".in").first.click()
-        assert page.locator(".worst").count() == 2  # in both panels of what differs alone
+        assert page.locator(".worst").count() == 3  # in each picture of what differs alone
