@@ -8,6 +8,7 @@ import io
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -217,7 +218,13 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     assert lines[6] == f"missing  {hand_ins}/di: holds no pictures"
     assert lines[7] == "5 pictures: 2 agree, 1 differ, 2 are missing, 2 cannot be compared"
     out = hand_ins.with_name("out")
-    status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/")
+    page = hand_ins.with_name("page.html")
+    status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/", "--html", page)
+    assert re.findall("[✓✗] ([^<]*)</span></a>", page.read_text()) == [
+        "agrees",
+        "agrees",
+        "mirrored",
+    ]
     found = json.loads("".join(told))
     assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]

@@ -205,7 +205,7 @@ def test_a_class(browser: Browser, tmp_path: Path) -> None:
         widths = page.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert widths == [8] * len(widths)
         links = page.locator("td a")
-        assert links.all_text_contents() == ["✗ brightness", "✓ agrees"]
+        assert links.all_text_contents() == ["✗ differs", "✓ agrees"]
         links.first.click()
         assert page.url.endswith("#pair-0")
         for _ in range(2):
