@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from reference.figures import Floats, amplified
 from reference.handins import page as pages
 from reference.handins.page import Cell, Pair, png
@@ -23,20 +21,15 @@ _LEGEND = (
 
 def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
     """A hand-in and the right picture, of one size."""
-    difference, gain = amplified(*light)
-    return Pair(
+    return Pair.of(
+        *codes,
+        *amplified(*light),
         name=str(result.picture),
         good=result.agrees,
         word=result.word,
         left="hand-in",
         right="right",
-        width=codes[0].shape[1],
-        height=codes[0].shape[0],
-        left_png=png(codes[0]),
-        right_png=png(codes[1]),
-        difference=png(np.round(255 * difference).astype(np.uint8)),
         thumbnail=png(codes[0], thumbnail=True),
-        shown=f"difference × {gain:,.10g}" if gain else "no difference",
         notes=[str(result.diagnosis)],
         worst=result.worst if result.differing else None,
         figures=[
