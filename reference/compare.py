@@ -3,9 +3,9 @@
     python -m reference.compare HAND-IN.png SCENE.xml
     python -m reference.compare HAND-INS/ SCENES/
 
-On the right stands a scene file, which is drawn, a picture, or a folder of these.  With a scene,
-the mistake is named that draws the very hand-in, or where that differs is; with a picture,
-only geometry and encoding are.  All pictures in a folder and its folders are compared with the
+On the right stands a scene file, which is drawn, a picture, or a folder of these.  The mistake is
+named that draws the very hand-in, or where that differs is; with a picture in place of a scene,
+only some of geometry and encoding can be drawn.  All pictures in a folder and its folders are compared with the
 scenes of their names: NAME.png, NAME.xml.png and ID_NAME.png with NAME.xml.  Exit status: 0 if
 all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for wrong usage; 3 if
 some cannot be compared.
