@@ -21,6 +21,7 @@ from reference.handins.drawing import draw
 from reference.handins.formulas import parameters
 from reference.handins.mistakes import RIGHT, mistakes_of
 from reference.handins.reading import Codes, Picture, read_picture
+from reference.handins.workers import shared
 from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render, to_codes
 
 NAMES = ["four-spheres", "room", "highlights", "touching", "non-square-pixels", "two-boxes"]
@@ -92,10 +93,14 @@ def test_few_mistakes_are_found() -> None:
     assert found["right"] + found["part"] >= 19
 
 
+def twenty_five(name: str) -> Counter[str]:
+    return verdicts(name, 25, 2)
+
+
 @pytest.mark.slow
 def test_mistakes_are_found() -> None:
     """Two hundred pictures of eight scenes: 1 % are wrong at most, 94 % right or in part."""
-    found = sum((verdicts(name, 25, 2) for name in NAMES), Counter[str]())
+    found = sum(shared(twenty_five, NAMES, lambda _: Counter(wrong=25)), Counter[str]())
     print(found)
     assert found["wrong"] <= 2
     assert found["right"] + found["part"] >= 188
