@@ -3,12 +3,12 @@
     python -m reference.compare HAND-IN.png SCENE.xml
     python -m reference.compare HAND-INS/ SCENES/
 
-On the right stands a scene file, which is drawn, a picture, or a folder of these.  With a scene,
-the mistake is named that draws the very hand-in, or where that differs is; with a picture,
-only geometry and encoding are.  All pictures in a folder and its folders are compared with the
-scenes of their names: NAME.png, NAME.xml.png and ID_NAME.png with NAME.xml.  Exit status: 0 if
-all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for wrong usage; 3 if
-some cannot be compared.
+On the right stands a scene file, which is drawn, a picture, or a folder of these.  The mistake is
+named that draws the very hand-in, or where that differs is; with a picture in place of a scene,
+only some of geometry and encoding can be drawn.  All pictures in a folder and its folders are
+compared with the scenes of their names: NAME.png, NAME.xml.png and ID_NAME.png with NAME.xml.
+Exit status: 0 if all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for
+wrong usage; 3 if some cannot be compared.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple
 
 from PIL import UnidentifiedImageError
 from tqdm import tqdm
@@ -53,13 +52,6 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 
 __all__ = ["main"]
-
-
-class Job(NamedTuple):
-    """A hand-in to be judged, and where its comparison goes."""
-
-    hand_in: HandIn
-    output: Path | None
 
 
 def tolerance(text: str) -> float:
@@ -102,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     page = Path(options.html) if options.html else None
     spare_inputs(used, filter(None, (*outputs, page)), (*pictures, *rights))
     # Hand-ins of one scene follow one another: what is drawn of it serves all of them.
-    jobs = sorted(map(Job, matched, outputs), key=lambda job: str(job.hand_in.right))
+    jobs = [hand_in._replace(output=output)
+            for hand_in, output in zip(matched, outputs, strict=True)]  # fmt: skip
+    jobs.sort(key=lambda hand_in: str(hand_in.right))
     judged = shared(partial(judge, options), jobs, lost)
     few = len(jobs) < 3 or sys.stderr is None
     judged = tqdm(judged, total=len(jobs), unit="picture", disable=few or None)
@@ -155,20 +149,23 @@ def _solution(path: Path) -> tuple[Solution, str]:
     return Solution(picture), picture.note
 
 
-def lost(job: Job) -> tuple[Result, None]:
+def lost(hand_in: HandIn) -> tuple[Result, None]:
     """The result of a picture whose process died."""
-    picture, right, _ = job.hand_in
-    error = printable(f"{picture}: cannot be compared: its process was ended; is memory short?")
-    return Result(str(picture), str(right), error=error), None
+    reason = "cannot be compared: its process was ended; is memory short?"
+    return _failed(hand_in, f"{hand_in.picture}: {reason}")
 
 
-def judge(options: argparse.Namespace, job: Job) -> tuple[Result, Pair | None]:
+def _failed(hand_in: HandIn, error: str) -> tuple[Result, None]:
+    right = str(hand_in.right) if hand_in.right else None
+    return Result(str(hand_in.picture), right, error=printable(error)), None
+
+
+def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
     """Compare a picture; of many, a comparison is written only of those that differ."""
-    pair = None
-    picture, right, error = job.hand_in
-    result = Result(str(picture), None if right is None else str(right))
+    picture, right, error, output = hand_in
     if right is None:
-        return result._replace(error=printable(f"{picture}: {error}")), None
+        return _failed(hand_in, f"{picture}: {error}")
+    result, pair = Result(str(picture), str(right)), None
     where, what = picture, "read"
     try:
         a = read_picture(picture)
@@ -194,11 +191,11 @@ def judge(options: argparse.Namespace, job: Job) -> tuple[Result, Pair | None]:
         )  # fmt: skip
         if options.html:
             pair = pair_of(result, (a.codes, b), light)
-        if job.output is not None and not (options.many and same):
-            where, what = job.output, "written"
-            job.output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(job.output, *light, (printable(picture.name), printable(right.name)))
-            result = result._replace(comparison=str(job.output))
+        if output is not None and not (options.many and same):
+            where, what = output, "written"
+            output.parent.mkdir(parents=True, exist_ok=True)
+            write_comparison(output, *light, (printable(picture.name), printable(right.name)))
+            result = result._replace(comparison=str(output))
     except SceneFileError as fault:
         return result._replace(error=str(fault)), None
     except UNREADABLE as fault:
@@ -207,5 +204,5 @@ def judge(options: argparse.Namespace, job: Job) -> tuple[Result, Pair | None]:
             reason = "not enough memory; compare a part"
         elif isinstance(fault, UnidentifiedImageError):
             reason = "not a picture in a format that is known"
-        return result._replace(error=printable(f"{where}: cannot be {what}: {reason}")), None
+        return _failed(hand_in, f"{where}: cannot be {what}: {reason}")
     return result, pair

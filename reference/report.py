@@ -23,7 +23,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from converters.to_mitsuba import TROUBLE, describe_error
@@ -32,7 +31,7 @@ from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, own_scenes, parser, spare_inputs
 from reference.figures import amplified
 from reference.handins import page as pages
-from reference.handins.page import TEMPLATE, Cell, Pair, png
+from reference.handins.page import TEMPLATE, Cell, Pair
 from reference.measured.measurements import measured_on
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
@@ -96,21 +95,22 @@ def _row(index: int, result: CheckResult) -> list[list[Cell]]:
 
 
 def _pair(result: CheckResult, comment: str) -> Pair:
-    difference, shown = _difference(result)
-    f, good = result.figures, result.verdict == "agrees"
+    """The pictures and their difference, grey where pixels are left out."""
+    left_out, f, good = result.left_out, result.figures, result.verdict == "agrees"
+    kept = np.where(left_out[:, :, None], result.tracer, result.mitsuba)
+    difference, gain = amplified(result.tracer, kept)
+    difference[left_out] = _LEFT_OUT
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
-    return Pair(
+    return Pair.of(
+        to_codes(result.tracer),
+        to_codes(result.mitsuba),
+        difference,
+        gain,
         name=result.name,
         good=good,
         word=result.verdict,
         left="tracer",
         right="Mitsuba",
-        width=result.left_out.shape[1],
-        height=result.left_out.shape[0],
-        left_png=png(to_codes(result.tracer)),
-        right_png=png(to_codes(result.mitsuba)),
-        difference=png(difference),
-        shown=shown,
         comment=comment,
         faults=[] if good else remarks,
         notes=remarks if good else [],
@@ -123,16 +123,6 @@ def _pair(result: CheckResult, comment: str) -> Pair:
             (f"Mitsuba's ({result.variant})", _time(result.mitsuba_seconds)),
         ),
     )  # fmt: skip
-
-
-def _difference(result: CheckResult) -> tuple[NDArray[np.uint8], str]:
-    """The difference as 8-bit codes, grey where pixels are left out; and how it is amplified."""
-    left_out = result.left_out
-    kept = np.where(left_out[:, :, None], result.tracer, result.mitsuba)
-    image, gain = amplified(result.tracer, kept)
-    image[left_out] = _LEFT_OUT
-    shown = f"difference × {gain:,.10g}" if gain else "no difference"
-    return np.round(255 * image).astype(np.uint8), shown
 
 
 def _time(seconds: float) -> str:

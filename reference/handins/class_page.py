@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from reference.figures import Floats, amplified
 from reference.handins import page as pages
 from reference.handins.page import Cell, Pair, png
 from reference.handins.reading import Codes
-from reference.handins.results import Result
+from reference.handins.results import Result, count_of
 
 _LEGEND = (
     "The difference is shown amplified, in linear light: orange where the hand-in is brighter, blue"
@@ -23,20 +21,15 @@ _LEGEND = (
 
 def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
     """A hand-in and the right picture, of one size."""
-    difference, gain = amplified(*light)
-    return Pair(
+    return Pair.of(
+        *codes,
+        *amplified(*light),
         name=str(result.picture),
         good=result.agrees,
         word=result.word,
         left="hand-in",
         right="right",
-        width=codes[0].shape[1],
-        height=codes[0].shape[0],
-        left_png=png(codes[0]),
-        right_png=png(codes[1]),
-        difference=png(np.round(255 * difference).astype(np.uint8)),
         thumbnail=png(codes[0], thumbnail=True),
-        shown=f"difference × {gain:,.10g}" if gain else "no difference",
         notes=[str(result.diagnosis)],
         worst=result.worst if result.differing else None,
         figures=[
@@ -54,37 +47,37 @@ def student_of(picture: str, folder: Path, scene: str) -> str:
     return "/".join(part for part in (*above.parts, before) if part) or folder.name
 
 
-def _named(pair: Pair, folder: Path) -> Pair:
-    return replace(pair, name=os.path.relpath(pair.name, folder))
+def _cell(result: Result, pair: Pair | None, link: int | None) -> Cell:
+    """The verdict, or the first cause of those that draw the hand-in."""
+    text, cause = result.word, (result.kind or "").partition("|")[0]
+    if text == "differs" and cause != "unknown":
+        text = cause.replace("+", " + ")
+    return Cell(text, link, result.agrees, pair.thumbnail if pair else None)
 
 
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
     """The page as HTML; `pairs` by the names of pictures, `folder` holds all of these."""
     scenes = sorted({Path(result.right).stem for result in results if result.right})
     cells: dict[str, dict[str, list[Cell]]] = {}
-    shown = [result for result in results if result.picture in pairs]
+    links = {name: k for k, name in enumerate(pairs)}
     for result in results:
-        scene = Path(result.right).stem if result.right else ""
-        if not result.picture or not scene:
-            continue
-        student = student_of(result.picture, folder, scene.lower())
-        pair = pairs.get(result.picture)
-        link = shown.index(result) if pair else None
-        cell = Cell(result.word, link, result.agrees, pair.thumbnail if pair else None)
-        cells.setdefault(student, {}).setdefault(scene, []).append(cell)
+        if result.picture and result.right:
+            name, scene = result.picture, Path(result.right).stem
+            student = cells.setdefault(student_of(name, folder, scene.lower()), {})
+            student.setdefault(scene, []).append(_cell(result, pairs.get(name), links.get(name)))
     nothing = [Cell("nothing", good=False)]
     rows = [[[Cell(student)], *(of.get(scene, nothing) for scene in scenes)]
             for student, of in sorted(cells.items())]  # fmt: skip
-    agree = sum(result.agrees for result in results)
     return pages.page(
         title=f"Hand-ins in {folder}",
-        lead=f"{len(shown)} pictures of {len(cells)} students and {len(scenes)} scenes.",
-        verdict=f"{agree} agree.",
-        good=agree == len(results),
+        lead=f"{len(cells)} students, {len(scenes)} scenes.",
+        verdict=f"{count_of(results)}.",
+        good=all(result.agrees for result in results),
         overview="By student and by scene",
         head=["student", *scenes],
         rows=rows,
-        pairs=[_named(pairs[str(result.picture)], folder) for result in shown],
+        pairs=[replace(pair, name=os.path.relpath(name, folder)) for name, pair in pairs.items()],
         legend=_LEGEND,
-        faults=[str(result.error) for result in results if result.error],
-    )
+        faults=[result.error or f"{result.picture}: {result.diagnosis}" for result in results
+                if result.picture not in pairs],
+    )  # fmt: skip

@@ -109,7 +109,7 @@ class Solution:
             text = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
             return Diagnosis("shadow-speckles", text)
         if not search.lossy and search.near_ties():
-            text = f"{wrong} pixels differ where rounding decides, as in single precision."
+            text = f"{_differ(wrong)} where rounding decides, as in single precision."
             return Diagnosis("single-precision", text)
         return Diagnosis("unknown", f"No mistake of the table draws this. {self._where(search)}")
 
@@ -122,7 +122,7 @@ class Solution:
         worst = f" The worst is {x},{y}: {here} in place of {right}"
         if not self.scene:
             more = "With the scene in place of the right picture, more can be said."
-            return f"{wrong.sum()} pixels differ.{worst}. {more}"
+            return f"{_differ(wrong.sum())}.{worst}. {more}"
         change = search.handin.astype(np.int16) - d.right
         found = []
         for k in np.unique(d.surface[wrong]):
@@ -136,7 +136,7 @@ class Solution:
         rest = sum(number for number, _ in found[_NAMED:])
         words += f", {rest} on others" if rest else ""
         return (
-            f"{wrong.sum()} pixels differ: {words}.{self._lights(search)}{worst};"
+            f"{_differ(wrong.sum())}: {words}.{self._lights(search)}{worst};"
             f" tracer {self.name} --pixel {x},{y} explains it."
         )
 
@@ -166,8 +166,8 @@ def agreement(a: Codes, b: Codes) -> Diagnosis | None:
     if not count:
         return Diagnosis("identical", "The pictures are identical.")
     if count < 0.01 * a.shape[0] * a.shape[1] and np.abs(a.astype(np.int16) - b).max() == 1:
-        differ = "One pixel differs" if count == 1 else f"{count} pixels differ"
-        return Diagnosis("rounding", f"{differ} by one level: rounding, nothing to worry about.")
+        text = f"{_differ(count)} by one level: rounding, nothing to worry about."
+        return Diagnosis("rounding", text)
     return None
 
 
@@ -178,6 +178,10 @@ def featureless(codes: Codes) -> Diagnosis | None:
     if codes.any():
         return Diagnosis("flat", "The picture has one colour everywhere.")
     return Diagnosis("black", "The picture is black.")
+
+
+def _differ(count: int) -> str:
+    return "One pixel differs" if count == 1 else f"{count} pixels differ"
 
 
 def _named(found: Finding, drawings: Drawings) -> str:

@@ -6,17 +6,16 @@ import base64
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment
 from markupsafe import Markup
-from numpy.typing import NDArray
 from PIL import Image
 
 from reference.command import HERE
-
-__all__ = ["TEMPLATE", "Cell", "Pair", "page", "png"]
+from reference.figures import Floats
+from reference.handins.reading import Codes
 
 TEMPLATE = HERE / "handins" / "page.html"
 # Longer side of a thumbnail in pixels.
@@ -34,7 +33,10 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Two pictures and their difference, all PNGs of one size; `shown` is the caption of that."""
+    """Two pictures and their difference, all PNGs of one size; `shown` is the caption of that.
+
+    `left` and `right` say what the pictures are; `worst` is a pixel that gets a ring.
+    """
 
     name: str
     good: bool
@@ -53,6 +55,19 @@ class Pair:
     notes: Sequence[str] = ()
     worst: tuple[int, int] | None = None
     thumbnail: bytes | None = None
+
+    @classmethod
+    def of(cls, a: Codes, b: Codes, difference: Floats, gain: float, **told: Any) -> Pair:
+        """Codes (h, w, 3), and their difference in 0 ... 1 with its gain, as `amplified` has it."""
+        return cls(
+            width=a.shape[1],
+            height=a.shape[0],
+            left_png=png(a),
+            right_png=png(b),
+            difference=png(np.round(255 * difference).astype(np.uint8)),
+            shown=f"difference × {gain:,.10g}" if gain else "no difference",
+            **told,
+        )
 
 
 def page(
@@ -94,12 +109,12 @@ def page(
     )  # fmt: skip
 
 
-def png(codes: NDArray[np.uint8], *, thumbnail: bool = False) -> bytes:
+def png(codes: Codes, *, thumbnail: bool = False) -> bytes:
     """Codes (h, w, 3) as a PNG, or as a small one."""
     data, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
     if thumbnail:
         image.thumbnail((_THUMBNAIL, _THUMBNAIL))
-    image.save(data, format="PNG", optimize=True)
+    image.save(data, format="PNG")
     return data.getvalue()
 
 

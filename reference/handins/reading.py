@@ -37,11 +37,15 @@ class Picture(NamedTuple):
 
 
 class HandIn(NamedTuple):
-    """A picture that was handed in; the right one, a picture or a scene file; what is wrong."""
+    """A picture that was handed in, the right one or a scene file, or what is wrong.
+
+    `output` is where a picture of both is written.
+    """
 
     picture: Path
     right: Path | None
     error: str | None = None
+    output: Path | None = None
 
 
 def read_picture(path: Path) -> Picture:

@@ -49,20 +49,22 @@ class Result(NamedTuple):
         return f"{self.word:8} {self.error or found}"
 
 
+def count_of(results: Sequence[Result]) -> str:
+    """How many there are, agree, differ, are missing and cannot be compared."""
+    counts = Counter(result.word for result in results)
+    words = {"agrees": "agree", "differs": "differ", MISSING: "are missing"}
+    words["unread"] = "cannot be compared"
+    told = [f"{counts[word]} {plural}" for word, plural in words.items() if counts[word]]
+    return f"{len(results) - counts[MISSING]} pictures: {', '.join(told)}"
+
+
 def text_of(results: Sequence[Result], *, many: bool) -> str:
     """A line for each of many, and their number; or all of one."""
     if not many:
         one = results[0]
         comparison = printable(one.comparison or "")
         return one.error or "\n".join(filter(None, (one.figures(), one.diagnosis, comparison)))
-    counts = Counter(result.word for result in results)
-    words = {"agrees": "agree", "differs": "differ", MISSING: "are missing"}
-    words["unread"] = "cannot be compared"
-    told = [f"{counts[word]} {plural}" for word, plural in words.items() if counts[word]]
-    number = len(results) - counts[MISSING]
-    return "\n".join(
-        [*(result.line() for result in results), f"{number} pictures: {', '.join(told)}"]
-    )
+    return "\n".join([*(result.line() for result in results), count_of(results)])
 
 
 def json_of(results: Sequence[Result]) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import errno
-import io
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -105,13 +104,6 @@ def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
         np.testing.assert_allclose(shown[32 + row, 624 + column] / 255, light, atol=1 / 255)
 
 
-def deep_tiff(order: Literal["<", ">"]) -> bytes:
-    """A pixel of 16 bits a channel, in a byte order."""
-    data = io.BytesIO()
-    tifffile.imwrite(data, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
-    return data.getvalue()
-
-
 # A PNG of one pixel, of the levels 1, 2 and 3 of 65535.
 DEEP_PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000011002000000c0e78f9d000000"
@@ -119,15 +111,15 @@ DEEP_PNG = bytes.fromhex(
 )
 
 
-@pytest.mark.parametrize(
-    "content",
-    [DEEP_PNG, deep_tiff("<"), deep_tiff(">"), b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n"],
-)
-def test_colours_of_sixteen_bits_are_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "deep"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
-        read_picture(path)
+def test_colours_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
+    path, contents = tmp_path / "deep", [DEEP_PNG, b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n"]
+    for order in ("<", ">"):
+        tifffile.imwrite(path, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
+        contents.append(path.read_bytes())
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
+            read_picture(path)
 
 
 def test_formats(tmp_path: Path) -> None:
@@ -147,20 +139,11 @@ def test_formats(tmp_path: Path) -> None:
     assert "transparent" in clear.note
 
 
-@pytest.mark.parametrize(
-    ("tolerances", "status"),
-    [
-        ("", 1),
-        ("--max 0.2", 0),
-        ("--max 1e-4", 1),
-        ("--ssim 0.9", 0),
-        ("--ssim 0.9 --max 1e-4", 1),
-        ("--max -1", 2),
-    ],
-)
-def test_tolerances(tmp_path: Path, compare: Compare, tolerances: str, status: int) -> None:
+def test_tolerances(tmp_path: Path, compare: Compare) -> None:
     a = save(tmp_path / "a.png", to_codes(1.05 * RIGHT))
-    assert compare(a, SCENE, *tolerances.split())[0] == status
+    statuses = {"--max 0.2": 0, "--max 1e-4": 1, "--ssim 0.9": 0, "--ssim 0.9 --max 1e-4": 1}
+    for tolerances, status in (statuses | {"": 1, "--max -1": 2}).items():
+        assert compare(a, SCENE, *tolerances.split())[0] == status, tolerances
 
 
 def test_one_picture(tmp_path: Path, compare: Compare) -> None:
@@ -217,7 +200,13 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     assert lines[6] == f"missing  {hand_ins}/di: holds no pictures"
     assert lines[7] == "5 pictures: 2 agree, 1 differ, 2 are missing, 2 cannot be compared"
     out = hand_ins.with_name("out")
-    status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/")
+    page = hand_ins.with_name("page.html")
+    status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/", "--html", page)
+    assert re.findall("[✓✗] ([^<]*)</span></a>", page.read_text()) == [
+        "agrees",
+        "agrees",
+        "mirrored",
+    ]
     found = json.loads("".join(told))
     assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
