@@ -136,10 +136,10 @@ def rendering(quick: bool) -> str:
     return table(
         "Rendering alone",
         "Milliseconds in process, one sample a pixel, in turns with pauses of 20 ms: Mitsuba's"
-        f" threads keep spinning that long. Mitsuba {variant}, scene and kernels ready, as are the"
-        " tracer's workers. Exact: the same picture, by this project's plugins; stock: a similar"
-        " one by Mitsuba's own, with one light a sample, in turns with a second timing of the"
-        " tracer, to which its speedup refers.",
+        f" threads keep spinning that long. The tracer draws in one process, Mitsuba {variant} on"
+        f" {processors()} processors, with scene and kernels ready. Exact: the same picture, by"
+        " this project's plugins; stock: a similar one by Mitsuba's own, with one light a sample,"
+        " in turns with a second timing of the tracer, to which its speedup refers.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )
@@ -159,14 +159,14 @@ def frames(quick: bool) -> str:
         replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
         for k in range(count)
     ]
-
     with ProcessPoolExecutor(1) as one, ProcessPoolExecutor(2) as two:
-        drawing: dict[str, Callable[[], Iterator[object]]] = {"alone": lambda: map(render, scenes)}
+        drawing: dict[str, Callable[[], Iterator[object]]]
+        drawing = {"alone": partial(map, render, scenes)}
         for who, pool in (("1 worker", one), ("2 workers", two)):
             list(pool.map(abs, range(8)))  # its processes have started
-            shared, given = partial(render, executor=pool), partial(pool.map, render)
+            shared = partial(render, executor=pool)
             drawing[f"{who}, render(scene, executor=pool)"] = partial(map, shared, scenes)
-            drawing[f"{who}, pool.map(render, scenes)"] = partial(given, scenes)
+            drawing[f"{who}, pool.map(render, scenes)"] = partial(pool.map, render, scenes)
         tasks = {name: partial(_each, frames) for name, frames in drawing.items()}
         found = interleaved(tasks, ROUNDS)
     return table(
@@ -193,6 +193,6 @@ def main() -> None:
     ]
     for section in SECTIONS:
         page.append(section(options.quick))
-        print(page[-1], flush=True)
+        print(page[-1], end="\n\n", flush=True)
     path = built("benchmark.md") if options.quick else HERE / "benchmark.md"
     path.write_text("\n\n".join(page) + "\n", encoding="utf-8")

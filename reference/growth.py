@@ -1,6 +1,6 @@
 """The growth chart: how time grows with the number of objects, from 100 to 100,000.
 
-``python -m reference.growth`` writes `growth.svg` and `.csv` into this folder, in some two minutes.
+``python -m reference.growth`` writes `growth.svg` and `.csv` into this folder, in some minutes.
 Loading is the time from a file's text to a scene, for Mitsuba with a shape per object; `xml.etree`
 only parses the text.
 """
