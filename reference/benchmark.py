@@ -30,7 +30,7 @@ from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import HERE, SCENES, built, own_scenes, parser
 from reference.measured.measurements import Task, Timing, interleaved, measured_on, process
-from reference.measured.workloads import crowd, resized
+from reference.measured.workloads import field, resized
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
 
@@ -124,7 +124,7 @@ def rendering(quick: bool) -> str:
     for size in (_SMALL,) if quick else (_SMALL, _MEDIUM, _LARGE):
         found: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
-        scenes |= {f"crowd-{count}": crowd(count) for count in (1000, 10_000)}
+        scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
         for name in _FEW if quick else scenes:
             scene = resized(scenes[name], *size)
             ours, exactly = _beside(scene, exact(scene))

@@ -27,7 +27,7 @@ from converters.variant import LLVM, mi, use
 from reference.command import built
 from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import Task, interleaved
-from reference.measured.workloads import crowd
+from reference.measured.workloads import field
 from tracer import load_scene, render, save_scene
 
 _OURS = ["this tracer", "loading in this tracer", "xml.etree alone"]
@@ -40,7 +40,7 @@ _ONCE = 1000
 
 def _seconds(count: int) -> list[float]:
     """Time each curve's task with so many objects: the medians."""
-    save_scene(crowd(count), path := built("growth.xml"))
+    save_scene(field(count), path := built("growth.xml"))
     scene, text = load_scene(path), exact(load_scene(path))
     # As in a small process: no collection of garbage goes through all of Mitsuba's objects as well.
     gc.collect()
@@ -67,7 +67,7 @@ def _mitsuba(text: str) -> tuple[float, float, float]:
 def _measure(quick: bool) -> Iterator[tuple[str, int, float]]:
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
-    _mitsuba(exact(crowd(10)))  # threads start, and what is common to all kernels is compiled
+    _mitsuba(exact(field(10)))  # threads start, and what is common to all kernels is compiled
     for count in _COUNTS[:3] if quick else _COUNTS:
         for name, seconds in zip(_CURVES, _seconds(count), strict=True):
             yield name, count, seconds

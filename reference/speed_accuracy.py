@@ -114,10 +114,15 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     figure, grid = plt.subplots(6, 1, figsize=(WIDTH, 19), sharex=True, sharey=True)
     for axes, scene in zip(grid, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:
-            points = [map(float, row[2:5]) for row in rows if row[:2] == [scene, method]]
+            points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [scene, method]]
             # Of numbers of samples that make the same picture, the last.
-            curve = {error: seconds for _, error, seconds in sorted(map(tuple, points))}
-            axes.loglog(curve.values(), curve.keys(), label=method)
+            curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
+            axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
+            for error, (seconds, samples) in curve.items():
+                if method == _OURS:
+                    _label(axes, f"{samples:g}", (seconds, error), (-5, -3), "#000000")
+                elif method == _CERTIFIED:
+                    _label(axes, f"1/{samples:g}", (seconds, error), (5, 3), "#009e73")
         axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
         axes.set_title(scene)
         axes.minorticks_off()
@@ -128,6 +133,15 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
     grid[-1].legend(*grid[0].get_legend_handles_labels(), loc="center", fontsize=10)
     figure.subplots_adjust(0.14, 0.03, 0.97, 0.92, hspace=0.3)
     return figure
+
+
+def _label(
+    axes: Any, text: str, point: tuple[float, float], aside: tuple[int, int], color: str
+) -> None:
+    """Write a point's samples, or its certified error, `aside` of it."""
+    align = {"ha": "left", "va": "bottom"} if aside[0] > 0 else {"ha": "right", "va": "top"}
+    look = {"textcoords": "offset points", "fontsize": 6.5, "color": color}
+    axes.annotate(text, point, aside, **align, **look)
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:

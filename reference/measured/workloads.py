@@ -45,6 +45,30 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     )
 
 
+def field(count: int) -> Scene:
+    """Make `count` small objects, half spheres and half boxes, over a floor that they shade."""
+    rng = np.random.default_rng(count)
+    size = (0.5 / count) ** (1 / 3)
+    center = rng.uniform((-8, size, -8), (8, 3 + size, 8), (count, 3))
+    radius, spheres = size * rng.uniform(0.6, 1.3, count), count // 2
+    boxes, half = center[spheres:], radius[spheres:, None]
+    window: Any = {"view_width": 1, "view_height": 0.5625}
+    return Scene(
+        camera=Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window),
+        width=640,
+        height=360,
+        lights=[PointLight(position=at, intensity=_DIM) for at in ((5, 10, -4), (-7, 13, 8))],
+        surfaces=Surfaces(
+            center=center[:spheres],
+            radius=radius[:spheres],
+            min_pt=np.vstack([boxes - half, [(-60, -0.5, -60)]]),
+            max_pt=np.vstack([boxes + half, [(60, 0, 60)]]),
+            shader_index=np.arange(count + 1) % len(_SHADERS),
+            shaders=_SHADERS,
+        ),
+    )
+
+
 def resized(scene: Scene, width: int, height: int) -> Scene:
     """Show the same in other pixels; the window grows sideways to keep them square."""
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
