@@ -171,8 +171,8 @@ def main() -> None:
     note = (
         "Rendering alone. Error: root mean square in linear radiance, against a\n"
         "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
-        "36, ... too); POV-Ray's thresholds; for the certified tracer, the error\n"
-        "that no pixel exceeds."
+        "36, ... too; it splits pixels into quarters, hence the stairs); POV-Ray's\n"
+        "thresholds; for the certified tracer, the error that no pixel exceeds."
     )
     texts = ("Time against error: lower left is better", note)
     make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)
