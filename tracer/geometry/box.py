@@ -133,16 +133,16 @@ class Boxes:
             faces.append((d < 0).view(np.int8) + np.int8(2 * k))
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
-        t, place = np.where(enter <= leave, enter, np.inf), near
+        t, place, meets = enter, near, enter <= leave
         inside = self.eye_inside[box]
         if inside.any():
             inside = repeat_runs(inside, counts)
-            t = np.where(inside, leave, t)
+            t, meets = np.where(inside, leave, t), meets | inside
             place = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
         # Through an edge or a corner, the face of the first axis.
         face = np.where(place[1] == t, faces[1], faces[2])
         face = np.where(place[0] == t, faces[0], face)
-        return np.where(t > 0, t, np.inf), face
+        return np.where(meets & (t > 0), t, np.inf), face
 
     def surface(
         self, frame: CameraFrame, obj: Ints, counts: Ints, p: Floats, t: Floats, detail: Sides

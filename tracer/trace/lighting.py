@@ -81,11 +81,10 @@ class Shading:
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
         self._glossy = [group.of(hits.prepared.glossy) for group in hits.groups]
-        # Sums over lights of intensity times cosine, and highlight, without the shaders' colours.
-        self._sums = [
-            (np.zeros((3, glossy.size)), np.zeros((3, glossy.size if np.any(glossy) else 0)))
-            for glossy in self._glossy
-        ]
+        # Of each group the sums over lights of intensity times cosine, and times highlight, without
+        # the shaders' colours.
+        self._diffuse: dict[int, Floats] = {}
+        self._specular: dict[int, Floats] = {}
         ids = [group.repeat_runs(4 * group.obj + group.face) for group in hits.groups if with_ids]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *ids])
 
@@ -94,8 +93,8 @@ class Shading:
         for bit in lit if self._with_ids else ():
             # An odd factor: with more lights than bits, the first are not shifted out.
             self.ids = self.ids * 3 + bit
-        parts = zip(self._hits.groups, self._glossy, self._sums, strict=True)
-        for group, glossy, (diffuse, specular) in parts:
+        for index, (group, glossy) in enumerate(zip(self._hits.groups, self._glossy, strict=True)):
+            shiny = glossy.any()
             for number, reached in enumerate(lit[:, group.part]):
                 if not reached.any():
                     continue
@@ -105,26 +104,31 @@ class Shading:
                 )
                 weight = np.zeros(reached.size)
                 np.divide(n_dot_l, np.sqrt(length2), out=weight, where=reached)
-                _add(diffuse, intensity, weight)
-                if specular.size:
+                _add(self._diffuse, index, intensity, weight)
+                if shiny:
                     weight, at = np.zeros(reached.size), indices(reached & glossy)
                     weight[at] = geometry.highlight(number, group, at)
-                    _add(specular, intensity, weight)
+                    _add(self._specular, index, intensity, weight)
 
     def at_samples(self, out: Floats) -> Floats:
         """Put the radiance into `out` (3, samples); `add` nothing afterwards."""
         prepared = self._hits.prepared
-        for group, (diffuse, specular) in zip(self._hits.groups, self._sums, strict=True):
+        for index, diffuse in self._diffuse.items():
+            group, specular = self._hits.groups[index], self._specular.get(index)
             for k, channel in enumerate(out):
                 diffuse[k] *= group.of(prepared.diffuse[k])
-                if specular.size:
+                if specular is not None:
                     diffuse[k] += specular[k] * group.of(prepared.specular[k])
                 channel[group.sample] = diffuse[k]
         return out
 
 
-def _add(sums: Floats, intensity: Floats, weight: Floats) -> None:
-    for channel, strength in zip(sums, intensity, strict=True):
+def _add(sums: dict[int, Floats], index: int, intensity: Floats, weight: Floats) -> None:
+    """Add a light to the sum of a group: its first light is the sum."""
+    if index not in sums:
+        sums[index] = np.multiply.outer(intensity, weight)
+        return
+    for channel, strength in zip(sums[index], intensity, strict=True):
         channel += strength * weight
 
 
