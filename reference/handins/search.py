@@ -270,14 +270,14 @@ class Search:
         return self.best(self.sifted([*good, *((kind,) for kind in kinds)], 1))
 
     def of_suspects(self) -> list[str]:
-        """Mistakes of one surface of many: each wrong pixel is on it, or in its shadow."""
+        """Mistakes of one surface of many: most of what is wrong is on it, or in its shadow."""
         d = self.drawings
         if not d.alone:
             return []
         sample = self.samples[0].pixels[self.wrong[self.samples[0].pixels]]
         on = d.surface[sample] == np.arange(d.surfaces)[:, None]
         blocked = d.drawing(sample, self.handin).get("blocking", d.base).any(axis=0)
-        touched = (on | blocked).mean(axis=1) > 1 - 2 * _OF_WRONG
+        touched = (on | blocked).mean(axis=1) > 1 - _OF_WRONG
         return [kind for kind, surface in d.alone.items() if touched[surface]]
 
     def double(self) -> tuple[int, list[Cause]]:
