@@ -140,7 +140,7 @@ def _outputs(options: argparse.Namespace, folder: Path, pictures: list[Path]) ->
             for p, name in zip(pictures, names, strict=True)]  # fmt: skip
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def _solution(path: Path) -> tuple[Solution, str]:
     """The right picture of a file, and a note on what its format does to it."""
     if path.suffix.lower() == ".xml":

@@ -49,6 +49,7 @@ class Solution:
         self.scene = scene if isinstance(scene, Scene) else None
         self.right = scene if isinstance(scene, Scene) else scene.codes
         self.lossy = 0 if isinstance(scene, Scene) else scene.lossy
+        self.saved = None if isinstance(scene, Scene) else scene.saved
         if isinstance(scene, Scene):
             self.height, self.width = scene.height, scene.width
         else:
@@ -94,6 +95,7 @@ class Solution:
         handin, width = picture.codes, picture.codes.shape[1]
         if plain := agreement(handin, _picture(drawings.right, width)) or featureless(handin):
             return plain
+        handin = self.saved(handin) if self.saved else handin
         saved, lossy = picture.saved, max(picture.lossy, self.lossy)
         search = Search(_flat(handin), drawings, lossy or _ROUNDED * (self.scene is None),
                         saved and (lambda flat: _flat(saved(_picture(flat, width)))))  # fmt: skip

@@ -6,7 +6,7 @@ is named along with it.  Where all pixels are computed by themselves, few of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
@@ -41,8 +41,9 @@ _TIES, _HAIR, _LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
 _DOTS = 0.3
 # Levels: where a format changes them, those further apart count as these.
 _FAR = 32
-# Bytes of whole pictures that are kept for other hand-ins.
-_KEPT = 100_000_000
+# Numbers that are kept of some pixels, if every value had one for each surface; bytes of whole
+# pictures that are kept for other hand-ins.
+_VALUES, _KEPT = 60_000_000, 100_000_000
 
 Cause: TypeAlias = tuple[str, ...]
 
@@ -124,27 +125,31 @@ class Drawings:
         """Whether the picture depends on the hand-in."""
         return any("handin" in parameters(f) for kind in cause for f in self.table[kind].values())
 
-    def drawing(self, pixels: Array, handin: Array, capacity: int = 3000) -> Drawing:
-        """Some pixels, to be drawn."""
+    def drawing(self, pixels: Array, handin: Array, capacity: int = 0) -> Drawing:
+        """Some pixels, to be drawn; so many values are kept, or as many as memory bears."""
+        capacity = capacity or _VALUES // (len(pixels) * (1 + self.surfaces))
         places = {"i": pixels % self.columns, "j": pixels // self.columns}
         return Drawing(self.given | places | {"handin": handin[:, pixels]}, capacity)
 
-    def parts(self, handin: Array) -> list[Drawing]:
+    def parts(self, handin: Array) -> Iterator[Drawing]:
         """All pixels in parts that fit into a processor's cache."""
         step = max(2000, 400_000 // max(1, self.surfaces))
-        starts = range(0, self.number, step)
-        return [self.drawing(np.arange(k, min(k + step, self.number)), handin, 100) for k in starts]
+        for start in range(0, self.number, step):
+            yield self.drawing(np.arange(start, min(start + step, self.number)), handin, 100)
 
     @cached_property
     def parts_of_scene(self) -> list[Drawing]:
         """The same, to be used again, for what does not depend on a hand-in."""
-        return self.parts(self.blank)
+        return [*self.parts(self.blank)]
 
     def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
         """Formulas' values for all pixels, in terms of a scene or of a right picture."""
         again = 0 < self.surfaces <= _MANY_SURFACES  # others would take too much memory
         parts = self.parts_of_scene if again else self.parts(handin)
-        found = [[part.pixels(changed, names) for part in parts] for changed in changes]
+        found: list[list[Any]] = [[] for _ in changes]
+        for part in parts:
+            for each, changed in zip(found, changes, strict=True):
+                each.append(part.pixels(changed, names))
         return [{name: np.concatenate([values[name] for values in each], axis=-1)
                  for name in each[0]} for each in found]  # fmt: skip
 
@@ -173,9 +178,10 @@ class Drawings:
     def singles(self) -> dict[Cause, Array]:
         """The scene's sample drawn with each mistake; shadow rays spare the surface or not."""
         kinds = [kind for kind in self.table if kind not in self.alone and not self.fitted((kind,))]
-        causes = [*((kind,) for kind in kinds), *((kind, mistakes.OWN_SURFACE) for kind in kinds)]
-        possible = [c for c in causes if c[-1] in self.table and self.changes(c) is not None]
-        return self.codes(possible, self.samples[1], self.blank)
+        ways = ((kind, *own) for kind in kinds for own in ((), (mistakes.OWN_SURFACE,)))
+        possible = [c for c in ways if c[-1] in self.table and self.changes(c) is not None]
+        drawn = self.codes(possible, self.samples[1], self.blank)
+        return {c: drawn[c] for c in sorted(drawn, key=len)}
 
     @cached_property
     def alike(self) -> dict[Cause, list[Cause]]:
@@ -264,14 +270,14 @@ class Search:
         return self.best(self.sifted([*good, *((kind,) for kind in kinds)], 1))
 
     def of_suspects(self) -> list[str]:
-        """Mistakes of one surface of many: each wrong pixel is on it, or in its shadow."""
+        """Mistakes of one surface of many: most of what is wrong is on it, or in its shadow."""
         d = self.drawings
         if not d.alone:
             return []
         sample = self.samples[0].pixels[self.wrong[self.samples[0].pixels]]
         on = d.surface[sample] == np.arange(d.surfaces)[:, None]
         blocked = d.drawing(sample, self.handin).get("blocking", d.base).any(axis=0)
-        touched = (on | blocked).mean(axis=1) > 1 - 2 * _OF_WRONG
+        touched = (on | blocked).mean(axis=1) > 1 - _OF_WRONG
         return [kind for kind, surface in d.alone.items() if touched[surface]]
 
     def double(self) -> tuple[int, list[Cause]]:
