@@ -35,10 +35,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import Bools, Floats, Ints, segments, sums
-from reference.judges.cells import ROOT, CellForms, Cells, root_cells
+from reference.judges.cells import ROOT, CellForms, Cells, Shades, root_cells
 from reference.judges.faces import Faces
-from reference.judges.forms import Form, R, Z
+from reference.judges.forms import (
+    Bools,
+    C,
+    Floats,
+    Form,
+    Ints,
+    R,
+    Z,
+    add_runs,
+    places,
+    segments,
+    sums,
+)
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
@@ -104,7 +115,7 @@ class Enclosure(NamedTuple):
     ----------
     lines : Strips
     regions : Regions
-    radiance : list of three Form (n,)
+    radiance : Form (8, 3, n)
     doubt : (n,)
         By how much more radiance may be off, as the region's sample lies in a strip.
     loose : (c,)
@@ -119,7 +130,7 @@ class Enclosure(NamedTuple):
 
     lines: Strips
     regions: Regions
-    radiance: list[Form]
+    radiance: Form
     doubt: Floats
     loose: Floats
     unknown: Bools
@@ -128,50 +139,46 @@ class Enclosure(NamedTuple):
     error: Floats
 
 
-def enclose(forms: CellForms, error: float) -> Enclosure:
-    """Enclose radiance in cells; those of no use for an `error` of their pixel stay unknown."""
-    unknown, shades, faces = forms.find_intersections(), forms.shade(), forms.faces
-    cells, count = forms.cells, forms.cells.x.size
-    face, power = cells.face[shades.pair], faces.prepared.intensities[shades.light].T
-    diffuse, specular = power * faces.diffuse[:, face], power * faces.specular[:, face]
-    shine = specular * shades.shiny.size
-    each, most = diffuse * shades.matt.size + shine, np.zeros((3, count))
-    for channel, values in zip(most, each, strict=True):
-        np.maximum.at(channel, cells.cell, sums(shades.pair, values, cells.cell.size))
-    number = np.full(cells.dark.shape, -1)
-    number[shades.light, shades.pair] = np.arange(shades.pair.size)
-    change = (m.max(axis=0) for m in (most, each, diffuse * shades.near, shine))
-    lines = _lines(forms, number, *change)
+def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> Enclosure:
+    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`."""
+    unknown, cells, count = unknown | forms.find_intersections(), forms.cells, forms.cells.x.size
+    each, most = shades.radiance.size, np.zeros((3, count))
+    tops = cells.known.bounds()[1]
+    add_runs(tops, shades.pair, each)
+    for channel, top in zip(most, tops, strict=True):
+        np.maximum.at(channel, cells.cell, top)
+    # The strips of edges, except in black cells.
+    lights = cells.done.shape[1]
+    keys = shades.pair * lights + shades.light
+    form = Form(np.concatenate([edges.form.m for edges in forms.edges], axis=1))
+    pair, light = (np.concatenate([edges[i] for edges in forms.edges]) for i in (0, 1))
+    shade, cell = places(keys, pair * lights + light), cells.cell[pair]
+    jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
+    at = np.flatnonzero((jump > 0) & ~unknown[cell])
+    lines = strips(cell[at], form[at], jump[at])
     # Too wide, or too many: then those with the least changes.
     wide = lines.share > 0.999
-    by = np.lexsort((-lines.full, wide, lines.cell))
+    by = np.lexsort((-lines.jump, wide, lines.cell))
     wide[by] |= np.arange(by.size) - lines.cell.searchsorted(lines.cell) >= _MOST_LINES
-    loose = sums(lines.cell[wide], lines.full[wide], count)
+    loose = sums(lines.cell[wide], lines.jump[wide], count)
     unknown |= (loose * min(cells.size, 1) ** 2 > error) | (most.max(axis=0) == 0)
-    lines, known = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
+    lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
-    regions = divide(lines._replace(cell=place[lines.cell]), known.size)
-    regions = regions._replace(cell=known[regions.cell])
+    regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
+    regions = regions._replace(cell=inside[regions.cell])
     _, x, y, *_ = regions.mean
     first = lines.cell.searchsorted(np.arange(count + 1))
     which, line = segments(np.diff(first)[regions.cell], first[regions.cell])
     z = lines.a[line] * x[which] + lines.b[line] * y[which] + lines.c[line]
-    doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.full[line], x.size)
+    doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
     doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
     pairs, lit = _sampled(forms, regions.cell, x, y)
+    radiance = np.where(pairs < 0, 0, np.append(cells.known.m, np.zeros((8, 3, 1)), axis=-1)[..., pairs])
     region, light = np.nonzero(lit.T)
-    of, radiance = number[light, pairs[region]], [np.zeros((8, x.size)) for _ in range(3)]
-    glossy = np.flatnonzero(faces.glossy[face[of]])
-    for form, color, some in (
-        (shades.matt, diffuse, slice(None)),
-        (shades.shiny, specular, glossy),
-    ):
-        at, which, m = region[some], of[some], form.m[:, of[some]]
-        first = np.flatnonzero(np.diff(at, prepend=-1))
-        for channel, weight in zip(radiance, color[:, which], strict=True):
-            channel[:, at[first]] += np.add.reduceat(weight * m, first, axis=1)
-    value = np.array([(m[:Z] * regions.mean).sum(axis=0) for m in radiance])
-    off = np.array([np.abs(m[Z]) + m[R] for m in radiance]) + doubt
+    of = places(keys, pairs[region] * lights + light)
+    add_runs(radiance, region, shades.radiance.m[..., of])
+    value = (radiance[:Z] * regions.mean[:, None]).sum(axis=0)
+    off = Form(radiance).radius + doubt
     unsure = np.flatnonzero(doubt)  # still no less than nothing, and no more than all
     worst = np.maximum(value[:, unsure], most[:, regions.cell[unsure]] - value[:, unsure])
     off[:, unsure] = np.minimum(off[:, unsure], worst)
@@ -180,51 +187,35 @@ def enclose(forms: CellForms, error: float) -> Enclosure:
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
     bound += sums(lines.cell, lines.share * lines.jump, count) + loose
     bound = np.fmin(np.where(unknown, np.inf, bound), np.maximum(mean, most - mean).max(axis=0))
-    channels = list(map(Form, radiance))
-    return Enclosure(lines, regions, channels, doubt, loose, unknown, most, mean, bound)
-
-
-def _lines(
-    forms: CellForms, number: Ints, most: Floats, each: Floats, slope: Floats, shine: Floats
-) -> Strips:
-    """The strips of all edges, except in black cells.
-
-    `number` (lights, pairs): of shades, or -1; `most` (c,): radiance of cells; `each`, `slope` and
-    `shine` (n,): of shades, all that a light adds, for each unit of its height, and highlights.
-    """
-    form = Form(np.concatenate([edges.form.m for edges in forms.edges], axis=1))
-    pair, light, terminator = (
-        np.concatenate([edges[i] for edges in forms.edges]) for i in (0, 1, 2)
-    )
-    cell, shade = forms.cells.cell[pair], number[light, pair]
-    at = np.flatnonzero((most[cell] > 0) & ((light < 0) | (shade >= 0)))
-    cell, shade = cell[at], shade[at]
-    full = np.where(light[at] < 0, most[cell], each[shade])
-    rise = np.where(terminator[at], slope[shade], np.inf)
-    return strips(cell, form[at], full, rise, shine[shade])
+    return Enclosure(lines, regions, Form(radiance), doubt, loose, unknown, most, mean, bound)
 
 
 def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
     """Pairs (n,) that samples at X and Y in cells see, or -1; which lights reach them (lights, n).
 
+    Only lights count of which it is not known yet.
+
     Raises
     ------
     RuntimeError
-        If that contradicts a cell: the certificate or the tracer is wrong.
+        If what is seen contradicts a cell: the certificate or the tracer is wrong.
     """
-    cells, count, half = forms.cells, forms.faces.owner.size, forms.cells.size / 2
-    face, lit = forms.faces.trace(cells.x[cell] + half * x, cells.y[cell] + half * y)
-    keys, seen, pair = (
-        cells.cell * count + cells.face,
-        np.flatnonzero(face >= 0),
-        np.full(face.size, -1),
-    )
-    by, wanted = keys.argsort(), cell[seen] * count + face[seen]
-    found = np.append(by, -1)[keys[by].searchsorted(wanted)]
-    if (np.append(keys, -1)[found] != wanted).any() or (lit[:, seen] & cells.dark[:, found]).any():
-        raise RuntimeError("a sample contradicts its cell: the certificate or the tracer is wrong")
-    pair[seen] = found
-    return pair, lit
+    cells, half, pairs = forms.cells, forms.cells.size / 2, np.full(cell.size, -1)
+    keys = cells.cell * forms.faces.owner.size + cells.face
+    by = keys.argsort()
+
+    def asked(face: Ints) -> Bools:
+        seen = np.flatnonzero(face >= 0)
+        pairs[seen] = found = places(keys[by], cell[seen] * forms.faces.owner.size + face[seen])
+        if (found < 0).any():
+            wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
+            raise RuntimeError(wrong)
+        pairs[seen] = by[found]
+        lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
+        lit[:, seen] = ~cells.done[pairs[seen]].T
+        return lit
+
+    return pairs, forms.faces.trace(cells.x[cell] + half * x, cells.y[cell] + half * y, asked)
 
 
 class _Picture:
@@ -236,19 +227,32 @@ class _Picture:
         size = scene.height + ROOT, scene.width + ROOT  # cells may reach beyond the picture
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
+    def halves(self, cells: Cells) -> list[Cells]:
+        """Cells in two parts, if they are many, with all cells of a pixel in one of these."""
+        if cells.cell.size + cells.pair.size + np.count_nonzero(~cells.done) <= _AT_ONCE:
+            return [cells]
+        pixel = self.pixels(cells)
+        first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
+        return [cells.take(first), cells.take(~first)] if first.any() else [cells]
+
     def pixels(self, cells: Cells) -> Ints:
         """The pixel (c,) of each cell; of cells larger than that, the first."""
         half = cells.size / 2 if cells.size > 1 else 0
         row, column = (np.floor(m - half).astype(np.intp) for m in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
-    def halves(self, cells: Cells) -> list[Cells]:
-        """Cells in two parts, if they are many, with all cells of a pixel in one of these."""
-        if cells.cell.size + cells.pair.size + np.count_nonzero(~cells.dark) <= _AT_ONCE:
-            return [cells]
-        pixel = self.pixels(cells)
-        first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        return [cells.take(first), cells.take(~first)] if first.any() else [cells]
+    def add(self, cells: Cells, which: Ints, radiance: Form) -> None:
+        """Add the radiance (8, 3, n) of some cells (n,) to their pixels."""
+        n, share = max(int(cells.size), 1), min(cells.size, 1) ** 2
+        row, column = np.divmod(self.pixels(cells)[which][:, None, None], self.bound.shape[1])
+        y, x = np.ogrid[:n, :n]
+        pixel = row + y, column + x
+        middle, third = (np.arange(n) + 0.5) / n * 2 - 1, 1 / (3 * n * n)
+        x, y = np.meshgrid(middle, middle)
+        mean = np.array([x * 0 + 1, x, y, x * x + third, x * y, y * y + third])
+        for channel, m in zip(self.image, radiance.m.swapaxes(0, 1), strict=True):
+            np.add.at(channel, pixel, share * np.tensordot(m[:Z], mean, ((0,), (0,))))
+        np.add.at(self.bound, pixel, share * radiance.radius.max(axis=0)[:, None, None])
 
     def refine(self, cells: Cells) -> Cells:
         """Add what is known of cells; return the parts of the others."""
@@ -258,58 +262,40 @@ class _Picture:
         forms = CellForms(self.faces, cells)
         if cells.size == ROOT:
             forms = CellForms(self.faces, forms.listed())
-        rest = self.fill(forms) if cells.size > 1 else self.split(forms)
-        return forms.cells.take(rest).parts()
-
-    def fill(self, forms: CellForms) -> Bools:
-        """Fill cells that show a single smooth form; tell which remain."""
         cells = forms.cells
-        count = np.bincount(cells.cell, minlength=cells.x.size)
-        clean, remain, n = count == 1, count > 0, int(cells.size)
-        for edges in forms.edges:
-            clean[cells.cell[edges.pair]] = False
-        smooth = CellForms(self.faces, cells.take(clean))
-        enclosed = enclose(smooth, self.error)
-        off = np.max([form.radius for form in enclosed.radiance], axis=0)
-        regions, alone = enclosed.regions, enclosed.regions.area == 1
-        good = np.flatnonzero(alone & (off + enclosed.doubt <= _SMOOTH * self.error))
-        index = np.flatnonzero(clean)
-        cell = index[regions.cell[good]]
-        middle, third = (np.arange(n) + 0.5) / n * 2 - 1, 1 / (3 * n * n)
-        x, y = np.meshgrid(middle, middle)
-        mean = np.array([x * 0 + 1, x, y, x * x + third, x * y, y * y + third])
-        row, column = (
-            (m[cell] - cells.size / 2).astype(np.intp)[:, None] + np.arange(n)
-            for m in (cells.y, cells.x)
-        )
-        where = row[:, :, None], column[:, None]
-        for channel, form in zip(self.image, enclosed.radiance, strict=True):
-            channel[where] = np.tensordot(form.m[:Z, good], mean, ((0,), (0,)))
-        self.bound[where] = off[good, None, None]
-        remain[cell] = remain[index[enclosed.most.max(axis=0) == 0]] = False
-        return remain
+        number = np.bincount(cells.cell, minlength=cells.x.size)
+        alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
+        tolerance = _SMOOTH * self.error / max(len(self.faces.lights), 1)
+        shades = forms.settle(alone | (cells.size <= 1), tolerance)
+        smooth = np.flatnonzero(alone & cells.done.all(axis=1))
+        remain[cells.cell[smooth]] = False
+        self.add(cells, cells.cell[smooth], cells.known[smooth])
+        if cells.size <= 1:
+            enclosed = enclose(forms, shades, ~remain, self.error)
+            done = remain & self.accepted(cells, enclosed, remain)
+            m = np.zeros((8, 3, np.count_nonzero(done)))
+            m[C], m[R] = enclosed.mean[:, done], enclosed.error[done]
+            self.add(cells, np.flatnonzero(done), Form(m))
+            remain &= ~done
+        return cells.take(remain).parts()
 
-    def split(self, forms: CellForms) -> Bools:
-        """Add the cells of a pixel that add little to its error, or all; tell which remain."""
-        enclosed, share = enclose(forms, self.error), forms.cells.size**2
-        image, bound = self.image.reshape(3, -1), self.bound.reshape(-1)
-        at, place = np.unique(self.pixels(forms.cells), return_inverse=True)
-        part = enclosed.error * share
+    def accepted(self, cells: Cells, enclosed: Enclosure, remain: Bools) -> Bools:
+        """Cells of a pixel that add little to its error, or all."""
+        share, image, bound = cells.size**2, self.image.reshape(3, -1), self.bound.reshape(-1)
+        at, place = np.unique(self.pixels(cells), return_inverse=True)
+        part = enclosed.error * share * remain
         total, left = sums(place, part, at.size), self.error - bound[at]
-        means = np.array([sums(place, mean * share, at.size) for mean in enclosed.mean])
         if self.by_codes:
+            means = np.array([sums(place, mean * share * remain, at.size) for mean in enclosed.mean])
             mean, off = (image[:, at] + means).T[None], (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
         budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
         by = np.lexsort((part, place))
         spent, first = part[by].cumsum(), np.searchsorted(place[by], np.arange(at.size))
         spent -= (spent[first] - part[by[first]])[place[by]]
-        done = (np.bincount(place) >= _MOST_CELLS)[place] | (forms.cells.size <= _SMALLEST)
+        done = (np.bincount(place) >= _MOST_CELLS)[place] | (cells.size <= _SMALLEST)
         done[by] |= (spent <= budget[place[by]]) | (part[by] == 0)
-        for channel, mean in zip(image, enclosed.mean, strict=True):
-            channel[at] += sums(place, mean * share * done, at.size)
-        bound[at] += sums(place, part * done, at.size)
-        return ~done
+        return np.asarray(done)
 
 
 @np.errstate(all="ignore")
