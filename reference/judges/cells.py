@@ -38,6 +38,7 @@ from reference.judges.forms import (
     Z,
     add_runs,
     difference,
+    least_sums,
     segments,
 )
 
@@ -103,7 +104,11 @@ class Cells(NamedTuple):
         y = np.add.outer(self.y, (part & 2) * off - off).ravel()
         cell, pair = ((4 * m[:, None] + part).ravel() for m in (self.cell, self.pair))
         face, light, occluder = (m.repeat(4) for m in (self.face, self.light, self.occluder))
-        covers, done, known = self.covers.repeat(4), self.done.repeat(4, axis=0), self.known.quarters()
+        covers, done, known = (
+            self.covers.repeat(4),
+            self.done.repeat(4, axis=0),
+            self.known.quarters(),
+        )
         return Cells(self.size / 2, x, y, cell, face, covers, done, known, light, pair, occluder)
 
 
@@ -120,7 +125,7 @@ def root_cells(faces: Faces, width: int, height: int) -> Cells:
     which, row = segments(np.maximum(tall, 0), top)
     strip, column = segments(np.maximum(wide, 0)[which], left[which])
     cell, face, none = row[strip] * across + column, face[which[strip]], np.zeros(0, dtype=np.intp)
-    covers, done = np.zeros(cell.size, np.bool_), np.tile(faces.dead, (cell.size, 1))
+    covers, done = np.zeros(cell.size, np.bool_), faces.dead[:, face].T.copy()
     known = Form(np.zeros((8, 3, cell.size)))
     return Cells(ROOT, x, y, cell, face, covers, done, known, none, none, none)
 
@@ -224,7 +229,9 @@ class CellForms:
         m[R] = ROUNDING * self.faces.frame.longest * np.abs(k).sum(axis=0)
         return Form(m)
 
-    def _function(self, at: Ints, pair: Ints, u: Form, v: Form, edge: Bools | bool = True) -> _Function:
+    def _function(
+        self, at: Ints, pair: Ints, u: Form, v: Form, edge: Bools | bool = True
+    ) -> _Function:
         """u + v s of pairs."""
         some = np.flatnonzero(~self.faces.flat[self.cells.face[pair]])
         form = Form(u.m.copy())
@@ -232,7 +239,13 @@ class CellForms:
         return at, form, u, v, edge
 
     def _plane(
-        self, at: Ints, pair: Ints, normal: Floats, b: Floats, size: Floats, edge: Bools | bool = True
+        self,
+        at: Ints,
+        pair: Ints,
+        normal: Floats,
+        b: Floats,
+        size: Floats,
+        edge: Bools | bool = True,
     ) -> _Function:
         """normal.d + b / t of pairs, where b is a sum of terms of a `size`."""
         u, v = self._linear(normal, self.cells.cell[pair]), np.zeros((8, pair.size))
@@ -250,7 +263,11 @@ class CellForms:
         nowhere : (n,), set while functions are asked for.
         Returns whether they are so everywhere (n,).
         """
-        everywhere, light, found = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape), []
+        everywhere, light, found = (
+            np.ones(pair.size, np.bool_),
+            np.broadcast_to(light, pair.shape),
+            [],
+        )
         for at, form, u, v, edge in functions:
             low, high = form.bounds()
             nowhere[at[high <= 0]] = True
@@ -376,7 +393,9 @@ class CellForms:
         cells = self.cells.rows(~self.cells.done[self.cells.pair, self.cells.light])
         self.cells, lit = cells, np.zeros(cells.pair.size, dtype=np.bool_)
         ball = cells.occluder < self.faces.spheres
-        functions = chain(self._cones(np.flatnonzero(ball)), self._boxes(np.flatnonzero(~ball), lit))
+        functions = chain(
+            self._cones(np.flatnonzero(ball)), self._boxes(np.flatnonzero(~ball), lit)
+        )
         shaded = self._settle(cells.pair, cells.light, lit, functions)
         cells.done[cells.pair[shaded], cells.light[shaded]] = True
         self.cells = cells.rows(~lit & ~cells.done[cells.pair, cells.light])
@@ -443,13 +462,18 @@ class CellForms:
         a, b = (by[m] for m in segments(before, start[cell]))
         a, b = np.where(faces.flat[cells.face[a]], (b, a), (a, b))  # planes last
         f, g = cells.face[a], cells.face[b]
-        some = np.flatnonzero((faces.owner[f] != faces.owner[g]) & (faces.plane[f] != faces.plane[g]))
+        some = np.flatnonzero(
+            (faces.owner[f] != faces.owner[g]) & (faces.plane[f] != faces.plane[g])
+        )
         a, f, g = a[some], f[some], g[some]
         normal, offset, size = faces.k[:, g], np.full(a.size, -1.0), np.ones(a.size)
         at = np.flatnonzero(~faces.flat[g])
         f, g = f[at], g[at]
         normal[:, at] = 2 * (faces.center[:, f] - faces.center[:, g])
-        offset[at], size[at] = faces.power[g] - faces.power[f], np.abs(faces.power[[f, g]]).sum(axis=0)
+        offset[at], size[at] = (
+            faces.power[g] - faces.power[f],
+            np.abs(faces.power[[f, g]]).sum(axis=0),
+        )
         meeting = self._plane(np.arange(a.size), a, normal, offset, size)
         self._settle(a, -1, np.zeros(a.size, np.bool_), [meeting])
         return many
@@ -463,7 +487,9 @@ class CellForms:
         edged[cells.pair, cells.light] = True
         for pair, light, _ in self.edges:
             edged[pair[light >= 0], light[light >= 0]] = True
-        sure = ~edged[shades.pair, shades.light] & (shades.radiance.radius.max(axis=0) <= error)
+        off = np.fmin(shades.radiance.radius.max(axis=0), 2 * error)
+        off[edged[shades.pair, shades.light]] = 2 * error
+        sure = least_sums(shades.pair, off) <= error - cells.known.radius.max(axis=0)[shades.pair]
         pair, light, radiance = shades.take(sure)
         add_runs(cells.known.m, pair, radiance.m)
         cells.done[pair, light] = True

@@ -46,6 +46,7 @@ from reference.judges.forms import (
     R,
     Z,
     add_runs,
+    least_sums,
     places,
     segments,
     sums,
@@ -173,7 +174,9 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
     doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
     pairs, lit = _sampled(forms, regions.cell, x, y)
-    radiance = np.where(pairs < 0, 0, np.append(cells.known.m, np.zeros((8, 3, 1)), axis=-1)[..., pairs])
+    radiance = np.where(
+        pairs < 0, 0, np.append(cells.known.m, np.zeros((8, 3, 1)), axis=-1)[..., pairs]
+    )
     region, light = np.nonzero(lit.T)
     of = places(keys, pairs[region] * lights + light)
     add_runs(radiance, region, shades.radiance.m[..., of])
@@ -265,8 +268,7 @@ class _Picture:
         cells = forms.cells
         number = np.bincount(cells.cell, minlength=cells.x.size)
         alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
-        tolerance = _SMOOTH * self.error / max(len(self.faces.lights), 1)
-        shades = forms.settle(alone | (cells.size <= 1), tolerance)
+        shades = forms.settle(alone | (cells.size <= 1), _SMOOTH * self.error)
         smooth = np.flatnonzero(alone & cells.done.all(axis=1))
         remain[cells.cell[smooth]] = False
         self.add(cells, cells.cell[smooth], cells.known[smooth])
@@ -286,15 +288,14 @@ class _Picture:
         part = enclosed.error * share * remain
         total, left = sums(place, part, at.size), self.error - bound[at]
         if self.by_codes:
-            means = np.array([sums(place, mean * share * remain, at.size) for mean in enclosed.mean])
+            means = np.array(
+                [sums(place, mean * share * remain, at.size) for mean in enclosed.mean]
+            )
             mean, off = (image[:, at] + means).T[None], (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
         budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
-        by = np.lexsort((part, place))
-        spent, first = part[by].cumsum(), np.searchsorted(place[by], np.arange(at.size))
-        spent -= (spent[first] - part[by[first]])[place[by]]
-        done = (np.bincount(place) >= _MOST_CELLS)[place] | (cells.size <= _SMALLEST)
-        done[by] |= (spent <= budget[place[by]]) | (part[by] == 0)
+        done = (least_sums(place, part) <= budget[place]) | (part == 0)
+        done |= (np.bincount(place) >= _MOST_CELLS)[place] | (cells.size <= _SMALLEST)
         return np.asarray(done)
 
 

@@ -46,8 +46,9 @@ class Faces:
     Attributes
     ----------
     lights : (m, 3)
-    dead : (m,)
-        Lights that reach nothing seen: beyond an object around the eye, or inside another.
+    dead : (m, f)
+        Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
+        eye, or inside another.
     center, radius, power : (3, spheres) and (spheres,)
     owner, flat, order : (f,)
         The object that a face is of, whether it is a rectangle, and the object's place in the file.
@@ -90,7 +91,9 @@ class Faces:
         some = np.arange(self.spheres, self.count)
         # A light on a box's face is not beyond it.
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
-        self.dead = np.any(np.where(inside, side > 0, side < 0), axis=1)
+        dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
+        # Of an object around the eye, though, it reaches nothing.
+        self.dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
         self.may_block = ~inside & ~prepared.repeated
         own = self.owner
         self.order, self.glossy = prepared.surfaces.file_index[own], prepared.glossy[own]
@@ -104,7 +107,12 @@ class Faces:
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, b_size = g * (power - c_q.sum(axis=0)) / r, (np.abs(power) + np.abs(c_q).sum(axis=0)) / r
-        a, rim, zero, number = g * (q - c[:, None]) / r, np.zeros((4, 3, n)), np.zeros(n), np.arange(n)
+        a, rim, zero, number = (
+            g * (q - c[:, None]) / r,
+            np.zeros((4, 3, n)),
+            np.zeros(n),
+            np.arange(n),
+        )
         faces: list[tuple[NDArray[Any], ...]] = [
             (c / power, 1 / power, a, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
         ]
