@@ -22,28 +22,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from reference.judges.arrays import Bools, Floats, Index, Ints, add_runs, least_sums, segments
 from reference.judges.faces import Faces
-from reference.judges.forms import (
-    ROUNDING,
-    XX,
-    Bools,
-    C,
-    Floats,
-    Form,
-    Index,
-    Ints,
-    R,
-    X,
-    Y,
-    Z,
-    add_runs,
-    difference,
-    least_sums,
-    segments,
-)
+from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, difference
 
-ROOT = 16
-"""Pixels across the largest cells."""
+LARGEST = 16
+"""Pixels across the largest cells that are listed what may shade them, and that are filled."""
 
 # In cells that see more faces, their intersections are not looked for.
 _MOST_SEEN = 6
@@ -112,22 +96,15 @@ class Cells(NamedTuple):
         return Cells(self.size / 2, x, y, cell, face, covers, done, known, light, pair, occluder)
 
 
-def root_cells(faces: Faces, width: int, height: int) -> Cells:
-    """The largest cells, with all faces that may be seen in them and no rows yet."""
-    across, down = -(-width // ROOT), -(-height // ROOT)
-    y, x = (m.ravel() * ROOT + ROOT / 2 for m in np.mgrid[:down, :across])
-    face, bounds = np.flatnonzero(~faces.prepared.repeated[faces.owner]), faces.prepared.bounds
-    ends = np.array(bounds)[:, faces.owner[face]] + [[-1], [1], [-1], [1]]
-    most = [[down], [down], [across], [across]]
-    top, bottom, left, right = np.floor(np.clip(ends / ROOT, -1, most)).astype(np.intp)
-    top, left = np.maximum(top, 0), np.maximum(left, 0)
-    tall, wide = np.minimum(bottom, down - 1) - top + 1, np.minimum(right, across - 1) - left + 1
-    which, row = segments(np.maximum(tall, 0), top)
-    strip, column = segments(np.maximum(wide, 0)[which], left[which])
-    cell, face, none = row[strip] * across + column, face[which[strip]], np.zeros(0, dtype=np.intp)
-    covers, done = np.zeros(cell.size, np.bool_), faces.dead[:, face].T.copy()
-    known = Form(np.zeros((8, 3, cell.size)))
-    return Cells(ROOT, x, y, cell, face, covers, done, known, none, none, none)
+def whole(faces: Faces, width: int, height: int) -> Cells:
+    """One cell that holds the picture, with all faces and no rows yet."""
+    size, none = float(LARGEST), np.zeros(0, dtype=np.intp)
+    while size < max(width, height):
+        size *= 2
+    face = np.flatnonzero(~faces.prepared.repeated[faces.owner])
+    cell, known = np.zeros(face.size, np.intp), Form(np.zeros((8, 3, face.size)))
+    middle, done = np.array([size / 2]), faces.dead[:, face].T
+    return Cells(size, middle, middle, cell, face, cell > 0, done, known, none, none, none)
 
 
 class Edges(NamedTuple):
@@ -370,12 +347,12 @@ class CellForms:
         least, most = self.inverse.bounds()
         near, far = 1 / most, np.where(least > 0, 1 / least, np.inf)
         low, high = faces.low[:, cells.face], faces.high[:, cells.face]
-        for axis, (u, v, w) in enumerate(frame.axes.T):
-            d = (u * self._s + v * self._g + w * frame.depth)[cells.cell]
-            off, eye = abs(u) * self._hx + abs(v) * self._hy, frame.eye[axis]
-            a, b = d - off, d + off
-            low[axis] = np.fmax(low[axis], eye + np.where(a > 0, near, far) * a)
-            high[axis] = np.fmin(high[axis], eye + np.where(b > 0, far, near) * b)
+        for axis, eye in enumerate(frame.eye):
+            a, b = self._linear(
+                np.tile(frame.axes[:, axis : axis + 1], cells.cell.size), cells.cell
+            ).bounds()
+            low[axis] = np.fmax(low[axis], eye + np.fmin(a * near, a * far))
+            high[axis] = np.fmin(high[axis], eye + np.fmax(b * near, b * far))
         half = np.maximum(0.5 * (high - low), 0) + faces.error[cells.face]
         return 0.5 * (low + high), half
 

@@ -35,22 +35,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.cells import ROOT, CellForms, Cells, Shades, root_cells
-from reference.judges.faces import Faces
-from reference.judges.forms import (
+from reference.judges.arrays import (
     Bools,
-    C,
     Floats,
-    Form,
     Ints,
-    R,
-    Z,
     add_runs,
     least_sums,
     places,
     segments,
     sums,
 )
+from reference.judges.cells import LARGEST, CellForms, Cells, Shades, whole
+from reference.judges.faces import Faces
+from reference.judges.forms import C, Form, R, Z
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
@@ -227,7 +224,7 @@ class _Picture:
     def __init__(self, scene: Scene, error: float, codes: bool) -> None:
         self.faces, self.error, self.by_codes, self.cells = Faces(scene), error, codes, 0
         self.width, self.height = scene.width, scene.height
-        size = scene.height + ROOT, scene.width + ROOT  # cells may reach beyond the picture
+        size = scene.height + LARGEST, scene.width + LARGEST  # cells may reach beyond the picture
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def halves(self, cells: Cells) -> list[Cells]:
@@ -263,11 +260,12 @@ class _Picture:
         cells = cells.take((cells.x - half < self.width) & (cells.y - half < self.height))
         self.cells += cells.x.size
         forms = CellForms(self.faces, cells)
-        if cells.size == ROOT:
+        if cells.size == LARGEST:
             forms = CellForms(self.faces, forms.listed())
         cells = forms.cells
         number = np.bincount(cells.cell, minlength=cells.x.size)
         alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
+        alone &= cells.size <= LARGEST
         shades = forms.settle(alone | (cells.size <= 1), _SMOOTH * self.error)
         smooth = np.flatnonzero(alone & cells.done.all(axis=1))
         remain[cells.cell[smooth]] = False
@@ -329,8 +327,8 @@ def certify(
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
-    todo = [root_cells(picture.faces, scene.width, scene.height)]
-    roots = todo[0].x.size
+    todo = [whole(picture.faces, scene.width, scene.height)]
+    everything = todo[0].size ** 2
     while todo:
         cells = todo.pop()
         parts = picture.halves(cells)
@@ -338,7 +336,7 @@ def certify(
             todo += parts
             continue
         area, cells = cells.x.size * cells.size**2, picture.refine(cells)
-        progress((area - cells.x.size * cells.size**2) / (roots * ROOT**2))
+        progress((area - cells.x.size * cells.size**2) / everything)
         if cells.x.size:
             todo.append(cells)
     image, bound = (m[..., : scene.height, : scene.width] for m in (picture.image, picture.bound))

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.forms import Bools, Floats, Ints
+from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
 from tracer.geometry.camera import camera_frame
 from tracer.geometry.silhouette import silhouette_planes
@@ -137,8 +137,8 @@ class Faces:
             a = np.zeros((3, len(points), at.size))
             faces.append((e[:, None] / level, zero, a, height, np.abs(height), rim, *numbers))
         joined = [np.concatenate(m, axis=-1) for m in zip(*faces, strict=True)]
-        self.k, self.w, self.a, self.b, self.b_size, self.rim, *numbers = joined
-        owner, axis_of, sign, alone, place = numbers
+        self.k, self.w, self.a, self.b, self.b_size, self.rim, *rest = joined
+        owner, axis_of, sign, alone, place = rest
         self.owner, axis_of = owner.astype(np.intp), axis_of.astype(np.intp)
         self.flat = axis_of < 3
         keys = np.array([axis_of, alone, place])

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reference.judges.forms import XX, XY, YY, C, Floats, Form, Index, Ints, X, Y, sums
+from reference.judges.arrays import Floats, Index, Ints, sums
+from reference.judges.forms import XX, XY, YY, C, Form, X, Y
 
 NO_AREA = 1e-12
 """Regions that are smaller, as parts of a cell, are little but rounding."""

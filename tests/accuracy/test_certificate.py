@@ -17,12 +17,13 @@ from random_scenes import KINDS, random_scene
 from scene_files import small
 
 from reference import command
-from reference.judges import cells, certificate, faces, forms
+from reference.judges import cells, certificate, forms
 from reference.judges import true_picture as truth
+from reference.judges.arrays import Floats, Ints, places
 from reference.judges.cells import CellForms, Shades
 from reference.judges.certificate import Enclosure, certify
 from reference.judges.faces import Faces
-from reference.judges.forms import Floats, Form, Ints, R, Z, places
+from reference.judges.forms import Form, R, Z
 from reference.judges.true_picture import supersampled, true_picture
 from reference.measured.workloads import crowd, resized
 from tracer import Camera, Scene, Sphere, render
@@ -143,59 +144,44 @@ def test_points_of_many_scenes(kind: str, monkeypatch: Patch) -> None:
     assert sound(monkeypatch, scenes([kind], range(6, last))) > 10_000
 
 
-def faulty(name: str, monkeypatch: Patch) -> None:
-    """Plant a fault."""
-    of = CellForms
-
-    def wrap(owner: object, function: str, change: Callable[..., object]) -> None:
-        real = getattr(owner, function)
-        monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
-
-    def narrower(form: Form, *_: object) -> Form:
-        form.m[R] *= 0.7
-        return form
-
-    def scaled_cone(made: tuple[Form, Floats], *_: object) -> tuple[Form, Floats]:
-        made[0].m[forms.C] -= 1e-4 * np.abs(made[0].m[forms.C])
-        return made
-
-    def no_cones(_: None, self: faces.Faces, *__: object) -> None:
-        self.normal[5:] = 0
-
-    def no_edge(made: object, self: CellForms) -> object:
-        del self.edges[-1]
-        return made
-
-    if name == "narrow powers":
-        wrap(Form, "power", narrower)
-    elif name == "narrow products":
-        wrap(Form, "__mul__", narrower)
-    elif name == "narrow strips":
-        wrap(certificate, "strips", lambda s, *_: s._replace(half=s.half * 0.5))
-    elif name == "small changes":
-        wrap(certificate, "strips", lambda s, *_: s._replace(jump=s.jump * 0.7))
-    elif name == "cones too narrow":
-        wrap(cells, "_cone", scaled_cone)
-    elif name == "planes of shadows missing":
-        wrap(faces.Faces, "_add_shadows", no_cones)
-    elif name == "no terminators":
-        wrap(of, "_find_terminators", no_edge)
-    elif name == "no intersections":
-        wrap(of, "find_intersections", no_edge)
-    elif name == "rows missing":
-        wrap(of, "listed", lambda made, _: made.rows(np.arange(made.pair.size) % 3 > 0))
-    else:
-        wrap(cells, "difference", lambda form, *_: Form(form.m - 0.3 * np.abs(form.m[:1])))
+def narrower(form: Form, *_: object) -> Form:
+    form.m[R] *= 0.7
+    return form
 
 
-FAULTS = ["narrow powers", "narrow products", "narrow strips", "small changes", "cones too narrow"]
-FAULTS += ["planes of shadows missing", "no terminators", "no intersections", "rows missing"]
-FAULTS += ["hidden too soon"]
+def with_less_in_cones(made: tuple[Form, Floats], *_: object) -> tuple[Form, Floats]:
+    made[0].m[forms.C] -= 1e-4 * np.abs(made[0].m[forms.C])
+    return made
+
+
+def without_last_edges(made: object, self: CellForms) -> object:
+    del self.edges[-1]
+    return made
+
+
+FAULTS: dict[str, tuple[object, str, Callable[..., object]]] = {
+    "narrow powers": (Form, "power", narrower),
+    "narrow products": (Form, "__mul__", narrower),
+    "narrow strips": (certificate, "strips", lambda s, *_: s._replace(half=s.half * 0.5)),
+    "small changes": (certificate, "strips", lambda s, *_: s._replace(jump=s.jump * 0.7)),
+    "cones too narrow": (cells, "_cone", with_less_in_cones),
+    "planes of shadows missing": (
+        Faces,
+        "_add_shadows",
+        lambda _, self, *__: self.normal[5:].fill(0),
+    ),
+    "no terminators": (CellForms, "_find_terminators", without_last_edges),
+    "no intersections": (CellForms, "find_intersections", without_last_edges),
+    "rows missing": (CellForms, "listed", lambda m, _: m.rows(np.arange(m.pair.size) % 3 > 0)),
+    "hidden too soon": (cells, "difference", lambda f, *_: Form(f.m - 0.3 * np.abs(f.m[:1]))),
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_found(fault: str, monkeypatch: Patch) -> None:
-    faulty(fault, monkeypatch)
+    owner, function, change = FAULTS[fault]
+    real = getattr(owner, function)
+    monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
     named = (small(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
     with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
         sound(monkeypatch, chain(named, scenes(HARD, range(40))), 1 / 128)
