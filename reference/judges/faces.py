@@ -48,7 +48,7 @@ class Faces:
     lights : (m, 3)
     dead : (m, f)
         Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
-        eye, or inside another.
+        eye, or inside another, or behind the face's plane.
     center, radius, power : (3, spheres) and (spheres,)
     owner, flat, order : (f,)
         The object that a face is of, whether it is a rectangle, and the object's place in the file.
@@ -93,7 +93,8 @@ class Faces:
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
         dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
         # Of an object around the eye, though, it reaches nothing.
-        self.dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        self.dead = dead | (self.flat & (self.b[:-1] <= 0))
         self.may_block = ~inside & ~prepared.repeated
         own = self.owner
         self.order, self.glossy = prepared.surfaces.file_index[own], prepared.glossy[own]
