@@ -88,12 +88,9 @@ class Cells(NamedTuple):
         y = np.add.outer(self.y, (part & 2) * off - off).ravel()
         cell, pair = ((4 * m[:, None] + part).ravel() for m in (self.cell, self.pair))
         face, light, occluder = (m.repeat(4) for m in (self.face, self.light, self.occluder))
-        covers, done, known = (
-            self.covers.repeat(4),
-            self.done.repeat(4, axis=0),
-            self.known.quarters(),
-        )
-        return Cells(self.size / 2, x, y, cell, face, covers, done, known, light, pair, occluder)
+        covers, done = self.covers.repeat(4), self.done.repeat(4, axis=0)
+        rows = light, pair, occluder
+        return Cells(self.size / 2, x, y, cell, face, covers, done, self.known.quarters(), *rows)
 
 
 def whole(faces: Faces, width: int, height: int) -> Cells:
@@ -105,21 +102,6 @@ def whole(faces: Faces, width: int, height: int) -> Cells:
     cell, known = np.zeros(face.size, np.intp), Form(np.zeros((8, 3, face.size)))
     middle, done = np.array([size / 2]), faces.dead[:, face].T
     return Cells(size, middle, middle, cell, face, cell > 0, done, known, none, none, none)
-
-
-class Edges(NamedTuple):
-    """Edge functions (n,) that are zero somewhere in their cells.
-
-    Attributes
-    ----------
-    pair, light : (n,)
-        The pair that each is of, and the light, or -1.
-    form : Form
-    """
-
-    pair: Ints
-    light: Ints
-    form: Form
 
 
 class Shades(NamedTuple):
@@ -134,8 +116,10 @@ class Shades(NamedTuple):
         return Shades(self.pair[keep], self.light[keep], self.radiance[keep])
 
 
+_Edges: TypeAlias = tuple[Ints, Ints, Form]
+
 # Functions u + v s of some of n questions (m,): their forms, u and v, and whether they have edges.
-_Function: TypeAlias = tuple[Ints, Form, Form, Form, Bools | bool]
+_Function: TypeAlias = tuple[Ints, Form, Form, Form | Floats, Bools | bool]
 
 
 def _squared(q: Floats) -> Floats:
@@ -172,7 +156,8 @@ class CellForms:
     ----------
     cells : Cells
         Without what is settled.
-    edges : list of Edges
+    edges : list of pairs, lights and forms
+        Edge functions (n,) that are zero somewhere in cells; lights: -1 if it is of none.
     square, inverse : Form
         d^2 in each cell, and 1 / t of each pair.
     s2, root : Form
@@ -186,7 +171,7 @@ class CellForms:
         m = np.zeros((8, cells.x.size))
         m[:Z] = _squared(self._rays(np.arange(cells.x.size)))
         m[R] = ROUNDING * m[C]
-        self.square, self.edges = Form(m), list[Edges]()
+        self.square, self.edges = Form(m), list[_Edges]()
         self._find_surfaces()
         self._find_terminators()
         self._find_shadows()
@@ -207,29 +192,21 @@ class CellForms:
         return Form(m)
 
     def _function(
-        self, at: Ints, pair: Ints, u: Form, v: Form, edge: Bools | bool = True
+        self, at: Ints, pair: Ints, u: Form, v: Form | Floats, edge: Bools | bool
     ) -> _Function:
         """u + v s of pairs."""
         some = np.flatnonzero(~self.faces.flat[self.cells.face[pair]])
         form = Form(u.m.copy())
-        form.m[:, some] += (v[some] * self.root[pair[some]]).m
+        form.m[:, some] += (self.root[pair[some]] * v[some]).m
         return at, form, u, v, edge
 
     def _plane(
-        self,
-        at: Ints,
-        pair: Ints,
-        normal: Floats,
-        b: Floats,
-        size: Floats,
-        edge: Bools | bool = True,
+        self, at: Ints, pair: Ints, normal: Floats, b: Floats, size: Floats, edge: Bools | bool
     ) -> _Function:
         """normal.d + b / t of pairs, where b is a sum of terms of a `size`."""
-        u, v = self._linear(normal, self.cells.cell[pair]), np.zeros((8, pair.size))
-        u += self._rootless[pair] * b
+        u = self._linear(normal, self.cells.cell[pair]) + self._rootless[pair] * b
         u.m[R] += ROUNDING * size * self._inverse_size[pair]
-        v[C] = b
-        return self._function(at, pair, u, Form(v), edge)
+        return self._function(at, pair, u, b, edge)
 
     def _settle(
         self, pair: Ints, light: Ints | int, nowhere: Bools, functions: Iterable[_Function]
@@ -240,11 +217,8 @@ class CellForms:
         nowhere : (n,), set while functions are asked for.
         Returns whether they are so everywhere (n,).
         """
-        everywhere, light, found = (
-            np.ones(pair.size, np.bool_),
-            np.broadcast_to(light, pair.shape),
-            [],
-        )
+        everywhere, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
+        found = []
         for at, form, u, v, edge in functions:
             low, high = form.bounds()
             nowhere[at[high <= 0]] = True
@@ -255,16 +229,16 @@ class CellForms:
             some = np.flatnonzero(~nowhere[at])
             at, form = at[some], form[some]
             self._drop_root(pair[at], form, u[some], v[some])
-            self.edges.append(Edges(pair[at], light[at], form))
+            self.edges.append((pair[at], light[at], form))
         return everywhere & ~nowhere
 
-    def _drop_root(self, pair: Ints, form: Form, u: Form, v: Form) -> None:
+    def _drop_root(self, pair: Ints, form: Form, u: Form, v: Form | Floats) -> None:
         """Make edge functions u + v s u^2 - v^2 s^2, where s is not known well."""
         a = np.abs(form.m)
         at = a[Z] + a[R] > _LOOSE * np.maximum(a[X], a[Y])
         at = np.flatnonzero(at & ~self.faces.flat[self.cells.face[pair]])
         u, v = u[at], v[at]
-        other = u * u - v * v * self.s2[pair[at]]
+        other = u * u - self.s2[pair[at]] * v * v
 
         def width(form: Form) -> Floats:
             a = np.abs(form.m)
@@ -287,13 +261,13 @@ class CellForms:
             at = np.flatnonzero(~cells.covers & flat)
             for rim in faces.rim:
                 form = self._linear(rim[:, face[at]], cell[at])
-                yield at, form, form, form * 0.0, True
+                yield at, form, form, np.zeros(at.size), True
             at = ball[~cells.covers[ball] & (faces.power[face[ball]] > 0)]
             # That is positive in the opposite direction as well.
             form = self._linear(faces.center[:, face[at]], cell[at])
-            yield at, form, form, form * 0.0, False
+            yield at, form, form, np.zeros(at.size), False
             form = Form(chord[:, at])
-            yield at, form, form, form * 0.0, True
+            yield at, form, form, np.zeros(at.size), True
 
         out = np.zeros(face.size, np.bool_)
         covers = self._settle(np.arange(face.size), -1, out, silhouettes())
@@ -307,8 +281,8 @@ class CellForms:
         self.inverse.m[R, at] = 0
         out |= self._hidden(covers)
         self.cells, number = cells._replace(covers=covers).pairs(~out)
-        found = [(~out[e.pair], e) for e in self.edges]
-        self.edges = [Edges(number[e.pair[k]], e.light[k], e.form[k]) for k, e in found]
+        seen = [(np.flatnonzero(~out[edges[0]]), edges) for edges in self.edges]
+        self.edges = [(number[pair[k]], light[k], form[k]) for k, (pair, light, form) in seen]
         self.inverse, self.s2, self.root = self.inverse[~out], self.s2[~out], self.root[~out]
         self._rootless, self._inverse_size = self._rootless[~out], self.inverse.size
 
@@ -407,23 +381,23 @@ class CellForms:
         v[R] = 16 * ROUNDING * (c2 * np.sqrt(center2) * w_size + r2 * np.sqrt(at2) * q_size)
         u += Form(s2) * (r2 * at2 - (e * e).sum(axis=(0, 1)))
         u.m[R] += 16 * ROUNDING * (c2 * center2 + r2 * at2) * np.abs(s2).sum(axis=0)
-        yield self._function(row, pair, u, Form(v))
+        yield self._function(row, pair, u, Form(v), True)
         terms = c * center
         size = r2 + np.abs(terms).sum(axis=0)
-        yield self._plane(row, pair, c, r2 - terms.sum(axis=0), size, edge=False)
+        yield self._plane(row, pair, c, r2 - terms.sum(axis=0), size, False)
 
     def _boxes(self, row: Ints, lit: Bools) -> Iterator[_Function]:
-        """The same of boxes, plane by plane."""
+        """The same of boxes, plane by plane; `lit`: where some has been negative."""
         faces, cells = self.faces, self.cells
-        lit[row] = faces.edge_on[cells.light[row], cells.occluder[row] - faces.spheres]
+        light, box = cells.light, cells.occluder - faces.spheres
+        lit[row] = faces.edge_on[light[row], box[row]]
         planes = zip(faces.normal, faces.offset, faces.offset_size, faces.edge, strict=True)
         for normals, offsets, sizes, edge in planes:
             at = row[~lit[row]]
-            at, of = at, (cells.light[at], cells.occluder[at] - faces.spheres)
-            some = np.flatnonzero(normals[:, of[0], of[1]].any(axis=0))
-            at, of = at[some], (of[0][some], of[1][some])
-            b, size = offsets[of], sizes[of]
-            yield self._plane(at, cells.pair[at], normals[:, of[0], of[1]], b, size, edge[of])
+            at = at[normals[:, light[at], box[at]].any(axis=0)]
+            of = light[at], box[at]
+            normal = normals[:, of[0], of[1]]
+            yield self._plane(at, cells.pair[at], normal, offsets[of], sizes[of], edge[of])
 
     def find_intersections(self) -> Bools:
         """Add edges where surfaces of two pairs may meet; tell cells (c,) that have too many.
@@ -451,7 +425,7 @@ class CellForms:
             faces.power[g] - faces.power[f],
             np.abs(faces.power[[f, g]]).sum(axis=0),
         )
-        meeting = self._plane(np.arange(a.size), a, normal, offset, size)
+        meeting = self._plane(np.arange(a.size), a, normal, offset, size, True)
         self._settle(a, -1, np.zeros(a.size, np.bool_), [meeting])
         return many
 

@@ -53,13 +53,13 @@ from tracer import Scene, to_codes
 
 # So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.  So
 # many lines at most divide a cell.
-_AT_ONCE, _MOST_LINES = 64000, 5
+_AT_ONCE, _MOST_LINES = 48000, 5
 
 # Cells larger than a pixel are done if their form errs by no more than this part of the error.
 _SMOOTH = 0.25
 
 # The part of what is left of a pixel's error that is spent at each size of its cells.
-_SPENT = 0.2
+_SPENT = 0.4
 
 # Cells are no smaller than this part of a pixel across.
 _SMALLEST = 2.0**-10
@@ -148,7 +148,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     # The strips of edges, except in black cells.
     lights = cells.done.shape[1]
     keys = shades.pair * lights + shades.light
-    form = Form(np.concatenate([edges.form.m for edges in forms.edges], axis=1))
+    form = Form(np.concatenate([form.m for _, _, form in forms.edges], axis=1))
     pair, light = (np.concatenate([edges[i] for edges in forms.edges]) for i in (0, 1))
     shade, cell = places(keys, pair * lights + light), cells.cell[pair]
     jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
@@ -171,12 +171,11 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
     doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
     pairs, lit = _sampled(forms, regions.cell, x, y)
-    radiance = np.where(
-        pairs < 0, 0, np.append(cells.known.m, np.zeros((8, 3, 1)), axis=-1)[..., pairs]
-    )
+    radiance = cells.known[pairs].m
+    radiance[..., pairs < 0] = 0
     region, light = np.nonzero(lit.T)
     of = places(keys, pairs[region] * lights + light)
-    add_runs(radiance, region, shades.radiance.m[..., of])
+    add_runs(radiance, region, shades.radiance[of].m)
     value = (radiance[:Z] * regions.mean[:, None]).sum(axis=0)
     off = Form(radiance).radius + doubt
     unsure = np.flatnonzero(doubt)  # still no less than nothing, and no more than all

@@ -43,7 +43,9 @@ class Form:
         self.m = m
 
     def __getitem__(self, index: Index) -> Form:
-        return Form(self.m[..., index])
+        # `take` needs half the time of indexing.
+        at = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Form(self.m.take(at, axis=-1))
 
     @property
     def radius(self) -> Floats:
