@@ -1,16 +1,18 @@
 """Antialiased pictures with a proof: bounds on the mean radiance of every pixel.
 
 Objects are convex and lights are points, so edges in the picture are zeros of smooth functions, and
-radiance is smooth between them.  Cells of the picture (`cells`) are divided until every pixel is
-known as well as asked:
+radiance is smooth between them.  One cell that holds the picture is divided (`cells`) until every
+pixel is known as well as asked:
 
-- The zero of each edge function lies in a *strip* between two parallel lines (`regions`).
+- A light that reaches all that a cell shows of a face adds a *form* (`forms`) with a known mean.
+  X^2 counts as its mean, not as the middle of its bounds: so the estimate is much better than the
+  bounds.  What such lights add to a face is kept, and its parts inherit it.
+- A cell that shows nothing else is done: so are all pixels of a large one.
+- Else, the zero of each edge function lies in a *strip* between two parallel lines (`regions`).
 - The middle lines of strips divide a cell into *regions*.  In a region nothing changes outside of
-  the strips: a sample in its centroid tells which face is seen, and which lights reach it.
-- There, radiance is a *form* (`forms`) with a known mean.  X^2 counts as its mean, not as the
-  middle of its bounds: so the estimate is much better than the bounds.
-- In a strip, radiance is off by no more than may change across its edge: all that the cell may
-  show, what one light adds, or, where the light only just rises, by how much it may have risen.
+  the strips: a sample in its centroid tells which face is seen, and which other lights reach it.
+- In a strip, radiance is off by no more than may change across its edge: what one light adds, or
+  all that the cell may show.
 - A region of which the sample lies in a strip may be off by the strip's change as a whole; a strip
   that is too wide counts as all of its cell.
 
@@ -18,12 +20,13 @@ The error of a pixel is at most the sum of these over its cells, weighted by the
 that add the least are done; the others are divided.
 
 Single samples of the tracer are trusted as to what they see, not as to radiance.  A sample that
-contradicts its cell proves an error in one of them, and raises one.
+sees what its cell rules out proves an error in one of them, and raises one.
 
 Rounding: samples and the coordinates of cells are off by less than the forms' radii, which hold
 1e-13 of the coordinates involved.  Areas and means of regions are some hundred roundings off, and
 sums over at most 4^10 cells of a pixel, each at most the radiance R there, another 4^10 e R for
-e = 2^-53, if all roundings go the same way: the bounds are widened by 1e-9 R.
+e = 2^-53, if all roundings go the same way, and those over n lights n e R: the bounds are widened
+by 1e-9 R.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ from tracer import Scene, to_codes
 # many lines at most divide a cell.
 _AT_ONCE, _MOST_LINES = 48000, 5
 
-# Cells larger than a pixel are done if their form errs by no more than this part of the error.
+# Lights that reach all of a face are kept, those that are known best first, as long as what they
+# add together errs by no more than this part of the error.
 _SMOOTH = 0.25
 
 # The part of what is left of a pixel's error that is spent at each size of its cells.
@@ -118,8 +122,6 @@ class Enclosure(NamedTuple):
         By how much more radiance may be off, as the region's sample lies in a strip.
     loose : (c,)
         The same in all of a cell, for its strips that are too wide.
-    unknown : (c,)
-        Cells of which only `most` is known.
     most : (3, c)
         No point shows more.
     mean, error : (3, c) and (c,)
@@ -131,14 +133,16 @@ class Enclosure(NamedTuple):
     radiance: Form
     doubt: Floats
     loose: Floats
-    unknown: Bools
     most: Floats
     mean: Floats
     error: Floats
 
 
 def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> Enclosure:
-    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`."""
+    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`.
+
+    `shades`: of all lights that are not done; `unknown` (c,): cells that are not asked for.
+    """
     unknown, cells, count = unknown | forms.find_intersections(), forms.cells, forms.cells.x.size
     each, most = shades.radiance.size, np.zeros((3, count))
     tops = cells.known.bounds()[1]
@@ -186,7 +190,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
     bound += sums(lines.cell, lines.share * lines.jump, count) + loose
     bound = np.fmin(np.where(unknown, np.inf, bound), np.maximum(mean, most - mean).max(axis=0))
-    return Enclosure(lines, regions, Form(radiance), doubt, loose, unknown, most, mean, bound)
+    return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
 
 
 def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
@@ -244,10 +248,9 @@ class _Picture:
         """Add the radiance (8, 3, n) of some cells (n,) to their pixels."""
         n, share = max(int(cells.size), 1), min(cells.size, 1) ** 2
         row, column = np.divmod(self.pixels(cells)[which][:, None, None], self.bound.shape[1])
-        y, x = np.ogrid[:n, :n]
-        pixel = row + y, column + x
-        middle, third = (np.arange(n) + 0.5) / n * 2 - 1, 1 / (3 * n * n)
-        x, y = np.meshgrid(middle, middle)
+        down, across = np.indices((n, n))
+        pixel, third = (row + down, column + across), 1 / (3 * n * n)
+        x, y = ((2 * m + 1) / n - 1 for m in (across, down))
         mean = np.array([x * 0 + 1, x, y, x * x + third, x * y, y * y + third])
         for channel, m in zip(self.image, radiance.m.swapaxes(0, 1), strict=True):
             np.add.at(channel, pixel, share * np.tensordot(m[:Z], mean, ((0,), (0,))))
@@ -271,24 +274,23 @@ class _Picture:
         self.add(cells, cells.cell[smooth], cells.known[smooth])
         if cells.size <= 1:
             enclosed = enclose(forms, shades, ~remain, self.error)
-            done = remain & self.accepted(cells, enclosed, remain)
-            m = np.zeros((8, 3, np.count_nonzero(done)))
+            done = np.flatnonzero(remain & self.accepted(cells, enclosed, remain))
+            m = np.zeros((8, 3, done.size))
             m[C], m[R] = enclosed.mean[:, done], enclosed.error[done]
-            self.add(cells, np.flatnonzero(done), Form(m))
-            remain &= ~done
+            self.add(cells, done, Form(m))
+            remain[done] = False
         return cells.take(remain).parts()
 
     def accepted(self, cells: Cells, enclosed: Enclosure, remain: Bools) -> Bools:
-        """Cells of a pixel that add little to its error, or all."""
-        share, image, bound = cells.size**2, self.image.reshape(3, -1), self.bound.reshape(-1)
+        """Of the cells of a pixel that remain, those that add little to its error, or all."""
+        share, bound = cells.size**2 * remain, self.bound.reshape(-1)
         at, place = np.unique(self.pixels(cells), return_inverse=True)
-        part = enclosed.error * share * remain
+        part = enclosed.error * share
         total, left = sums(place, part, at.size), self.error - bound[at]
         if self.by_codes:
-            means = np.array(
-                [sums(place, mean * share * remain, at.size) for mean in enclosed.mean]
-            )
-            mean, off = (image[:, at] + means).T[None], (bound[at] + total)[None, :, None]
+            mean = np.array([sums(place, channel * share, at.size) for channel in enclosed.mean])
+            mean = (mean + self.image.reshape(3, -1)[:, at]).T[None]
+            off = (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
         budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
         done = (least_sums(place, part) <= budget[place]) | (part == 0)
