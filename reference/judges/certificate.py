@@ -13,8 +13,10 @@ pixel is known as well as asked:
   the strips: a sample in its centroid tells which face is seen, and which other lights reach it.
 - In a strip, radiance is off by no more than may change across its edge: what one light adds, or
   all that the cell may show.
-- A region of which the sample lies in a strip may be off by the strip's change as a whole; a strip
-  that is too wide counts as all of its cell.
+- A region of which the sample lies in a strip may be off by the strip's change as a whole.
+- Other edges divide nothing, if there are many.  Whatever side of such an edge a centroid is on,
+  beyond the edge is no more than 5/9 of a convex region (Winternitz's theorem): radiance is off by
+  the edge's change in so much of the cell, and in the strip.
 
 The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
 that add the least are done; the others are divided.
@@ -121,7 +123,7 @@ class Enclosure(NamedTuple):
     doubt : (n,)
         By how much more radiance may be off, as the region's sample lies in a strip.
     loose : (c,)
-        The same in all of a cell, for its strips that are too wide.
+        The same anywhere in a cell, for edges that do not divide it.
     most : (3, c)
         No point shows more.
     mean, error : (3, c) and (c,)
@@ -163,7 +165,9 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     by = np.lexsort((-lines.jump, wide, lines.cell))
     wide[by] |= np.arange(by.size) - lines.cell.searchsorted(lines.cell) >= _MOST_LINES
     loose = sums(lines.cell[wide], lines.jump[wide], count)
-    unknown |= (loose * min(cells.size, 1) ** 2 > error) | (most.max(axis=0) == 0)
+    beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
+    beyond = sums(lines.cell[wide], beyond, count)
+    unknown |= (beyond * min(cells.size, 1) ** 2 > error) | (most.max(axis=0) == 0)
     lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
@@ -188,7 +192,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     mean = np.array([sums(regions.cell, regions.area * m, count) for m in value])
     mean[:, unknown] = most[:, unknown] / 2
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
-    bound += sums(lines.cell, lines.share * lines.jump, count) + loose
+    bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
     bound = np.fmin(np.where(unknown, np.inf, bound), np.maximum(mean, most - mean).max(axis=0))
     return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
 

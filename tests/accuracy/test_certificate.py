@@ -187,6 +187,27 @@ def test_faults_are_found(fault: str, monkeypatch: Patch) -> None:
         sound(monkeypatch, chain(named, scenes(HARD, range(40))), 1 / 128)
 
 
+def test_means_of_cells_that_edges_do_not_divide(monkeypatch: Patch) -> None:
+    side, held, enclose = 32, [], certificate.enclose
+    y, x = ((m.ravel() + 0.5) / side * 2 - 1 for m in np.indices((side, side)))
+
+    def checked(forms: CellForms, *args: object) -> Enclosure:
+        result, half = enclose(forms, *args), forms.cells.size / 2
+        for cell in np.flatnonzero(result.loose)[:20]:
+            across, down = forms.cells.x[cell], forms.cells.y[cell]
+            samples, _ = Scattered.of(across + half * x, down + half * y)
+            mean = radiance_at(forms.faces.prepared, samples).mean(axis=1)
+            held.append(np.abs(mean - result.mean[:, cell]).max() - result.error[cell])
+        return result
+
+    monkeypatch.setattr(certificate, "enclose", checked)
+    monkeypatch.setattr(certificate, "_MOST_LINES", 0)
+    for name in ("room", "sticks-perspective", "touching"):
+        certify(small(name), 1 / 4)
+    assert len(held) > 100
+    assert max(held) <= 1 / side
+
+
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
 def test_means(name: str) -> None:
     made, near = certify(small(name), 1 / 256), render(small(name), 256)
