@@ -26,7 +26,7 @@ from reference.judges.arrays import Bools, Floats, Index, Ints, add_runs, least_
 from reference.judges.faces import Faces
 from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, difference
 
-LARGEST = 16
+LARGEST = 8
 """Pixels across the largest cells that are listed what may shade them, and that are filled."""
 
 # In cells that see more faces, their intersections are not looked for.
