@@ -27,7 +27,7 @@ from reference.judges.faces import Faces
 from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, difference
 
 LARGEST = 8
-"""Pixels across the largest cells that are listed what may shade them, and that are filled."""
+"""Pixels across cells for which what may shade them is listed; no larger ones are filled."""
 
 # In cells that see more faces, their intersections are not looked for.
 _MOST_SEEN = 6
@@ -93,15 +93,17 @@ class Cells(NamedTuple):
         return Cells(self.size / 2, x, y, cell, face, covers, done, self.known.quarters(), *rows)
 
 
-def whole(faces: Faces, width: int, height: int) -> Cells:
-    """One cell that holds the picture, with all faces and no rows yet."""
+def first_cells(faces: Faces, width: int, height: int) -> Cells:
+    """Cells as wide or as high as the picture, with all faces and no rows yet."""
     size, none = float(LARGEST), np.zeros(0, dtype=np.intp)
-    while size < max(width, height):
+    while size < min(width, height):
         size *= 2
-    face = np.flatnonzero(~faces.prepared.repeated[faces.owner])
-    cell, known = np.zeros(face.size, np.intp), Form(np.zeros((8, 3, face.size)))
-    middle, done = np.array([size / 2]), faces.dead[:, face].T
-    return Cells(size, middle, middle, cell, face, cell > 0, done, known, none, none, none)
+    shape = int(np.ceil(height / size)), int(np.ceil(width / size))
+    y, x = (np.indices(shape).reshape(2, -1) + 0.5) * size
+    seen = np.flatnonzero(~faces.prepared.repeated[faces.owner])
+    cell, face = np.arange(x.size).repeat(seen.size), np.tile(seen, x.size)
+    known, done = Form(np.zeros((8, 3, face.size))), faces.dead[:, face].T
+    return Cells(size, x, y, cell, face, cell < 0, done, known, none, none, none)
 
 
 class Shades(NamedTuple):
@@ -211,11 +213,10 @@ class CellForms:
     def _settle(
         self, pair: Ints, light: Ints | int, nowhere: Bools, functions: Iterable[_Function]
     ) -> Bools:
-        """Where in cells all functions of a question are positive; adds their edges.
+        """Whether all functions of a question are positive everywhere in its cell (n,).
 
-        pair, light : (n,), of each question
-        nowhere : (n,), set while functions are asked for.
-        Returns whether they are so everywhere (n,).
+        `pair`, `light` (n,): of each question; `nowhere` (n,) is set, function by function, where
+        one is positive nowhere.  Where one changes its sign, and none is so, its edge is added.
         """
         everywhere, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
         found = []
@@ -233,7 +234,7 @@ class CellForms:
         return everywhere & ~nowhere
 
     def _drop_root(self, pair: Ints, form: Form, u: Form, v: Form | Floats) -> None:
-        """Make edge functions u + v s u^2 - v^2 s^2, where s is not known well."""
+        """Turn edge functions u + v s into u^2 - v^2 s^2, where s is not known well."""
         a = np.abs(form.m)
         at = a[Z] + a[R] > _LOOSE * np.maximum(a[X], a[Y])
         at = np.flatnonzero(at & ~self.faces.flat[self.cells.face[pair]])

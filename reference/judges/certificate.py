@@ -1,8 +1,8 @@
 """Antialiased pictures with a proof: bounds on the mean radiance of every pixel.
 
 Objects are convex and lights are points, so edges in the picture are zeros of smooth functions, and
-radiance is smooth between them.  One cell that holds the picture is divided (`cells`) until every
-pixel is known as well as asked:
+radiance is smooth between them.  Cells of the picture are divided (`cells`) until every pixel is
+known as well as asked:
 
 - A light that reaches all that a cell shows of a face adds a *form* (`forms`) with a known mean.
   X^2 counts as its mean, not as the middle of its bounds: so the estimate is much better than the
@@ -50,7 +50,7 @@ from reference.judges.arrays import (
     segments,
     sums,
 )
-from reference.judges.cells import LARGEST, CellForms, Cells, Shades, whole
+from reference.judges.cells import LARGEST, CellForms, Cells, Shades, first_cells
 from reference.judges.faces import Faces
 from reference.judges.forms import C, Form, R, Z
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
@@ -332,8 +332,8 @@ def certify(
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
-    todo = [whole(picture.faces, scene.width, scene.height)]
-    everything = todo[0].size ** 2
+    todo = [first_cells(picture.faces, scene.width, scene.height)]
+    everything = todo[0].x.size * todo[0].size ** 2
     while todo:
         cells = todo.pop()
         parts = picture.halves(cells)

@@ -92,7 +92,7 @@ class Faces:
         # A light on a box's face is not beyond it.
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
         dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
-        # Of an object around the eye, though, it reaches nothing.
+        # It reaches nothing, though, of that box itself, if the eye is inside.
         dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
         self.dead = dead | (self.flat & (self.b[:-1] <= 0))
         self.may_block = ~inside & ~prepared.repeated
@@ -108,12 +108,8 @@ class Faces:
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, b_size = g * (power - c_q.sum(axis=0)) / r, (np.abs(power) + np.abs(c_q).sum(axis=0)) / r
-        a, rim, zero, number = (
-            g * (q - c[:, None]) / r,
-            np.zeros((4, 3, n)),
-            np.zeros(n),
-            np.arange(n),
-        )
+        a, rim = g * (q - c[:, None]) / r, np.zeros((4, 3, n))
+        zero, number = np.zeros(n), np.arange(n)
         faces: list[tuple[NDArray[Any], ...]] = [
             (c / power, 1 / power, a, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
         ]

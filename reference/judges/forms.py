@@ -142,7 +142,10 @@ class Form:
         return Form(m)
 
     def quarters(self) -> Form:
-        """The same in the four quarters of each cell, where X and Y are half as large."""
+        """The same in the four quarters of each cell, whose own X and Y run from -1 to 1.
+
+        Z is another there; each coefficient is a sum of at most six terms, and errs by 6 e of them.
+        """
         c, x, y, xx, xy, yy, _, _ = self.m.repeat(4, axis=-1)
         part = np.arange(c.shape[-1]) % 4
         a, b = (part & 1) - 0.5, (part >> 1) - 0.5
