@@ -39,6 +39,8 @@ from tracer.messages import printable
 # With `--codes`, pixels whose codes stay open lie within this of where the next code begins.
 _ERROR, _ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
 
+_FAILURES = (MemoryError, OSError, RuntimeError, SyntaxError, ValueError)
+
 
 def _error(text: str) -> Fraction:
     """Type of an argument that is a positive number or fraction."""
@@ -54,15 +56,13 @@ def _error(text: str) -> Fraction:
 def _report(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
     """What is known of a picture, in lines."""
     off, certain = certificate.error, certificate.certain
-    wide, sure = (int(np.count_nonzero(m)) for m in (off > float(error), certain))
+    wide, of = off > float(error), f"of {off.size} pixels"
     lines = [
-        f"{off.size - wide} of {off.size} pixels are within {error}; all within {off.max():.2g}"
+        f"{np.count_nonzero(~wide)} {of} are within {error}; all within {off.max():.2g}",
+        f"{np.count_nonzero(certain)} {of} have certain codes, {certain.mean():.2%}",
     ]
-    lines.append(f"{sure} of {off.size} pixels have certain codes, {certain.mean():.2%}")
-    if codes:
-        wide = int(np.count_nonzero((off > float(error)) & ~certain))
-    if wide:
-        lines.append(f"{wide} pixels stayed wider than asked: edges graze each other there")
+    if left := np.count_nonzero(wide & ~(certain & codes)):
+        lines.append(f"{left} pixels stayed wider than asked: edges graze each other there")
     return lines
 
 
@@ -81,19 +81,16 @@ def judgement(certificate: Certificate, codes: np.ndarray) -> tuple[int, str]:
 
 
 def bounds_chart(certificate: Certificate) -> bytes:
-    """A PNG file that shows how wide each pixel's bounds are, in factors of two."""
+    """A PNG file that shows how wide each pixel's bounds are."""
     from reference.measured.charts import plt  # takes long to import
 
-    width = np.log2(np.maximum(certificate.error, 2.0**-40))
-    height = 7 * certificate.image.shape[0] / certificate.image.shape[1]
-    figure, axes = plt.subplots(figsize=(8.5, max(height, 2) + 0.8), layout="constrained")
-    low, high = max(np.floor(width.min()), -24), np.ceil(width.max())
-    shown = axes.imshow(width, cmap="viridis", vmin=low, vmax=max(high, low + 1))
+    rows, columns = certificate.error.shape
+    size = 8.5, max(7 * rows / columns, 2) + 0.8
+    figure, axes = plt.subplots(figsize=size, layout="constrained")
     axes.set_title("Mean radiance differs from the picture by no more than")
     axes.grid(False)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.8)
-    ticks = sorted({round(t) for t in np.linspace(low, max(high, low + 1), 7).tolist()})
-    bar.set_ticks(ticks, labels=[f"1/{2 ** -int(t)}" if t < 0 else f"{2 ** int(t)}" for t in ticks])
+    shown = axes.imshow(np.maximum(certificate.error, 2.0**-24), cmap="viridis", norm="log")
+    figure.colorbar(shown, ax=axes, shrink=0.8)
     figure.savefig(made := io.BytesIO(), format="png", dpi=120)
     plt.close(figure)
     return made.getvalue()
@@ -104,8 +101,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     used = parser("reference.certify", __doc__)
     add = used.add_argument
     add("scene", type=file_name, metavar="SCENE.xml")
-    text = f"how near to the true mean every pixel has to be (default: {_ERROR}, or"
-    add("--error", type=_error, metavar="E", help=f"{text} {_ERROR_OF_CODES} with --codes)")
+    text = (
+        f"how near each pixel's mean is to be (default: {_ERROR}; {_ERROR_OF_CODES} with --codes)"
+    )
+    add("--error", type=_error, metavar="E", help=text)
     text = "be content with a pixel as soon as its 8-bit code is the only one possible"
     add("--codes", action="store_true", help=text)
     text = "the picture to write (default: SCENE.xml.certified.png)"
@@ -125,16 +124,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         scene = load_scene(given.scene)
         if given.judge:
             where = str(given.judge)
-            judged, wanted = read_picture(given.judge).codes, (scene.height, scene.width, 3)
-            if judged.shape != wanted:
-                sizes = (f"{w} x {h}" for h, w, _ in (judged.shape, wanted))
-                raise ValueError("its size is {}, the scene's {}".format(*sizes))
+            judged, (width, height) = read_picture(given.judge).codes, (scene.width, scene.height)
+            if judged.shape != (height, width, 3):
+                size = f"{judged.shape[1]} x {judged.shape[0]}"
+                raise ValueError(f"its size is {size}, the scene's {width} x {height}")
         where, what = given.scene, "certified"
         hidden = None if sys.stderr is None else not sys.stderr.isatty()
         with tqdm(total=100, unit="%", leave=False, disable=hidden, file=sys.stderr) as bar:
-            made = certify(
-                scene, float(error), codes=given.codes, progress=lambda part: bar.update(100 * part)
-            )
+            more = {"codes": given.codes, "progress": lambda part: bar.update(100 * part)}
+            made = certify(scene, float(error), **more)
         lines, seconds = _report(made, error, given.codes), perf_counter() - start
         if given.judge:
             wrong, verdict = judgement(made, judged)
@@ -151,13 +149,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SceneFileError as failure:
         print_line(sys.stderr, str(failure))
         return 3
-    except (
-        *(MemoryError, OSError, RuntimeError, SyntaxError, ValueError),
-        Image.DecompressionBombError,
-    ) as failure:
-        memory = "not enough memory; make the image smaller"
-        reason = memory if isinstance(failure, MemoryError) else failure
-        reason = getattr(failure, "strerror", None) or reason
+    except (*_FAILURES, Image.DecompressionBombError) as failure:
+        reason = getattr(failure, "strerror", None) or str(failure)
+        if isinstance(failure, MemoryError):
+            reason = "not enough memory; make the image smaller"
         print_line(sys.stderr, printable(f"{where}: cannot be {what}: {reason}"))
         return 3
     return 1 if wrong else 0

@@ -1,4 +1,4 @@
-"""Types of arrays, and sums and ranges over them."""
+"""Types of arrays, and sums and places by groups."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]
+Index: TypeAlias = Ints | Bools
 
 
 def sums(index: Ints, values: Floats, count: int) -> Floats:
@@ -17,7 +18,29 @@ def sums(index: Ints, values: Floats, count: int) -> Floats:
     return np.bincount(index, values, count).astype(np.float64, copy=False)
 
 
+def add_runs(total: Floats, index: Ints, values: Floats) -> None:
+    """Add values (..., n) to the totals (..., m) of their indices (n,), which ascend."""
+    first = np.flatnonzero(np.diff(index, prepend=-1))
+    total[..., index[first]] += np.add.reduceat(values, first, axis=-1)
+
+
+def least_sums(group: Ints, values: Floats) -> Floats:
+    """Sums (n,) of each value and all of its group that are less."""
+    by = np.lexsort((values, group))
+    total, ordered = values[by].cumsum(), group[by]
+    first = ordered.searchsorted(ordered)
+    result = np.empty(values.size)
+    result[by] = total - (total[first] - values[by[first]])
+    return result
+
+
 def segments(counts: Ints, start: Ints) -> tuple[Ints, Ints]:
     """For each i, counts[i] pairs of i and a number: start[i], start[i] + 1, ..."""
     which = np.arange(counts.size).repeat(counts)
     return which, np.arange(which.size) - (counts.cumsum() - counts - start)[which]
+
+
+def places(keys: Ints, wanted: Ints) -> Ints:
+    """Where numbers are among ascending keys, or -1."""
+    at = keys.searchsorted(wanted)
+    return np.where(np.append(keys, -1)[at] == wanted, at, -1)

@@ -16,16 +16,18 @@ e = 2^-53; the quadratics of cones by 20 e of (r^2 + |c|^2) |q|^2.  They are wid
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from reference.judges.arrays import Bools, Floats, Ints, segments
+from reference.judges.arrays import Bools, Floats, Index, Ints, add_runs, least_sums, segments
 from reference.judges.faces import Faces
-from reference.judges.forms import ROUNDING, XX, C, Form, Index, R, X, Y, Z, difference
+from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, difference
 
-ROOT = 16
-"""Pixels across the largest cells."""
+LARGEST = 8
+"""Pixels across cells for which what may shade them is listed; no larger ones are filled."""
 
 # In cells that see more faces, their intersections are not looked for.
 _MOST_SEEN = 6
@@ -43,8 +45,9 @@ class Cells(NamedTuple):
         In pixels; the cells' middles.
     cell, face, covers : (p,)
         Whether the face covers all of the cell.
-    dark : (lights, p)
-        Whether a light reaches nothing of the face in the cell.
+    done : (p, lights)
+        Lights that reach nothing of the face in the cell, or all: then their radiance is `known`.
+    known : Form (8, 3, p)
     light, pair, occluder : (q,)
     """
 
@@ -54,7 +57,8 @@ class Cells(NamedTuple):
     cell: Ints
     face: Ints
     covers: Bools
-    dark: Bools
+    done: Bools
+    known: Form
     light: Ints
     pair: Ints
     occluder: Ints
@@ -68,9 +72,9 @@ class Cells(NamedTuple):
         """Keep some pairs and their rows; also the new number of each pair, or -1."""
         number = np.where(keep, keep.cumsum() - 1, -1)
         cell, face, covers = self.cell[keep], self.face[keep], self.covers[keep]
-        dark, pair = self.dark[:, keep], number[self.pair]
-        new = self._replace(cell=cell, face=face, covers=covers, dark=dark, pair=pair)
-        return new.rows(new.pair >= 0), number
+        done, known, pair = self.done[keep], self.known[keep], number[self.pair]
+        new = Cells(*self[:3], cell, face, covers, done, known, self.light, pair, self.occluder)
+        return new.rows(pair >= 0), number
 
     def take(self, keep: Bools) -> Cells:
         """Keep some cells and their pairs."""
@@ -84,62 +88,40 @@ class Cells(NamedTuple):
         y = np.add.outer(self.y, (part & 2) * off - off).ravel()
         cell, pair = ((4 * m[:, None] + part).ravel() for m in (self.cell, self.pair))
         face, light, occluder = (m.repeat(4) for m in (self.face, self.light, self.occluder))
-        covers, dark = self.covers.repeat(4), self.dark.repeat(4, axis=1)
-        return Cells(self.size / 2, x, y, cell, face, covers, dark, light, pair, occluder)
+        covers, done = self.covers.repeat(4), self.done.repeat(4, axis=0)
+        rows = light, pair, occluder
+        return Cells(self.size / 2, x, y, cell, face, covers, done, self.known.quarters(), *rows)
 
 
-def root_cells(faces: Faces, width: int, height: int) -> Cells:
-    """The largest cells, with all faces that may be seen in them and no rows yet."""
-    across, down = -(-width // ROOT), -(-height // ROOT)
-    y, x = (m.ravel() * ROOT + ROOT / 2 for m in np.mgrid[:down, :across])
-    face, bounds = np.flatnonzero(~faces.prepared.repeated[faces.owner]), faces.prepared.bounds
-    ends = np.array(bounds)[:, faces.owner[face]] + [[-1], [1], [-1], [1]]
-    most = [[down], [down], [across], [across]]
-    top, bottom, left, right = np.floor(np.clip(ends / ROOT, -1, most)).astype(np.intp)
-    top, left = np.maximum(top, 0), np.maximum(left, 0)
-    tall, wide = np.minimum(bottom, down - 1) - top + 1, np.minimum(right, across - 1) - left + 1
-    which, row = segments(np.maximum(tall, 0), top)
-    strip, column = segments(np.maximum(wide, 0)[which], left[which])
-    cell, face, none = row[strip] * across + column, face[which[strip]], np.zeros(0, dtype=np.intp)
-    covers, dark = np.zeros(cell.size, np.bool_), faces.dead[:, None].repeat(cell.size, axis=1)
-    return Cells(ROOT, x, y, cell, face, covers, dark, none, none, none)
-
-
-class Edges(NamedTuple):
-    """Edge functions (n,) that are zero somewhere in their cells.
-
-    Attributes
-    ----------
-    pair, light : (n,)
-        The pair that each is of, and the light, or -1.
-    terminator : (n,)
-        Whether it is the height of the light, over t.
-    form : Form
-    """
-
-    pair: Ints
-    light: Ints
-    terminator: Bools
-    form: Form
+def first_cells(faces: Faces, width: int, height: int) -> Cells:
+    """Cells as wide or as high as the picture, with all faces and no rows yet."""
+    size, none = float(LARGEST), np.zeros(0, dtype=np.intp)
+    while size < min(width, height):
+        size *= 2
+    shape = int(np.ceil(height / size)), int(np.ceil(width / size))
+    y, x = (np.indices(shape).reshape(2, -1) + 0.5) * size
+    seen = np.flatnonzero(~faces.prepared.repeated[faces.owner])
+    cell, face = np.arange(x.size).repeat(seen.size), np.tile(seen, x.size)
+    known, done = Form(np.zeros((8, 3, face.size))), faces.dead[:, face].T
+    return Cells(size, x, y, cell, face, cell < 0, done, known, none, none, none)
 
 
 class Shades(NamedTuple):
-    """Lights that may reach pairs (n,).
+    """Radiance that lights (n,) add to pairs, where they reach these; sorted by pair and light."""
 
-    Attributes
-    ----------
-    light, pair : (n,)
-    matt, shiny : Form
-        n.l, and (n.h)^exponent where the face is glossy.
-    near : (n,)
-        The most that t / |p - light| is.
-    """
-
-    light: Ints
     pair: Ints
-    matt: Form
-    shiny: Form
-    near: Floats
+    light: Ints
+    radiance: Form
+
+    def take(self, keep: Bools) -> Shades:
+        """Some of them."""
+        return Shades(self.pair[keep], self.light[keep], self.radiance[keep])
+
+
+_Edges: TypeAlias = tuple[Ints, Ints, Form]
+
+# Functions u + v s of some of n questions (m,): their forms, u and v, and whether they have edges.
+_Function: TypeAlias = tuple[Ints, Form, Form, Form | Floats, Bools | bool]
 
 
 def _squared(q: Floats) -> Floats:
@@ -156,8 +138,8 @@ def _cross(c: Floats, q: Floats) -> Floats:
 
 def _cone(
     c: Floats, r: Floats, q: Floats, size: Floats, w: Floats, w_size: Floats
-) -> tuple[Floats, Floats]:
-    """r^2 q^2 - |c x w|^2 (8, n), and c x w.
+) -> tuple[Form, Floats]:
+    """r^2 q^2 - |c x w|^2, and c x w.
 
     q, w: linear vectors, made of terms no larger than `size` and `w_size`.
     """
@@ -166,7 +148,7 @@ def _cone(
     c2 = (c * c).sum(axis=0)
     m[R] = r * r * size * np.abs(q).sum(axis=(0, 1)) + c2 * w_size * np.abs(w).sum(axis=(0, 1))
     m[R] *= 8 * ROUNDING
-    return m, across
+    return Form(m), across
 
 
 class CellForms:
@@ -176,7 +158,8 @@ class CellForms:
     ----------
     cells : Cells
         Without what is settled.
-    edges : list of Edges
+    edges : list of pairs, lights and forms
+        Edge functions (n,) that are zero somewhere in cells; lights: -1 if it is of none.
     square, inverse : Form
         d^2 in each cell, and 1 / t of each pair.
     s2, root : Form
@@ -190,9 +173,8 @@ class CellForms:
         m = np.zeros((8, cells.x.size))
         m[:Z] = _squared(self._rays(np.arange(cells.x.size)))
         m[R] = ROUNDING * m[C]
-        self.square, self.edges = Form(m), list[Edges]()
-        self._find_silhouettes()
-        self._drop_hidden()
+        self.square, self.edges = Form(m), list[_Edges]()
+        self._find_surfaces()
         self._find_terminators()
         self._find_shadows()
 
@@ -203,53 +185,61 @@ class CellForms:
         q[0, 1], q[1, 2] = self._hx, self._hy
         return q
 
-    def _dot(self, k: Floats, cell: Ints) -> Floats:
-        """k.d of vectors (3, n) as linear functions (8, n), without their rounding."""
+    def _linear(self, k: Floats, cell: Ints) -> Form:
+        """k.d of vectors (3, n), in cells (n,)."""
         m, (u, v, w) = np.zeros((8, cell.size)), k
         m[C] = u * self._s[cell] + v * self._g[cell] + w * self.faces.frame.depth
         m[X], m[Y] = u * self._hx, v * self._hy
-        return m
-
-    def _linear(self, k: Floats, cell: Ints) -> Form:
-        """k.d of vectors (3, n), in cells (n,)."""
-        m = self._dot(k, cell)
         m[R] = ROUNDING * self.faces.frame.longest * np.abs(k).sum(axis=0)
         return Form(m)
 
-    def _on_surface(self, pair: Ints, u: Floats, v: Floats) -> Form:
-        """u + v s of pairs; v: numbers (n,) or linear functions (8, n)."""
-        m = u.copy()
-        at = np.flatnonzero(~self.faces.flat[self.cells.face[pair]])
-        s, v = self.root[pair[at]], v[..., at]
-        m[:, at] += (s * v if v.ndim == 1 else s.times(v)).m
-        return Form(m)
+    def _function(
+        self, at: Ints, pair: Ints, u: Form, v: Form | Floats, edge: Bools | bool
+    ) -> _Function:
+        """u + v s of pairs."""
+        some = np.flatnonzero(~self.faces.flat[self.cells.face[pair]])
+        form = Form(u.m.copy())
+        form.m[:, some] += (self.root[pair[some]] * v[some]).m
+        return at, form, u, v, edge
 
-    def _plane(self, pair: Ints, normal: Floats, b: Floats, size: Floats) -> tuple[Form, Floats]:
-        """normal.d + b / t of pairs, and its u, for v is b: a sum of terms of a `size`."""
-        k, m = self.faces.k[:, self.cells.face[pair]], self._dot(normal, self.cells.cell[pair])
-        m[:XX] += b * self._without_root[:, pair]
-        m[R] = self.faces.frame.longest * (
-            np.abs(normal).sum(axis=0) + size * np.abs(k).sum(axis=0)
-        )
-        m[R] = ROUNDING * (m[R] + size * self._inverse_size[pair])
-        return self._on_surface(pair, m, b), m
+    def _plane(
+        self, at: Ints, pair: Ints, normal: Floats, b: Floats, size: Floats, edge: Bools | bool
+    ) -> _Function:
+        """normal.d + b / t of pairs, where b is a sum of terms of a `size`."""
+        u = self._linear(normal, self.cells.cell[pair]) + self._rootless[pair] * b
+        u.m[R] += ROUNDING * size * self._inverse_size[pair]
+        return self._function(at, pair, u, b, edge)
 
-    def _add(
-        self, pair: Ints, form: Form, light: Ints | None = None, terminator: bool = False
-    ) -> None:
-        light = np.full(pair.size, -1) if light is None else light
-        self.edges.append(Edges(pair, light, np.full(pair.size, terminator), form))
+    def _settle(
+        self, pair: Ints, light: Ints | int, nowhere: Bools, functions: Iterable[_Function]
+    ) -> Bools:
+        """Whether all functions of a question are positive everywhere in its cell (n,).
 
-    def _add_rootless(
-        self, pair: Ints, form: Form, u: Floats, v: Floats, light: Ints | None = None
-    ) -> None:
-        """Add edge functions u + v s, or u^2 - v^2 s^2 where s is not known well."""
+        `pair`, `light` (n,): of each question; `nowhere` (n,) is set, function by function, where
+        one is positive nowhere.  Where one changes its sign, and none is so, its edge is added.
+        """
+        everywhere, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
+        found = []
+        for at, form, u, v, edge in functions:
+            low, high = form.bounds()
+            nowhere[at[high <= 0]] = True
+            everywhere[at[~(low > 0)]] = False
+            some = np.flatnonzero(~(low >= 0) & ~(high <= 0) & edge)
+            found.append((at[some], form[some], u[some], v[some]))
+        for at, form, u, v in found:
+            some = np.flatnonzero(~nowhere[at])
+            at, form = at[some], form[some]
+            self._drop_root(pair[at], form, u[some], v[some])
+            self.edges.append((pair[at], light[at], form))
+        return everywhere & ~nowhere
+
+    def _drop_root(self, pair: Ints, form: Form, u: Form, v: Form | Floats) -> None:
+        """Turn edge functions u + v s into u^2 - v^2 s^2, where s is not known well."""
         a = np.abs(form.m)
         at = a[Z] + a[R] > _LOOSE * np.maximum(a[X], a[Y])
         at = np.flatnonzero(at & ~self.faces.flat[self.cells.face[pair]])
-        one, two = Form(u[:, at]), np.zeros((8, at.size))
-        two[: 1 if v.ndim == 1 else 8] = v[..., at]
-        other = one * one - Form(two) * Form(two) * self.s2[pair[at]]
+        u, v = u[at], v[at]
+        other = u * u - self.s2[pair[at]] * v * v
 
         def width(form: Form) -> Floats:
             a = np.abs(form.m)
@@ -257,57 +247,49 @@ class CellForms:
 
         better = width(other) < width(form[at])
         form.m[:, at[better]] = other.m[:, better]
-        self._add(pair, form, light)
 
-    def _keep(self, keep: Bools) -> None:
-        """Drop pairs."""
-        self.cells, number = self.cells.pairs(keep)
-        found, self.edges = self.edges, []
-        for edges in found:
-            kept = keep[edges.pair]
-            self._add(number[edges.pair[kept]], edges.form[kept])
+    def _find_surfaces(self) -> None:
+        """Find 1 / t = k.d + s of faces; drop those that are not seen, or behind others."""
+        faces, cells, frame = self.faces, self.cells, self.faces.frame
+        face, cell, flat = cells.face, cells.cell, faces.flat[cells.face]
+        ball, chord, root = np.flatnonzero(~flat), *np.zeros((2, 8, face.size))
+        q, size = self._rays(cell[ball]), np.full(ball.size, frame.longest)
+        cone, _ = _cone(faces.center[:, face[ball]], faces.radius[face[ball]], q, size, q, size)
+        chord[:, ball] = cone.m
+        self.s2, self.root = Form(chord * faces.w[face] ** 2), Form(root)
 
-    def _find_silhouettes(self) -> None:
-        """Drop faces that are not seen, and find 1 / t = k.d + s of the others."""
-        faces, cells = self.faces, self.cells
-        out, covers = np.zeros(cells.cell.size, dtype=np.bool_), np.ones(cells.cell.size, np.bool_)
-        flat, chord = faces.flat[cells.face], np.zeros((8, cells.cell.size))
-        at = np.flatnonzero(~cells.covers & flat)
-        face, cell = cells.face[at], cells.cell[at]
-        functions = [(at, self._linear(rim[:, face], cell)) for rim in faces.rim]
-        at = np.flatnonzero(~flat)
-        face, q = cells.face[at], self._rays(cells.cell[at])
-        c, size = faces.center[:, face], np.full(at.size, faces.frame.longest)
-        chord[:, at], _ = _cone(c, faces.radius[face], q, size, q, size)
-        at = at[~cells.covers[at] & (faces.power[face] > 0)]
-        functions.append((at, Form(chord[:, at])))
-        # That is positive in the opposite direction as well.
-        ahead = self._linear(faces.center[:, cells.face[at]], cells.cell[at])
-        out[at[ahead.bounds()[1] < 0]] = True
-        for at, form in functions:
-            low, high = form.bounds()
-            out[at[high < 0]] = True
-            covers[at[low < 0]] = False
-            some = np.flatnonzero((low < 0) & (high >= 0))
-            self._add(at[some], form[some])
-        self.cells = cells._replace(covers=covers)
-        self._keep(~out)
-        cells, flat = self.cells, flat[~out]
-        self.s2 = Form(chord[:, ~out] * faces.w[cells.face] ** 2)
-        self.inverse = self._linear(faces.k[:, cells.face], cells.cell)
-        self._without_root = self.inverse.m[:XX].copy()
-        self.root = Form(np.zeros((8, flat.size)))
-        at = np.flatnonzero(~flat)
-        root, rounding = self.s2[at].power(0.5).m, self.inverse.m[R, at]
+        def silhouettes() -> Iterator[_Function]:
+            at = np.flatnonzero(~cells.covers & flat)
+            for rim in faces.rim:
+                form = self._linear(rim[:, face[at]], cell[at])
+                yield at, form, form, np.zeros(at.size), True
+            at = ball[~cells.covers[ball] & (faces.power[face[ball]] > 0)]
+            # That is positive in the opposite direction as well.
+            form = self._linear(faces.center[:, face[at]], cell[at])
+            yield at, form, form, np.zeros(at.size), False
+            form = Form(chord[:, at])
+            yield at, form, form, np.zeros(at.size), True
+
+        out = np.zeros(face.size, np.bool_)
+        covers = self._settle(np.arange(face.size), -1, out, silhouettes())
+        self._rootless = self._linear(faces.k[:, face], cell)
+        self.inverse, at = Form(self._rootless.m.copy()), ball[~out[ball]]
+        m, rounding = self.s2[at].power(0.5).m, self.inverse.m[R, at]
         # All that is not known of 1 / t is its Z, and that of s is the same but for rounding.
-        root[Z], root[R] = root[R] + rounding, rounding
-        self.inverse.m[:, at] += root
+        m[Z], m[R] = m[R] + rounding, rounding
+        root[:, at] = m
+        self.inverse.m[:, at] += m
         self.inverse.m[R, at] = 0
-        self.root.m[:, at] = root
+        out |= self._hidden(covers)
+        self.cells, number = cells._replace(covers=covers).pairs(~out)
+        seen = [(np.flatnonzero(~out[edges[0]]), edges) for edges in self.edges]
+        self.edges = [(number[pair[k]], light[k], form[k]) for k, (pair, light, form) in seen]
+        self.inverse, self.s2, self.root = self.inverse[~out], self.s2[~out], self.root[~out]
+        self._rootless, self._inverse_size = self._rootless[~out], self.inverse.size
 
-    def _drop_hidden(self) -> None:
-        """Drop what is behind the nearest of the faces that cover a cell."""
-        faces, (_, x, _, cell, face, covers, *_), inverse = self.faces, self.cells, self.inverse
+    def _hidden(self, covers: Bools) -> Bools:
+        """Pairs that are behind the nearest of those that cover a cell."""
+        faces, (_, x, _, cell, face, *_), inverse = self.faces, self.cells, self.inverse
         order, at = faces.order[face], np.flatnonzero(covers)
         at = at[np.lexsort((-order[at], inverse[at].bounds()[0], cell[at]))]
         nearest = np.full(x.size, -1)
@@ -316,31 +298,23 @@ class CellForms:
         other = nearest[cell[some]]
         same = faces.plane[face[some]] == faces.plane[face[other]]
         behind = difference(inverse[some], inverse[other]).bounds()[1] < 0
-        keep = np.ones(cell.size, dtype=np.bool_)
-        keep[some] = ~np.where(same, order[some] > order[other], behind)
-        self._keep(keep)
-        self.inverse, self.s2, self.root = inverse[keep], self.s2[keep], self.root[keep]
-        self._without_root, self._inverse_size = self._without_root[:, keep], self.inverse.size
+        hidden = np.zeros(cell.size, np.bool_)
+        hidden[some] = np.where(same, order[some] > order[other], behind)
+        return hidden
 
-    def _heights(self, light: Ints, pair: Ints) -> Form:
+    def _heights(self, pair: Ints, light: Ints) -> _Function:
         """Heights, over t, of lights or the eye (-1) over what pairs see."""
         faces, face = self.faces, self.cells.face[pair]
-        form = self.inverse[pair] * faces.b[light, face]
-        form.m[R] += ROUNDING * faces.b_size[light, face] * self._inverse_size[pair]
-        at = np.flatnonzero(~faces.flat[face])
-        form.m[:, at] += self._linear(faces.a[:, light[at], face[at]], self.cells.cell[pair[at]]).m
-        return form
+        a, b, size = faces.a[:, light, face], faces.b[light, face], faces.b_size[light, face]
+        return self._plane(np.arange(pair.size), pair, a, b, size, ~faces.flat[face])
 
     def _find_terminators(self) -> None:
-        dark = self.cells.dark.copy()
-        light, pair = np.nonzero(~dark)
-        form = self._heights(light, pair)
-        low, high = form.bounds()
-        dark[light, pair] = high <= 0
-        at = np.flatnonzero((low < 0) & (high > 0) & ~self.faces.flat[self.cells.face[pair]])
-        self._add(pair[at], form[at], light[at], terminator=True)
-        at = np.flatnonzero(~(high <= 0))
-        self._up, self.cells = (light[at], pair[at], form[at]), self.cells._replace(dark=dark)
+        done = self.cells.done.copy()
+        pair, light = np.nonzero(~done)
+        up, dark = self._heights(pair, light), np.zeros(pair.size, np.bool_)
+        self._settle(pair, light, dark, [up])
+        done[pair[dark], light[dark]] = True
+        self._up, self.cells = (pair, light, up[1]), self.cells._replace(done=done)
 
     def _patches(self) -> tuple[Floats, Floats]:
         """Boxes around what pairs see, in the scene's axes: middles and half sizes (3, n)."""
@@ -348,43 +322,38 @@ class CellForms:
         least, most = self.inverse.bounds()
         near, far = 1 / most, np.where(least > 0, 1 / least, np.inf)
         low, high = faces.low[:, cells.face], faces.high[:, cells.face]
-        for axis, (u, v, w) in enumerate(frame.axes.T):
-            d = (u * self._s + v * self._g + w * frame.depth)[cells.cell]
-            off, eye = abs(u) * self._hx + abs(v) * self._hy, frame.eye[axis]
-            a, b = d - off, d + off
-            low[axis] = np.fmax(low[axis], eye + np.where(a > 0, near, far) * a)
-            high[axis] = np.fmin(high[axis], eye + np.where(b > 0, far, near) * b)
+        for axis, eye in enumerate(frame.eye):
+            a, b = self._linear(
+                np.tile(frame.axes[:, axis : axis + 1], cells.cell.size), cells.cell
+            ).bounds()
+            low[axis] = np.fmax(low[axis], eye + np.fmin(a * near, a * far))
+            high[axis] = np.fmin(high[axis], eye + np.fmax(b * near, b * far))
         half = np.maximum(0.5 * (high - low), 0) + faces.error[cells.face]
         return 0.5 * (low + high), half
 
     def listed(self) -> Cells:
         """The cells, with rows of all that may keep lights from what pairs see."""
-        cells, patches, found = self.cells, self._patches(), [np.zeros(0, dtype=np.intp)]
-        shape = (*cells.dark.shape, self.faces.count)
-        for rows in self.faces.candidates(*patches, cells.face, ~cells.dark):
-            meets, cuts = self.faces.capsules(*patches, rows)
-            cells.dark[rows[0, cuts], rows[1, cuts]] = True
-            found.append(np.ravel_multi_index(tuple(rows[:, meets & ~cuts]), shape))
-        light, pair, occluder = np.unravel_index(np.unique(np.concatenate(found)), shape)
-        cells = cells._replace(light=light, pair=pair, occluder=occluder)
-        return cells.rows(~cells.dark[light, pair])
+        cells, found = self.cells, [np.zeros(0, dtype=np.intp)]
+        shape = (*cells.done.shape, self.faces.count)
+        for rows in self.faces.candidates(*self._patches(), cells.face, ~cells.done.T):
+            light, pair, occluder = rows
+            found.append(np.ravel_multi_index((pair, light, occluder), shape))
+        pair, light, occluder = np.unravel_index(np.unique(np.concatenate(found)), shape)
+        return cells._replace(light=light, pair=pair, occluder=occluder)
 
     def _find_shadows(self) -> None:
-        cells = self.cells.rows(~self.cells.dark[self.cells.light, self.cells.pair])
-        self.cells, (lit, shaded) = cells, np.zeros((2, cells.pair.size), dtype=np.bool_)
+        cells = self.cells.rows(~self.cells.done[self.cells.pair, self.cells.light])
+        self.cells, lit = cells, np.zeros(cells.pair.size, dtype=np.bool_)
         ball = cells.occluder < self.faces.spheres
-        edges = self._cones(np.flatnonzero(ball), lit, shaded)
-        edges += self._boxes(np.flatnonzero(~ball), lit, shaded)
-        cells.dark[cells.light[shaded], cells.pair[shaded]] = True
-        keep = ~lit & ~cells.dark[cells.light, cells.pair]
-        for row, form, u, v in edges:
-            some = np.flatnonzero(keep[row])
-            at, v = row[some], v[..., some]
-            self._add_rootless(cells.pair[at], form[some], u[:, some], v, cells.light[at])
-        self.cells = cells.rows(keep)
+        functions = chain(
+            self._cones(np.flatnonzero(ball)), self._boxes(np.flatnonzero(~ball), lit)
+        )
+        shaded = self._settle(cells.pair, cells.light, lit, functions)
+        cells.done[cells.pair[shaded], cells.light[shaded]] = True
+        self.cells = cells.rows(~lit & ~cells.done[cells.pair, cells.light])
 
-    def _cones(self, row: Ints, lit: Bools, shaded: Bools) -> list[_Shadow]:
-        """Edges of spheres' shadows; tells rows where all is `lit`, and where all is `shaded`.
+    def _cones(self, row: Ints) -> Iterator[_Function]:
+        """Functions that are positive in spheres' shadows.
 
         A sphere at C from the eye, at c from the light L, shades what is in its cone,
         |c x (p - L)| <= r |p - L|, and behind the plane where that touches it,
@@ -401,8 +370,9 @@ class CellForms:
         faces, cells, pair = self.faces, self.cells, self.cells.pair[row]
         light, ball, k = cells.light[row], cells.occluder[row], faces.k[:, cells.face[pair]]
         c, r2, at = faces.to_center[:, light, ball], faces.radius[ball] ** 2, faces.lights[light].T
-        center, rays, root = faces.center[:, ball], self._rays(cells.cell[pair]), self._without_root
-        q, w = (rays - end[:, None] * root[:, pair] for end in (at, center))
+        center, rays = faces.center[:, ball], self._rays(cells.cell[pair])
+        root = self._rootless.m[:XX, pair]
+        q, w = (rays - end[:, None] * root for end in (at, center))
         at2, center2, c2 = ((end * end).sum(axis=0) for end in (at, center, c))
         k1 = np.abs(k).sum(axis=0)
         q_size, w_size = (faces.frame.longest * (1 + np.sqrt(m) * k1 * 2) for m in (at2, center2))
@@ -410,91 +380,94 @@ class CellForms:
         e, v, s2 = _cross(c, center[:, None]), np.zeros((8, row.size)), self.s2.m[:, pair]
         v[:XX] = 2 * ((e * across).sum(axis=0) - r2 * (at[:, None] * q).sum(axis=0))
         v[R] = 16 * ROUNDING * (c2 * np.sqrt(center2) * w_size + r2 * np.sqrt(at2) * q_size)
-        times = r2 * at2 - (e * e).sum(axis=(0, 1))
-        u[:Z] += times * s2[:Z]
-        u[R] += 16 * ROUNDING * (c2 * center2 + r2 * at2) * np.abs(s2).sum(axis=0)
-        u[R] += np.abs(times) * s2[R]
-        form = self._on_surface(pair, u, v)
-        low, high = form.bounds()
+        u += Form(s2) * (r2 * at2 - (e * e).sum(axis=(0, 1)))
+        u.m[R] += 16 * ROUNDING * (c2 * center2 + r2 * at2) * np.abs(s2).sum(axis=0)
+        yield self._function(row, pair, u, Form(v), True)
         terms = c * center
-        behind, _ = self._plane(pair, c, r2 - terms.sum(axis=0), r2 + np.abs(terms).sum(axis=0))
-        least, most = behind.bounds()
-        lit[row], shaded[row] = (high < 0) | (most < 0), (low > 0) & (least > 0)
-        m = np.flatnonzero(~(low >= 0) & ~lit[row])
-        return [(row[m], form[m], u[:, m], v[:, m])]
+        size = r2 + np.abs(terms).sum(axis=0)
+        yield self._plane(row, pair, c, r2 - terms.sum(axis=0), size, False)
 
-    def _boxes(self, row: Ints, lit: Bools, shaded: Bools) -> list[_Shadow]:
-        """The same of boxes, plane by plane."""
-        faces, cells, pair = self.faces, self.cells, self.cells.pair[row]
-        light, box, edges = cells.light[row], cells.occluder[row] - faces.spheres, list[_Shadow]()
-        lit[row], shaded[row] = faces.edge_on[light, box], True
+    def _boxes(self, row: Ints, lit: Bools) -> Iterator[_Function]:
+        """The same of boxes, plane by plane; `lit`: where some has been negative."""
+        faces, cells = self.faces, self.cells
+        light, box = cells.light, cells.occluder - faces.spheres
+        lit[row] = faces.edge_on[light[row], box[row]]
         planes = zip(faces.normal, faces.offset, faces.offset_size, faces.edge, strict=True)
-        for normals, offsets, sizes, is_edge in planes:
-            normal, b, size = (m[..., light, box] for m in (normals, offsets, sizes))
-            at = np.flatnonzero(normal.any(axis=0) & ~lit[row])
-            form, u = self._plane(pair[at], normal[:, at], b[at], size[at])
-            low, high = form.bounds()
-            lit[row[at[high < 0]]] = True
-            shaded[row[at[~(low > 0)]]] = False
-            m = np.flatnonzero(~(low >= 0) & ~(high < 0) & is_edge[light[at], box[at]])
-            edges.append((row[at[m]], form[m], u[:, m], b[at[m]]))
-        shaded[row] &= ~lit[row]
-        return edges
+        for normals, offsets, sizes, edge in planes:
+            at = row[~lit[row]]
+            at = at[normals[:, light[at], box[at]].any(axis=0)]
+            of = light[at], box[at]
+            normal = normals[:, of[0], of[1]]
+            yield self._plane(at, cells.pair[at], normal, offsets[of], sizes[of], edge[of])
 
     def find_intersections(self) -> Bools:
-        """Add edges where surfaces of two pairs may meet; tell cells (c,) that have too many."""
-        faces, cells, inverse = self.faces, self.cells, self.inverse
+        """Add edges where surfaces of two pairs may meet; tell cells (c,) that have too many.
+
+        Where p is on one surface, it is on a plane if k.d - 1 / t = 0, and on a second sphere if
+        2 (c - c').d + (p' - p) / t = 0, the difference of both equations.
+        """
+        faces, cells = self.faces, self.cells
         count = np.bincount(cells.cell, minlength=cells.x.size)
         by, start = np.argsort(cells.cell, kind="stable"), np.cumsum(count) - count
         cell, many = cells.cell[by], count > _MOST_SEEN
         before = np.where(many[cell], 0, np.arange(by.size) - start[cell])
         a, b = (by[m] for m in segments(before, start[cell]))
-        a, b = np.where(faces.flat[cells.face[b]], (b, a), (a, b))  # planes first
-        some = np.flatnonzero(~faces.apart(cells.face[a], cells.face[b]))
-        a, b = a[some], b[some]
-        f, g, cell = cells.face[a], cells.face[b], cells.cell[a]
-        form, u, v = difference(inverse[a], inverse[b]), np.zeros((8, a.size)), np.zeros(a.size)
-        # Of a plane, the points within the sphere: d^2 - 2 c.d / t + p / t^2, over t^2.
-        m = np.flatnonzero(faces.flat[f] & ~faces.flat[g])
-        c, power, one = faces.center[:, g[m]], faces.power[g[m]], inverse[a[m]]
-        within = self.square[cell[m]] - self._linear(2 * c, cell[m]) * one + one * one * power
-        form.m[:, m] = within.m
-        # Of a sphere, those beyond the circle that both share: the difference of the same for both.
-        m = np.flatnonzero(~faces.flat[f])
-        f, g = f[m], g[m]
-        v[m], size = faces.power[g] - faces.power[f], np.abs(faces.power[[f, g]]).sum(axis=0)
-        between = 2 * (faces.center[:, f] - faces.center[:, g])
-        beyond, u[:, m] = self._plane(a[m], between, v[m], size)
-        form.m[:, m] = beyond.m
-        low, high = form.bounds()
-        m = np.flatnonzero((low < 0) & (high >= 0))
-        self._add_rootless(a[m], form[m], u[:, m], v[m])
+        a, b = np.where(faces.flat[cells.face[a]], (b, a), (a, b))  # planes last
+        f, g = cells.face[a], cells.face[b]
+        some = np.flatnonzero(
+            (faces.owner[f] != faces.owner[g]) & (faces.plane[f] != faces.plane[g])
+        )
+        a, f, g = a[some], f[some], g[some]
+        normal, offset, size = faces.k[:, g], np.full(a.size, -1.0), np.ones(a.size)
+        at = np.flatnonzero(~faces.flat[g])
+        f, g = f[at], g[at]
+        normal[:, at] = 2 * (faces.center[:, f] - faces.center[:, g])
+        offset[at], size[at] = (
+            faces.power[g] - faces.power[f],
+            np.abs(faces.power[[f, g]]).sum(axis=0),
+        )
+        meeting = self._plane(np.arange(a.size), a, normal, offset, size, True)
+        self._settle(a, -1, np.zeros(a.size, np.bool_), [meeting])
         return many
 
-    def shade(self) -> Shades:
-        """What lights add to each pair: forms of n.l and of the highlight.
+    def settle(self, wanted: Bools, error: float) -> Shades:
+        """Shade `wanted` (p,) pairs; add to what is known of them the lights that reach all.
+
+        Left are lights that may not, or the radiance of which is not known within an error.
+        """
+        shades, cells, edged = self._shade(wanted), self.cells, np.zeros_like(self.cells.done)
+        edged[cells.pair, cells.light] = True
+        for pair, light, _ in self.edges:
+            edged[pair[light >= 0], light[light >= 0]] = True
+        off = np.fmin(shades.radiance.radius.max(axis=0), 2 * error)
+        off[edged[shades.pair, shades.light]] = 2 * error
+        sure = least_sums(shades.pair, off) <= error - cells.known.radius.max(axis=0)[shades.pair]
+        pair, light, radiance = shades.take(sure)
+        add_runs(cells.known.m, pair, radiance.m)
+        cells.done[pair, light] = True
+        return shades.take(~sure)
+
+    def _shade(self, wanted: Bools) -> Shades:
+        """What lights add to pairs.
 
         For a light at q, |p - q|^2 / t^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) / t^2 is
         d^2 - q.d / t; with unit vectors n.h = (n.l + n.v) / |l + v| and |l + v|^2 = 2 + 2 l.v.
         """
-        faces, cells, (light, pair, up) = self.faces, self.cells, self._up
-        at = np.flatnonzero(~cells.dark[light, pair])
-        light, pair, up = light[at], pair[at], up[at]
-        cell, q = cells.cell[pair], faces.lights[light].T
-        square, along = self.square[cell], self.inverse[pair].times(self._linear(q, cell).m)
+        faces, cells, (pair, light, up) = self.faces, self.cells, self._up
+        at = np.flatnonzero(~cells.done[pair, light] & wanted[pair])
+        pair, light, up = pair[at], light[at], up[at]
+        cell, face, q = cells.cell[pair], cells.face[pair], faces.lights[light].T
+        square, along = self.square[cell], self.inverse[pair] * self._linear(q, cell)
         inverse2 = (self.inverse * self.inverse)[pair]
         away = (square - along * 2.0 + inverse2 * (q * q).sum(axis=0)).power(-0.5, 1e-300)
-        matt, shiny = (up * away).unit(), Form(np.zeros((8, pair.size)))
-        at = np.flatnonzero(faces.glossy[cells.face[pair]])
+        matt, power = (up * away).unit(), faces.prepared.intensities[light].T
+        radiance = matt.m[:, None] * (power * faces.diffuse[:, face])
+        at = np.flatnonzero(faces.glossy[face])
         seen, which = np.unique(pair[at], return_inverse=True)
         near = self.square.power(-0.5)
-        n_dot_v = self._heights(np.full(seen.size, -1), seen) * near[cells.cell[seen]]
+        n_dot_v = self._heights(seen, np.full(seen.size, -1))[1] * near[cells.cell[seen]]
         sum2 = (square[at] - along[at]) * (away[at] * near[cell[at]]) * 2.0 + 2.0
         n_dot_h = ((matt[at] + n_dot_v[which]) * sum2.power(-0.5, 1e-300)).unit()
-        exponent = faces.exponent[cells.face[pair[at]]]
-        shiny.m[:, at] = n_dot_h.power(exponent, 0.0, 1.0).unit().m
-        return Shades(light, pair, matt, shiny, away.bounds()[1])
-
-
-# Rows, their edge functions u + v s, and u and v.
-_Shadow: TypeAlias = tuple[Ints, Form, Floats, Floats]
+        shiny, specular = n_dot_h.power(faces.exponent[face[at]], 0.0, 1.0).unit(), faces.specular
+        radiance[..., at] += shiny.m[:, None] * (power[:, at] * specular[:, face[at]])
+        return Shades(pair, light, Form(radiance))

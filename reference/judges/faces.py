@@ -19,7 +19,7 @@ b = -sign(l) (e.q - l).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any
 
@@ -36,9 +36,6 @@ from tracer.trace.samples import Scattered
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# Faces may meet unless they are apart by this part of their coordinates: far more than rounding.
-_APART = 1e-9
-
 # The most that a light may be away, as a multiple of the least object's size.
 _FARTHEST = 1e14
 
@@ -49,14 +46,15 @@ class Faces:
     Attributes
     ----------
     lights : (m, 3)
-    dead : (m,)
-        Lights that reach nothing seen: beyond an object around the eye, or inside another.
+    dead : (m, f)
+        Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
+        eye, or inside another, or behind the face's plane.
     center, radius, power : (3, spheres) and (spheres,)
     owner, flat, order : (f,)
         The object that a face is of, whether it is a rectangle, and the object's place in the file.
     plane : (f,)
         The same number for rectangles in one plane: the first in the file is seen.
-    k, w, a, b, b_size : (3, f), (f,), (3, m + 1, spheres) and (m + 1, f)
+    k, w, a, b, b_size : (3, f), (f,), (3, m + 1, f) and (m + 1, f)
         See the module; b is a sum of terms of this size.  The last point q is the eye.
     rim : (4, 3, f)
         A rectangle is seen where rim.d >= 0 for all four.
@@ -93,7 +91,10 @@ class Faces:
         some = np.arange(self.spheres, self.count)
         # A light on a box's face is not beyond it.
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
-        self.dead = np.any(np.where(inside, side > 0, side < 0), axis=1)
+        dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
+        # It reaches nothing, though, of that box itself, if the eye is inside.
+        dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        self.dead = dead | (self.flat & (self.b[:-1] <= 0))
         self.may_block = ~inside & ~prepared.repeated
         own = self.owner
         self.order, self.glossy = prepared.surfaces.file_index[own], prepared.glossy[own]
@@ -107,12 +108,12 @@ class Faces:
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, b_size = g * (power - c_q.sum(axis=0)) / r, (np.abs(power) + np.abs(c_q).sum(axis=0)) / r
-        self.a, zero, number = g * (q - c[:, None]) / r, np.zeros(n), np.arange(n)
-        rim = np.zeros((4, 3, n))
+        a, rim = g * (q - c[:, None]) / r, np.zeros((4, 3, n))
+        zero, number = np.zeros(n), np.arange(n)
         faces: list[tuple[NDArray[Any], ...]] = [
-            (c / power, 1 / power, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
+            (c / power, 1 / power, a, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
         ]
-        points = np.append(prepared.lights, self.frame.eye[None], axis=0) - self.frame.eye
+        points = np.append(prepared.lights, self.frame.eye[None], axis=0)
         for axis, far in np.ndindex(3, 2):
             corner, i, j = (high if far else low)[axis], (axis + 1) % 3, (axis + 2) % 3
             facing = np.sign(corner) == np.where(far, inward, -inward)
@@ -127,12 +128,14 @@ class Faces:
                     for end, side in ((low, 1), (high, -1))
                 ]
             )
-            height = -s * (points[:, axis, None] - level)
             place = (prepared.boxes.max_pt if far else prepared.boxes.min_pt)[axis, at]
+            height = -s * (points[:, axis, None] - place)
             numbers = at + n, zero + axis, s, zero, place
-            faces.append((e[:, None] / level, zero, height, np.abs(height), rim, *numbers))
+            a = np.zeros((3, len(points), at.size))
+            faces.append((e[:, None] / level, zero, a, height, np.abs(height), rim, *numbers))
         joined = [np.concatenate(m, axis=-1) for m in zip(*faces, strict=True)]
-        self.k, self.w, self.b, self.b_size, self.rim, owner, axis_of, sign, alone, place = joined
+        self.k, self.w, self.a, self.b, self.b_size, self.rim, *rest = joined
+        owner, axis_of, sign, alone, place = rest
         self.owner, axis_of = owner.astype(np.intp), axis_of.astype(np.intp)
         self.flat = axis_of < 3
         keys = np.array([axis_of, alone, place])
@@ -172,48 +175,29 @@ class Faces:
         self.edge = np.append(on_plane, np.ones(cone.shape[1:], dtype=np.bool_), axis=0)
         self.edge_on = np.any((low == 0) & (high == 0), axis=0)
 
-    def apart(self, f: Ints, g: Ints) -> Bools:
-        """Whether faces cannot meet: then one is in front wherever both are seen."""
-        gap = np.maximum(self.low[:, f] - self.high[:, g], self.low[:, g] - self.high[:, f])
-        size = sum(np.abs(m[:, i]).max(axis=0) for m in (self.low, self.high) for i in (f, g))
-        same = (self.owner[f] == self.owner[g]) | (self.plane[f] == self.plane[g])
-        return np.asarray(same | (gap.max(axis=0) > _APART * size))
-
-    def capsules(self, middle: Floats, half: Floats, rows: Ints) -> tuple[Bools, Bools]:
-        """Whether occluders may, and whether they do, keep lights from all of boxes (3, n).
-
-        `rows` (3, m): lights, boxes and occluders.
-        """
-        light, box, occluder = rows
-        meets, cuts = np.zeros((2, light.size), dtype=np.bool_)
-        radius = np.sqrt((half * half).sum(axis=0))
-        for shape in self.prepared.shapes:
-            at = np.flatnonzero((occluder >= self.spheres) == shape.flat)
-            (a, b, c), (x, y, z) = middle[:, box[at]], self.prepared.lights[light[at]].T
-            ball, end = (a, b, c), (x, y, z)
-            meets[at], cuts[at] = shape.capsules(occluder[at], ball, end, radius[box[at]])
-        return meets, cuts
-
     def candidates(self, middle: Floats, half: Floats, face: Ints, asked: Bools) -> Iterator[Ints]:
-        """Rows as in `capsules` of all that may come between lights and boxes around faces (n,).
+        """Lights, boxes and occluders (3, m) that may come between lights and boxes around faces.
 
-        `asked` (lights, n): which lights.  In several octants the light grid may find the same.
+        `middle`, `half` (3, n), `face` (n,); `asked` (lights, n): which lights.  In several octants
+        the light grid may find the same.
         """
         grid = self.prepared.grid
         if grid is not None and asked.any():
             for rows in grid.query(middle, half[:, None], self.owner[face], asked):
                 yield rows[:, self.may_block[rows[2]]]
 
-    def trace(self, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-        """Faces (n,) seen at points of the picture, or -1; and which lights reach them (m, n)."""
+    def trace(self, x: Floats, y: Floats, asked: Callable[[Ints], Bools]) -> Bools:
+        """Whether lights reach what is seen at points of the picture (lights, n).
+
+        `asked`: is given the faces (n,) seen, or -1, and returns which lights count (lights, n).
+        """
         samples, order = Scattered.of(x, y)
         hits = nearest_hits(self.prepared, samples)
-        reached = light_geometry(hits).n_dot_l > 0
-        reached &= ~occlusion(hits, reached)
         at, face = order[hits.sample], np.full(x.size, -1)
-        lit = np.zeros((len(self.lights), x.size), dtype=np.bool_)
-        lit[:, at] = reached
         for group in hits.groups:
             below = np.broadcast_to(group.sign < 0, group.obj.shape).astype(np.intp)
             face[at[group.part]] = group.repeat_runs(self._number[group.obj, group.face, below])
-        return face, lit
+        lit = asked(face)
+        reached = lit[:, at] & (light_geometry(hits).n_dot_l > 0)
+        lit[:, at] = reached & ~occlusion(hits, reached)
+        return lit & (face >= 0)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reference.judges.arrays import Floats, Ints, sums
-from reference.judges.forms import XX, XY, YY, C, Form, Index, X, Y
+from reference.judges.arrays import Floats, Index, Ints, sums
+from reference.judges.forms import XX, XY, YY, C, Form, X, Y
 
 NO_AREA = 1e-12
 """Regions that are smaller, as parts of a cell, are little but rounding."""
@@ -21,8 +21,8 @@ class Strips(NamedTuple):
     cell, a, b, c : (n,)
     half : (n,)
         A point is in the strip if |c + a X + b Y| is no more.
-    jump, full : (n,)
-        By how much radiance may change in the strip, and farther away.
+    jump : (n,)
+        By how much radiance may change there.
     """
 
     cell: Ints
@@ -31,7 +31,6 @@ class Strips(NamedTuple):
     c: Floats
     half: Floats
     jump: Floats
-    full: Floats
 
     def take(self, index: Index) -> Strips:
         """Some of them."""
@@ -43,18 +42,14 @@ class Strips(NamedTuple):
         return np.asarray(np.fmin(self.half / np.maximum(np.abs(self.a), np.abs(self.b)), 1))
 
 
-def strips(cell: Ints, form: Form, full: Floats, slope: Floats, base: Floats) -> Strips:
-    """Enclose the zeros of edge functions (n,) between parallel lines.
+def strips(cell: Ints, form: Form, jump: Floats) -> Strips:
+    """Enclose the zeros of edge functions (n,), where radiance may `jump`, between parallel lines.
 
     At the foot of the cell's middle on the zero, let n run along the gradient, of length g, and t
     across it.  A quadratic is v + g n (1 + e) + h t^2 / 2, with |e| <= k, where k bounds
     (f_tn t + f_nn n / 2) / g in the cell.  With T = max |t|, h t^2 / 2 is h T^2 / 6, give or take
     |h| T^2 / 3; that and the form's radius make d.  With w = v + h T^2 / 6, the function is zero
-    only where |w + g n| <= d + (|w| + d) k / (1 - k), the strip; there, it is no more than (1 + k)
-    times that, and |w| k + d.
-
-    `full` (n,): what may change across the edge; `slope`, `base` (n,): where the function is f,
-    that is at most |f| times `slope`, and `base`.
+    only where |w + g n| <= d + (|w| + d) k / (1 - k).
     """
     m = form.m
     steep = m[X] ** 2 + m[Y] ** 2
@@ -75,14 +70,13 @@ def strips(cell: Ints, form: Form, full: Floats, slope: Floats, base: Floats) ->
     k = (np.abs(f_tn) * t + 0.5 * np.abs(f_nn) * n) / g
     w, d = v + f_tt * t * t / 6, np.abs(f_tt) * t * t / 3 + form.radius
     half = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
-    jump = np.fmin(full, slope * ((1 + k) * half + np.abs(w) * k + d) + base)
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
     line, flat = np.array([a, b, w - a * x - b * y]) * scale, ~np.isfinite(scale)
     line[:, flat], half = [[1], [0], [0]], np.where(flat, np.inf, half * np.abs(scale))
     near = np.flatnonzero(~(np.abs(line[2]) - half >= 1))
     by = near[np.argsort(cell[near], kind="stable")]
     (a, b, c), cell, half = line[:, by], cell[by], half[by]
-    return Strips(cell, a, b, c, half, jump[by], full[by])
+    return Strips(cell, a, b, c, half, jump[by])
 
 
 class Regions(NamedTuple):

@@ -17,16 +17,16 @@ from random_scenes import KINDS, random_scene
 from scene_files import small
 
 from reference import command
-from reference.judges import cells, certificate, faces, forms
+from reference.judges import cells, certificate, forms
 from reference.judges import true_picture as truth
-from reference.judges.cells import CellForms
+from reference.judges.arrays import Floats, Ints, places
+from reference.judges.cells import CellForms, Shades
 from reference.judges.certificate import Enclosure, certify
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
 from reference.judges.true_picture import supersampled, true_picture
 from reference.measured.workloads import crowd, resized
 from tracer import Camera, Scene, Sphere, render
-from tracer.arrays import Floats
 from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 
@@ -44,23 +44,45 @@ class Points:
 
     def __init__(self, monkeypatch: Patch) -> None:
         self.worst, self.count, self.rng = -np.inf, 0, np.random.default_rng(0)
-        enclose = certificate.enclose
+        settle, enclose = CellForms.settle, certificate.enclose
 
-        def checked(forms: CellForms, error: float) -> Enclosure:
-            result = enclose(forms, error)
+        def settled(forms: CellForms, *args: object) -> Shades:
+            shades, cells = settle(forms, *args), forms.cells
+            alone = np.bincount(cells.cell, minlength=cells.x.size)[cells.cell] == 1
+            at = np.flatnonzero(alone & cells.covers & cells.done.all(axis=1))
+            for _ in range(4):
+                self.held(cells.known[at], *self.sampled(forms, cells.cell[at]))
+            return shades
+
+        def enclosed(forms: CellForms, *args: object) -> Enclosure:
+            result = enclose(forms, *args)
             for _ in range(4):
                 self.check(forms, result)
             return result
 
-        monkeypatch.setattr(certificate, "enclose", checked)
+        monkeypatch.setattr(CellForms, "settle", settled)
+        monkeypatch.setattr(certificate, "enclose", enclosed)
+
+    def sampled(self, forms: CellForms, cell: Ints) -> tuple[Floats, Floats, Floats]:
+        """Radiance at random points of cells, and their coordinates there."""
+        x, y = self.rng.uniform(-1, 1, (2, cell.size))
+        half, radiance = forms.cells.size / 2, np.empty((3, cell.size))
+        samples, order = Scattered.of(
+            forms.cells.x[cell] + half * x, forms.cells.y[cell] + half * y
+        )
+        radiance[:, order] = radiance_at(forms.faces.prepared, samples)
+        self.count += cell.size
+        return radiance, x, y
+
+    def held(self, form: Form, radiance: Floats, x: Floats, y: Floats, more: float = 0) -> None:
+        powers = np.array([np.ones(x.size), x, y, x * x, x * y, y * y])
+        value = (form.m[:Z] * powers[:, None]).sum(axis=0)
+        excess = np.abs(radiance - value) - form.radius - more
+        self.worst = excess.max(initial=self.worst)
 
     def check(self, forms: CellForms, result: Enclosure) -> None:
         lines, regions, n = result.lines, result.regions, forms.cells.x.size
-        x, y = self.rng.uniform(-1, 1, (2, n))
-        half = forms.cells.size / 2
-        samples, order = Scattered.of(forms.cells.x + half * x, forms.cells.y + half * y)
-        radiance = np.empty((3, n))
-        radiance[:, order] = radiance_at(forms.faces.prepared, samples)
+        radiance, x, y = self.sampled(forms, np.arange(n))
         first = lines.cell.searchsorted(np.arange(n + 1))
         signs, allowed = np.zeros(n, dtype=int), result.loose.copy()
         for bit in range(int(np.diff(first).max(initial=0))):
@@ -70,16 +92,11 @@ class Points:
             signs[at] |= (z > 0) << bit
             allowed[at] += (np.abs(z) <= lines.half[line]) * lines.jump[line]
         # Regions are sorted by cell and signs; very small ones may be missing.
-        keys, wanted = 32 * regions.cell + regions.signs, 32 * np.arange(n) + signs
-        place = np.append(keys, -1)[keys.searchsorted(wanted)] == wanted
-        at, found = np.flatnonzero(place), keys.searchsorted(wanted[place])
-        powers = np.array([np.ones(n), x, y, x * x, x * y, y * y])[:, at]
-        for channel, form, most in zip(radiance, result.radiance, result.most, strict=True):
-            off = form.radius[found] + result.doubt[found] + allowed[at]
-            value = (form.m[:Z, found] * powers).sum(axis=0)
-            excess = np.append(np.abs(channel[at] - value) - off, channel - most)
-            self.worst = excess.max(initial=self.worst)
-        self.count += n
+        place = places(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
+        at = np.flatnonzero(place >= 0)
+        form, more = result.radiance[place[at]], result.doubt[place[at]] + allowed[at]
+        self.held(form, radiance[:, at], x[at], y[at], more)
+        self.worst = (radiance - result.most).max(initial=self.worst)
 
 
 def scenes(kinds: list[str], seeds: range) -> Iterator[Scene]:
@@ -127,67 +144,68 @@ def test_points_of_many_scenes(kind: str, monkeypatch: Patch) -> None:
     assert sound(monkeypatch, scenes([kind], range(6, last))) > 10_000
 
 
-def faulty(name: str, monkeypatch: Patch) -> None:
-    """Plant a fault."""
-    of = CellForms
-
-    def wrap(owner: object, function: str, change: Callable[..., object]) -> None:
-        real = getattr(owner, function)
-        monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
-
-    def narrower(form: Form, *_: object) -> Form:
-        form.m[R] *= 0.7
-        return form
-
-    def scaled_cone(result: tuple[Floats, Floats], c: Floats, *_: object) -> tuple[Floats, Floats]:
-        result[0][forms.C] -= 1e-4 * np.abs(result[0][forms.C])
-        return result
-
-    def no_cones(_: None, self: faces.Faces, *__: object) -> None:
-        self.normal[5:] = 0
-
-    def no_terminators(_: None, self: CellForms) -> None:
-        self.edges = [edges for edges in self.edges if not edges.terminator.all()]
-
-    def no_edges(_: object, self: CellForms) -> object:
-        del self.edges[-1]
-        return _
-
-    if name == "narrow powers":
-        wrap(Form, "power", narrower)
-    elif name == "narrow products":
-        wrap(Form, "__mul__", narrower)
-    elif name == "narrow strips":
-        wrap(certificate, "strips", lambda s, *_: s._replace(half=s.half * 0.5))
-    elif name == "small changes":
-        wrap(certificate, "strips", lambda s, *_: s._replace(jump=s.jump * 0.7, full=s.full * 0.7))
-    elif name == "cones too narrow":
-        wrap(cells, "_cone", scaled_cone)
-    elif name == "planes of shadows missing":
-        wrap(faces.Faces, "_add_shadows", no_cones)
-    elif name == "no terminators":
-        wrap(of, "_find_terminators", no_terminators)
-    elif name == "no intersections":
-        wrap(of, "find_intersections", no_edges)
-    elif name == "rows missing":
-        wrap(of, "listed", lambda made, _: made.rows(np.arange(made.pair.size) % 3 > 0))
-    elif name == "hidden too soon":
-        wrap(cells, "difference", lambda form, *_: Form(form.m - 0.3 * np.abs(form.m[:1])))
-    else:
-        wrap(of, "shade", lambda made, _: made._replace(near=made.near * 0.1))
+def narrower(form: Form, *_: object) -> Form:
+    form.m[R] *= 0.7
+    return form
 
 
-FAULTS = ["narrow powers", "narrow products", "narrow strips", "small changes", "cones too narrow"]
-FAULTS += ["planes of shadows missing", "no terminators", "no intersections", "rows missing"]
-FAULTS += ["hidden too soon", "terminators rise too little"]
+def with_less_in_cones(made: tuple[Form, Floats], *_: object) -> tuple[Form, Floats]:
+    made[0].m[forms.C] -= 1e-4 * np.abs(made[0].m[forms.C])
+    return made
+
+
+def without_last_edges(made: object, self: CellForms) -> object:
+    del self.edges[-1]
+    return made
+
+
+FAULTS: dict[str, tuple[object, str, Callable[..., object]]] = {
+    "narrow powers": (Form, "power", narrower),
+    "narrow products": (Form, "__mul__", narrower),
+    "narrow strips": (certificate, "strips", lambda s, *_: s._replace(half=s.half * 0.5)),
+    "small changes": (certificate, "strips", lambda s, *_: s._replace(jump=s.jump * 0.7)),
+    "cones too narrow": (cells, "_cone", with_less_in_cones),
+    "planes of shadows missing": (
+        Faces,
+        "_add_shadows",
+        lambda _, self, *__: self.normal[5:].fill(0),
+    ),
+    "no terminators": (CellForms, "_find_terminators", without_last_edges),
+    "no intersections": (CellForms, "find_intersections", without_last_edges),
+    "rows missing": (CellForms, "listed", lambda m, _: m.rows(np.arange(m.pair.size) % 3 > 0)),
+    "hidden too soon": (cells, "difference", lambda f, *_: Form(f.m - 0.3 * np.abs(f.m[:1]))),
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_found(fault: str, monkeypatch: Patch) -> None:
-    faulty(fault, monkeypatch)
+    owner, function, change = FAULTS[fault]
+    real = getattr(owner, function)
+    monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
     named = (small(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
     with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
         sound(monkeypatch, chain(named, scenes(HARD, range(40))), 1 / 128)
+
+
+def test_means_of_cells_that_edges_do_not_divide(monkeypatch: Patch) -> None:
+    side, held, enclose = 32, [], certificate.enclose
+    y, x = ((m.ravel() + 0.5) / side * 2 - 1 for m in np.indices((side, side)))
+
+    def checked(forms: CellForms, *args: object) -> Enclosure:
+        result, half = enclose(forms, *args), forms.cells.size / 2
+        for cell in np.flatnonzero(result.loose)[:20]:
+            across, down = forms.cells.x[cell], forms.cells.y[cell]
+            samples, _ = Scattered.of(across + half * x, down + half * y)
+            mean = radiance_at(forms.faces.prepared, samples).mean(axis=1)
+            held.append(np.abs(mean - result.mean[:, cell]).max() - result.error[cell])
+        return result
+
+    monkeypatch.setattr(certificate, "enclose", checked)
+    monkeypatch.setattr(certificate, "_MOST_LINES", 0)
+    for name in ("room", "sticks-perspective", "touching"):
+        certify(small(name), 1 / 4)
+    assert len(held) > 100
+    assert max(held) <= 1 / side
 
 
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
