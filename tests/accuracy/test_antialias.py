@@ -161,3 +161,22 @@ def test_crowded_pixels_are_divided_as_well(monkeypatch):
     # Of the tenth column the wall covers 0.33.
     image = render(view(Box(min_pt=(-9, -9, -9), max_pt=(0.25 + 0.33 * 0.25, 9, 0))), 16)[..., 0]
     np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
+
+
+def test_a_picture_of_unresolved_pixels_is_sampled(monkeypatch):
+    # To split them all would take four times the samples.
+    counts, classify, candidates = [], antialias.classify, visibility._candidates
+
+    def unresolved(*cells):
+        found = classify(*cells)
+        return found._replace(unresolved=np.ones_like(found.unresolved))
+
+    def noted(prepared, samples):
+        counts.append(samples.size)
+        return candidates(prepared, samples)
+
+    monkeypatch.setattr(antialias, "classify", unresolved)
+    monkeypatch.setattr(visibility, "_candidates", noted)
+    image = render(view(BALL, pixels=16), 64)
+    assert sum(counts) < 1.2 * 16 * 16 * 65
+    np.testing.assert_allclose(image, uniform(view(BALL, pixels=16), 32), atol=0.02)
