@@ -66,6 +66,8 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
             student = cells.setdefault(student_of(name, folder, scene.lower()), {})
             student.setdefault(scene, []).append(_cell(result, pairs.get(name), links.get(name)))
     nothing = [Cell("nothing", good=False)]
+    nobodys = [str(result.right) for result in results if not result.picture]
+    faults = [f"Nobody has handed in {', '.join(nobodys)}."] if nobodys else []
     rows = [[[Cell(student)], *(of.get(scene, nothing) for scene in scenes)]
             for student, of in sorted(cells.items())]  # fmt: skip
     return pages.page(
@@ -78,6 +80,6 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
         rows=rows,
         pairs=[replace(pair, name=os.path.relpath(name, folder)) for name, pair in pairs.items()],
         legend=_LEGEND,
-        faults=[result.error or f"{result.picture}: {result.diagnosis}" for result in results
-                if result.picture not in pairs],
+        faults=faults + [result.error or f"{result.picture}: {result.diagnosis}"
+                         for result in results if result.picture not in {None, *pairs}],
     )  # fmt: skip

@@ -125,13 +125,15 @@ def _is_picture(path: Path) -> bool:
 def match(pictures: Iterable[Path], rights: Path) -> tuple[list[HandIn], list[Path]]:
     """Find the right picture or scene of each; and those that nobody has handed in.
 
-    In a folder `rights`, a scene comes before a picture of its name.  `NAME.png`, `NAME.xml.png`
-    and `ID_NAME.png` are hand-ins of NAME, in upper or lower case.
+    In a folder `rights`, `NAME.png`, `NAME.check.png` and the like were made of the scene
+    `NAME.xml`, and are passed over.  `NAME.png`, `NAME.xml.png` and `ID_NAME.png` are hand-ins of
+    NAME, in upper or lower case.
     """
     if not rights.is_dir():
         return [HandIn(picture, rights) for picture in pictures], []
-    found = sorted(filter(_is_picture, rights.iterdir())) + sorted(rights.glob("*.xml"))
-    known = {_name(path): path for path in found}
+    scenes = sorted(rights.glob("*.xml"))
+    found = sorted(filter(_is_picture, rights.iterdir())) + scenes
+    known = {_name(path): path for path in found if not any(_made_of(path, one) for one in scenes)}
     used, matched = set[str](), []
     for picture in pictures:
         name, error = _name(picture), None
@@ -147,6 +149,10 @@ def match(pictures: Iterable[Path], rights: Path) -> tuple[list[HandIn], list[Pa
             used.add(_name(right))
         matched.append(HandIn(picture, right, error))
     return matched, [path for name, path in known.items() if name not in used]
+
+
+def _made_of(path: Path, scene: Path) -> bool:
+    return path.name.startswith(f"{scene.stem}.") and path != scene
 
 
 def _name(path: Path) -> str:

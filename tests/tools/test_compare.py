@@ -182,6 +182,8 @@ def hand_ins(tmp_path: Path) -> Path:
     (tmp_path / "right").mkdir()
     for name in ("one-sphere", "two-boxes", "room"):
         shutil.copy(SCENES / f"{name}.xml", tmp_path / "right")
+    for name in ("room.xml.png", "room.check.png", "room.mitsuba.xml"):  # made of the scene
+        (tmp_path / "right" / name).touch()
     return folder
 
 
