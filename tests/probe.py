@@ -1,8 +1,11 @@
-"""Scenes made of a few objects, moved and scaled; renders of one ray; vectors for both."""
+"""Scenes made of a few objects, moved and scaled; renders of one ray; notes of calls."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from tracer import Box, Camera, PointLight, Scene, Sphere, render
 from tracer.arrays import Floats
@@ -79,3 +82,18 @@ def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
             for surface in scene.surfaces
         ],
     )
+
+
+def noted(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, note: Callable[..., Any]
+) -> list[Any]:
+    """What `note` makes of the arguments of each call of a function, from now on."""
+    notes: list[Any] = []
+    real = getattr(owner, name)
+
+    def called(*arguments: Any) -> Any:
+        notes.append(note(*arguments))
+        return real(*arguments)
+
+    monkeypatch.setattr(owner, name, called)
+    return notes
