@@ -1,4 +1,4 @@
-"""Scenes made of a few objects, moved and scaled; renders of one ray; notes of calls."""
+"""Scenes made of a few objects, moved and scaled; notes of calls."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tracer import Box, Camera, PointLight, Scene, Sphere, render
+from tracer import Box, Camera, PointLight, Scene, Sphere
 from tracer.arrays import Floats
 
 Vector = tuple[float, float, float]
@@ -34,18 +34,6 @@ def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) ->
     """Surfaces before a camera at (0, 0, 5)."""
     view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
     return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
-
-
-def one_ray(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Scene:
-    """A picture of one pixel."""
-    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
-    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
-    return scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights)
-
-
-def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:
-    """Radiance (3,) along one ray."""
-    return render(one_ray(eye, direction, lights, *surfaces))[0, 0]
 
 
 def a_direction(rng: np.random.Generator) -> Floats:
