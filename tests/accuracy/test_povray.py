@@ -44,12 +44,6 @@ def test_draws_the_same_picture(name, draw):
     np.testing.assert_allclose(ours[row, column], seen.radiance, rtol=0, atol=1e-12)
 
 
-@pytest.mark.povray
-def test_half_a_pixel_shows(draw):
-    scene = small("sticks-shifted")
-    assert np.abs(draw(scene) - render(scene, offset=(0.5, 0))).max() > 0.1
-
-
 def test_its_scene_names_every_object_and_light():
     scene = small("sticks-perspective")
     found = [povray.to_pov(scene).count(f"{name} {{") for name in ("sphere", "box", "light_source")]

@@ -112,24 +112,27 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     assert compare(scene, "walls", by_mitsuba(image)).verdict == "DIFFERS"
 
 
-def test_who_errs(monkeypatch):
-    scene, right = four_spheres()
-    off = right.copy()
-    off[:20] += 0.01
-    result = compare(scene, "off", by_mitsuba(off))
+def test_where_mitsuba_errs_the_verdict_is_undecided():
+    scene, image = four_spheres()
+    image[:20] += 0.01
+    result = compare(scene, "off", by_mitsuba(image))
     assert (result.verdict, result.wrong, result.differing.sum()) == ("undecided", 0, 1600)
     assert 50 <= result.asked <= 100
     assert result.figures.max == pytest.approx(0.01, rel=0.05)
     wrong = "Mitsuba or the converter is wrong on 1,600 pixels, the first at column 0, row 0"
     assert f"off: undecided\n  SSIM {result.figures.ssim:.6f}" in result.report()
     assert wrong in result.report()
-    # The tracer on one pixel, beside some on which Mitsuba errs.
-    wrong, off = right.copy(), right.copy()
+
+
+def test_where_the_tracer_errs_the_verdict_is_differs(monkeypatch):
+    scene, image = four_spheres()
+    wrong = image.copy()
     wrong[7, 3] += 2e-4
-    off[50:, 70:] += 0.01
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
+    # Beside pixels on which Mitsuba errs.
+    image[50:, 70:] += 0.01
     monkeypatch.setattr(check, "_AT_A_TIME", 5000)
-    result = compare(scene, "off", by_mitsuba(off))
+    result = compare(scene, "off", by_mitsuba(image))
     assert (result.verdict, result.wrong, result.first) == ("DIFFERS", 1, (7, 3))
     assert "against the tracer on 1 of 101 pixels that it was asked about" in result.report()
 
@@ -223,12 +226,11 @@ def test_hostile_scenes_raise_no_false_alarm(seeds):
 
 def test_near_ties_of_float64_are_no_mistakes_of_the_tracer():
     """A huge ball that touches the floor: beside that point their gap is lost in rounding."""
-    ground, floor = Sphere(center=(0, -65536, 0), radius=65536), Box(min_pt=(-9, -1, -9),
-                                                                    max_pt=(9, 0, 9))  # fmt: skip
-    red = Lambertian(diffuse=(1, 0, 0))
-    scene = close_up(replace(ground, shader=red), floor, light=(3, 4, 5))
-    down = replace(scene.camera, view_point=(0, 0.007, 0), view_dir=(0, -1, 0), view_up=(0, 0, 1))
-    scene = replace(scene, camera=replace(down, view_width=0.04, view_height=0.04), height=96)
+    red, floor = Lambertian(diffuse=(1, 0, 0)), Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9))
+    ground = Sphere(center=(0, -65536, 0), radius=65536, shader=red)
+    camera = Camera(view_point=(0, 0.007, 0), view_dir=(0, -1, 0), view_up=(0, 0, 1),
+                    view_width=0.04, view_height=0.04)  # fmt: skip
+    scene = scene_of(ground, floor, camera=camera, size=(24, 96), lights=(3, 4, 5))
     white = render(replace(scene, surfaces=[floor]))
     # All but the point of contact is the floor's.
     result = compare(scene, "contact", by_mitsuba(white))

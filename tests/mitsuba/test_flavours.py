@@ -263,6 +263,5 @@ def test_visible_points_lie_on_the_nearest_surface():
     # Where few rays hit anything, more are sent.
     assert len(visible_points(close_up(Sphere(radius=0.1)))) >= 12
     # Rows of rays are 1/8 apart on a box's front, and none of them leaves it out.
-    assert (
-        len(visible_points(close_up(Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))))) == 64
-    )
+    front = Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))
+    assert len(visible_points(close_up(front))) == 64
