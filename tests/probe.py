@@ -13,16 +13,16 @@ from tracer.arrays import Floats
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
 
-Lights = list[PointLight] | Vector
-"""A bare position is that of one white light."""
-
 EPS = float(np.finfo(np.float64).eps)
 
 
 def scene_of(
-    *surfaces: Surface, camera: Camera | None = None, size: tuple[int, int], lights: Lights
+    *surfaces: Surface,
+    camera: Camera | None = None,
+    size: tuple[int, int],
+    lights: list[PointLight] | Vector,
 ) -> Scene:
-    """Surfaces before a camera, in a picture of so many columns and rows."""
+    """Surfaces in a picture of so many columns and rows; a bare position is of one white light."""
     some = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
     return Scene(

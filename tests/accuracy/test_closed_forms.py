@@ -96,7 +96,7 @@ def shading() -> Iterator[Ray]:
             power = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
             floor = replace(FLOOR, shader=shiny(1, exponent))
             yield Ray(name, eye, (-eye[0], -eye[1], 0), light, [floor], power, 1e-10)
-    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l is at most rounding.
+    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l is 0 or rounded.
     for exponent in (0, 1, 10):
         name, ball = f"behind the silhouette, {exponent}", Sphere(shader=shiny(1, exponent, 1))
         yield Ray(name, (-2, 1, 0), RIGHT, (2, 1, 0), [ball], 2 * EPS, 2 * EPS)
