@@ -12,10 +12,6 @@ from hypothesis import settings
 
 from tracer.antialias import refine as antialias
 
-# So that its assertions show their values when they fail, as those in test files do.
-pytest.register_assert_rewrite("uniform_grid")
-
-
 # Quick tests try the same examples each time; thorough ones try others, by the seed that `.ci/run`
 # gives, and ten times as many where a test does not say how many.
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)

@@ -1,25 +1,28 @@
-"""Scenes made of a few objects, moved and scaled; renders of one ray; vectors for both."""
+"""Scenes made of a few objects, moved and scaled; notes of calls."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
-from tracer import Box, Camera, PointLight, Scene, Sphere, render
+from tracer import Box, Camera, PointLight, Scene, Sphere
 from tracer.arrays import Floats
 
 Vector = tuple[float, float, float]
 Surface = Sphere | Box
 
-Lights = list[PointLight] | Vector
-"""A bare position is that of one white light."""
-
 EPS = float(np.finfo(np.float64).eps)
 
 
 def scene_of(
-    *surfaces: Surface, camera: Camera | None = None, size: tuple[int, int], lights: Lights
+    *surfaces: Surface,
+    camera: Camera | None = None,
+    size: tuple[int, int],
+    lights: list[PointLight] | Vector,
 ) -> Scene:
-    """Surfaces before a camera, in a picture of so many columns and rows."""
+    """Surfaces in a picture of so many columns and rows; a bare position is of one white light."""
     some = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
     return Scene(
@@ -31,18 +34,6 @@ def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) ->
     """Surfaces before a camera at (0, 0, 5)."""
     view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
     return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
-
-
-def one_ray(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Scene:
-    """A picture of one pixel."""
-    up = (0.0, 1.0, 0.0) if direction[0] or direction[2] else (0.0, 0.0, 1.0)
-    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
-    return scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights)
-
-
-def radiance_along(eye: Vector, direction: Vector, lights: Lights, *surfaces: Surface) -> Floats:
-    """Radiance (3,) along one ray."""
-    return render(one_ray(eye, direction, lights, *surfaces))[0, 0]
 
 
 def a_direction(rng: np.random.Generator) -> Floats:
@@ -79,3 +70,18 @@ def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
             for surface in scene.surfaces
         ],
     )
+
+
+def noted(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, note: Callable[..., Any]
+) -> list[Any]:
+    """What `note` makes of the arguments of each call of a function, from now on."""
+    notes: list[Any] = []
+    real = getattr(owner, name)
+
+    def called(*arguments: Any) -> Any:
+        notes.append(note(*arguments))
+        return real(*arguments)
+
+    monkeypatch.setattr(owner, name, called)
+    return notes

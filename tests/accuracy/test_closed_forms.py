@@ -1,4 +1,4 @@
-"""Radiance in closed form: Lambert, Blinn-Phong, and the cases where ray tracers fail.
+"""Closed forms: where things appear, Lambert, Blinn-Phong, and the cases where ray tracers fail.
 
 Every case goes through a whole render, of the tracer and of the oracle.  A picture of one pixel has
 one ray, along `view_dir`; lights of pure red, green and blue show their n.l apart.  Tolerances are
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from probe import EPS, colored, one_ray, radiance_along, scene_of
+from probe import EPS, colored, scene_of
 
 from reference.judges import plain
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Sphere, render
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, render
 
 BALL = Sphere()
 CUBE = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
@@ -85,6 +85,21 @@ def shading() -> Iterator[Ray]:
     for exponent in (1.0, 1e2, 1e4, 1e6):
         power = math.exp(-exponent / 2 * math.log1p(x * x))
         yield floor_under((2 * x, 1 - x * x, 0), power, shiny(1, exponent), 1e-12 * power)
+    # Light and eye are on either side of the normal, both about so far from it; h is `off` from it,
+    # and its cosine is 1 - sin^2 under a root.
+    tilts = 0.5, 1.2, 1.5, math.pi / 2 - 0.03, math.pi / 2 - 1e-3
+    for tilt, exponent in (*product(tilts, (10, 250, 1e3, 6e4, 1e6)), (0.5, 1e8), (0.5, 1e9)):
+        for share in np.linspace(-1, 1, 12):
+            off = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
+            light, eye = ((math.sin(a), math.cos(a), 0) for a in (tilt + off, off - tilt))
+            name = f"highlight, {tilt:.4g}, {exponent:g}, {off:.3g}"
+            power = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
+            floor = replace(FLOOR, shader=shiny(1, exponent))
+            yield Ray(name, eye, (-eye[0], -eye[1], 0), light, [floor], power, 1e-10)
+    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l is 0 or rounded.
+    for exponent in (0, 1, 10):
+        name, ball = f"behind the silhouette, {exponent}", Sphere(shader=shiny(1, exponent, 1))
+        yield Ray(name, (-2, 1, 0), RIGHT, (2, 1, 0), [ball], 2 * EPS, 2 * EPS)
     # (n.h)^0 = 1 where n.l > 0, and nothing elsewhere or where the light is at the point.
     ball = Sphere(shader=shiny(0.5, 0))
     for light, seen in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
@@ -111,16 +126,9 @@ def shading() -> Iterator[Ray]:
         yield Ray(f"box from {eye}", eye, -n, light, [CUBE], 0.8)
         light = 0.2 * n + 0.6 * up
         yield Ray(f"box along {eye}", (0, 0, 0), n, light, [CUBE], 0.8)
-
-
-def distant_lights() -> Iterator[Ray]:
-    """What is lost when numbers of different sizes meet; the rest is in `test_oracle`."""
-    # A slab from 0.01 to 0.02 over the floor, |x| <= 1, light along (0.6, 0.8, 0) from 1e8: rays
-    # from (x, 0) rise through it where x + 0.0075 <= 1 and x + 0.015 >= -1.
-    slab = [FLOOR, Box(min_pt=(-1, 0.01, -1), max_pt=(1, 0.02, 1))]
-    for x, lit in ((-1.0151, 1), (-1.0149, 0), (0, 0), (0.9924, 0), (0.9926, 1)):
-        sun = (6e7, 8e7, 0)
-        yield Ray(f"light at 1e8, {x}", (x, 0.005, 0), DOWN, sun, slab, 0.8 * lit, 2e-8)
+        # From on it, inwards a wall that the light in the middle reaches, and outwards none.
+        for ahead, seen in ((-n, 1), (up - n / 2, math.sqrt(0.8)), (up + n / 2, 0), (n, 0)):
+            yield Ray(f"box on {n}, {ahead}", n, ahead, (0, 0, 0), [CUBE], seen)
 
 
 def shadows() -> Iterator[Ray]:
@@ -134,6 +142,12 @@ def shadows() -> Iterator[Ray]:
         for x, lit in ((-edge - off, 1), (off - edge, 0), (0, 0), (edge - off, 0), (edge + off, 1)):
             seen = lit * at / math.hypot(at, x)
             yield Ray(f"edge, {x}", (x, 0.5, 0), DOWN, (0, at, 0), [FLOOR, other], seen, 1e-12)
+    # A slab from 0.01 to 0.02 over the floor, |x| <= 1, light along (0.6, 0.8, 0) from 1e8: rays
+    # from (x, 0) rise through it where x + 0.0075 <= 1 and x + 0.015 >= -1.
+    slab = [FLOOR, Box(min_pt=(-1, 0.01, -1), max_pt=(1, 0.02, 1))]
+    for x, lit in ((-1.0151, 1), (-1.0149, 0), (0, 0), (0.9924, 0), (0.9926, 1)):
+        sun = (6e7, 8e7, 0)
+        yield Ray(f"light at 1e8, {x}", (x, 0.005, 0), DOWN, sun, slab, 0.8 * lit, 2e-8)
     # What is behind the light casts no shadow; from within the ball nothing comes out.
     for at, lit in ((9, 1), (15, 0), (11.5, 0)):
         behind = [FLOOR, Sphere(center=(0, 12, 0))]
@@ -182,6 +196,12 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
         for up in (-0.99, -0.3, 0.2, 0.99):
             eye = (x + 2, y + up * ball.radius, z)
             yield Ray(f"light on {x}, ball at {up}", eye, (-1, 0, 0), top, [ball], 0)
+    # In a box, deeper than its rounding, and less deep than that of points which are seen.
+    far = Box(min_pt=(1e6 - 1, -1, -1), max_pt=(1e6, 1, 1))
+    wall = Box(min_pt=(1e6 + 3, -9, -9), max_pt=(1e6 + 4, 9, 9))
+    for deep, lit in ((1.5e-8, 0), (0, 1), (-1.5e-8, 1)):
+        eye, light, seen = (1e6 + 2, 0.5, 0), (1e6 - deep, 0, 0), lit * 6 / math.sqrt(37)
+        yield Ray(f"{deep} deep in a box", eye, RIGHT, light, [far, wall], seen, 1e-8)
     # A lamp at the top of a round room, 4 over a table in the middle.
     for x in (-2, 0, 1):
         room = [Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))]
@@ -218,7 +238,14 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
     yield Ray("nothing", (0, 0, 7), (0, 0, 1), (3, 0, 5), [BALL, CUBE], 0)
 
 
-RAYS = [*shading(), *distant_lights(), *shadows(), *odd_lights_and_eyes()]
+RAYS = [*shading(), *shadows(), *odd_lights_and_eyes()]
+
+
+def one_ray(eye: tuple, direction: tuple, lights: tuple | list, *surfaces: Sphere | Box) -> Scene:
+    """A picture of one pixel."""
+    up = (0, 1, 0) if direction[0] or direction[2] else (0, 0, 1)
+    camera = Camera(view_point=eye, view_dir=direction, view_up=up)
+    return scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights)
 
 
 @pytest.mark.parametrize("ray", [pytest.param(ray, id=ray.name) for ray in RAYS])
@@ -237,17 +264,8 @@ def test_a_light_on_a_surface_but_for_rounding():
     ):
         for off, lit in product((1e-3, 1e-9), (-1, 1)):
             eye = (2, light[1] + lit * off, light[2])
-            assert (radiance_along(eye, RIGHT, light, surface, WALL) > 0).tolist() == [lit > 0] * 3
-
-
-def test_a_light_a_little_inside_a_box_far_away():
-    # Deeper than its rounding, and less deep than that of points which are seen.
-    end = 1e6
-    box = Box(min_pt=(end - 1, -1, -1), max_pt=(end, 1, 1))
-    wall = Box(min_pt=(end + 3, -9, -9), max_pt=(end + 4, 9, 9))
-    for deep, lit in ((1.5e-8, False), (0, True), (-1.5e-8, True)):
-        seen = radiance_along((end + 2, 0.5, 0), RIGHT, (end - deep, 0, 0), box, wall)
-        assert (seen > 0).tolist() == [lit] * 3
+            image = render(one_ray(eye, RIGHT, light, surface, WALL))
+            assert (image > 0).all() == image.any() == (lit > 0)
 
 
 @pytest.mark.parametrize("distance", [30, 1e5])
@@ -277,48 +295,94 @@ def test_what_counts_as_on_a_surface_is_little_more_than_rounding(depth):
     assert (image.max() > 0) == (depth < 0)
 
 
-@pytest.mark.parametrize("exponent", [0.0, 1.0, 10.0])
-def test_light_straight_behind_the_silhouette(exponent):
-    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l = 0, which a
-    # rounded normal sees as a few EPS.
-    ball = Sphere(shader=shiny(1, exponent, 1))
-    assert radiance_along((-2, 1, 0), RIGHT, (2, 1, 0), ball) == pytest.approx(0, abs=4 * EPS)
-
-
-@pytest.mark.parametrize(
-    ("tilt", "exponent"),
-    [
-        *product((0.5, 1.2, 1.5, math.pi / 2 - 0.03, math.pi / 2 - 1e-3), (10, 250, 1e3, 6e4, 1e6)),
-        (0.5, 1e8),
-        (0.5, 1e9),
-    ],
-)
-def test_highlights_at_all_angles(tilt, exponent):
-    # Light and eye are on either side of the normal, both about so far from it; h is `off` from
-    # it, and its cosine is 1 - sin^2 under a root.
-    floor = replace(FLOOR, shader=shiny(1, exponent))
-    for share in np.linspace(-1, 1, 12):
-        off = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
-        light, eye = ((math.sin(a), math.cos(a), 0) for a in (tilt + off, off - tilt))
-        seen = radiance_along(eye, (-eye[0], -eye[1], 0), light, floor)
-        exact = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
-        assert seen == pytest.approx(exact, abs=1e-10)
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-@pytest.mark.parametrize("axis", range(3))
-def test_eye_on_a_wall(axis, side):
-    # Inwards every ray meets a wall that the light in the middle reaches, outwards none, and along
-    # the wall those of one half of the picture.
-    outwards = side * AXES[axis]
-    for direction, share in ((-outwards, 1.0), (outwards, 0.0), (np.roll(outwards, 1), 0.5)):
-        camera = Camera(view_point=outwards, view_dir=direction, view_up=(1, 2, 4))
-        scene = scene_of(CUBE, camera=camera, size=(16, 16), lights=(0, 0, 0))
-        assert (render(scene) > 0).mean() == share
-
-
 def test_a_window_of_nearly_180_degrees():
     # The tangent of half of it is more than that of pi / 2 as rounded.
     camera = Camera(view_point=(0, 0, 0), view_width=1e17, view_height=1e17)
     scene = scene_of(Sphere(radius=5), camera=camera, size=(8, 8), lights=(0, 0, 0))
     np.testing.assert_allclose(render(scene), 1, rtol=1e-15)
+
+
+# A wall at z = -8 where radiance tells where a point is: the light at (0, 0, -7) shines with n.l =
+# 1 / sqrt(1 + x^2 + y^2) on (x, y); the others tell left from right and top from bottom.
+BACKDROP = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))
+LIGHTS = (0, 0), (1, 0), (0, 1)
+FOUR = (-3, -1, 1, 3)
+SLANTED = {"view_dir": (1, 2, -4), "proj_normal": (0, 0, 1)}
+SLANTED_POINTS = [
+    [(2 + 8 * s * math.sqrt(21) / 4, 4 - 8 * r * math.sqrt(21) / 4) for s in (-0.125, 0.125)]
+    for r in (-0.125, 0.125)
+]
+
+CAMERAS = {
+    # Window 1 x 1 at distance 1, wall 8 away: columns at 8 ((j + 1/2) / 4 - 1/2), rows down.
+    "pixel centres": ({}, [[(x, -y) for x in FOUR] for y in FOUR]),
+    "view direction": ({"view_dir": (3, 2, -4), "view_width": 7, "view_height": 0.1}, [[(6, 4)]]),
+    # Eye (1, 2, 8), 16 from the wall; window 3 x 1 at distance 2: columns 8 apart, rows 4.
+    "window, distance and eye": (
+        {"view_point": (1, 2, 8), "proj_distance": 2, "view_width": 3},
+        [[(1 + 8 * j, 2 + y) for j in (-1, 0, 1)] for y in (2, -2)],
+    ),
+    # A window .75 x .5 over 2 x 4 pixels: columns 8 * .375 = 3 apart, rows 8 * .125 = 1.
+    "pixels that are not square": (
+        {"view_width": 0.75, "view_height": 0.5},
+        [[(x, y) for x in (-1.5, 1.5)] for y in (1.5, 0.5, -0.5, -1.5)],
+    ),
+    # Only its part in the window's plane counts.
+    **{
+        f"up {up}": ({"view_up": up}, [[(x, -y) for x in FOUR] for y in FOUR])
+        for up in ((0.0, 5.0, 3.0), (0.0, 1e-8, -7.0))
+    },
+    # With +x up, right is up x w = (1, 0, 0) x (0, 0, 1) = (0, -1, 0).
+    "up turns the picture": ({"view_up": (1, 0, 0)}, [[(-y, -x) for x in FOUR] for y in FOUR]),
+    # View direction (3, 1, -4) to a window parallel to the wall: its centre is sqrt(26) along
+    # it, that is at (3, 1, -4); pixels step by 1 there and by 2 on the wall, around (6, 2).
+    "shifted window": (
+        {"view_dir": (3, 1, -4), "proj_normal": (0, 0, 1), "proj_distance": math.sqrt(26),
+         "view_width": 3, "view_height": 2},
+        [[(6 + 2 * j, 2 + y) for j in (-1, 0, 1)] for y in (1, -1)],
+    ),
+    # The window turns about the vertical: normal (3, 0, 4) / 5, centre (0, 0, -1), so that
+    # right is (0, 1, 0) x n = (0.8, 0, -0.6).  The ray through s right of the centre,
+    # (0.8 s, r, -1 - 0.6 s), meets the wall at 8 (0.8 s, r) / (1 + 0.6 s).
+    "oblique window": (
+        {"proj_normal": (3, 0, 4), "view_width": 1.5},
+        [[(6.4 * s / (1 + 0.6 * s), 8 * r / (1 + 0.6 * s)) for s in (-0.5, 0, 0.5)]
+         for r in (0.25, -0.25)],
+    ),
+    # The distance is along the view direction, of any length: the window, parallel to the wall, is
+    # 4 / sqrt(21) before the eye and shows the wall 2 sqrt(21) times as large.  Twice as far it is
+    # half as large.  The sign of the normal does not matter.
+    "slanted": ({**SLANTED, "view_width": 0.5, "view_height": 0.5}, SLANTED_POINTS),
+    "slanted, from afar": (
+        {**SLANTED, "view_dir": (4, 8, -16), "view_up": (0, 0.125, 0), "proj_distance": 2},
+        SLANTED_POINTS,
+    ),
+    "slanted, from behind": (
+        {**SLANTED, "proj_normal": (0, 0, -1024), "view_width": 0.5, "view_height": 0.5},
+        SLANTED_POINTS,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("camera", "points"), CAMERAS.values(), ids=CAMERAS)
+def test_points_of_a_wall(camera, points):
+    size = len(points[0]), len(points)
+    lights = colored(*((x, y, -7) for x, y in LIGHTS))
+    scene = scene_of(BACKDROP, camera=Camera(**camera), size=size, lights=lights)
+    at = np.array(points)[:, :, None] - LIGHTS
+    expected = 1 / np.sqrt(1 + (at**2).sum(axis=3))
+    # Points up to 20 away are rounded, against the light's distance of 1.
+    np.testing.assert_allclose(render(scene), expected, rtol=0, atol=64 * EPS)
+    np.testing.assert_allclose(plain.render(scene), expected, rtol=0, atol=64 * EPS)
+    # An offset, right and down, moves the samples of both alike.
+    aside, off = plain.render(scene, (0.25, -0.5)), render(scene, offset=(0.25, -0.5))
+    assert np.abs(aside - expected).max() > 0.01
+    np.testing.assert_allclose(off, aside, rtol=0, atol=64 * EPS)
+
+
+def test_window_is_not_a_near_plane():
+    # What is nearer than the window is seen; what is behind the eye is not.
+    for z, radiance in ((-0.5, 1), (0.5, 0)):
+        ball = Sphere(center=(0, 0, z), radius=0.125)
+        scene = scene_of(ball, camera=Camera(proj_distance=8), size=(1, 1), lights=(0, 0, 0))
+        assert render(scene)[0, 0].tolist() == [radiance] * 3

@@ -1,4 +1,4 @@
-"""All that decides which pairs to test, held against every ray and every object."""
+"""All that decides which pairs to test: what it leaves out, and that this changes nothing."""
 
 import math
 from collections.abc import Iterator
@@ -9,23 +9,59 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from brute_force import brute_force
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probe import scene_of
+from probe import Vector, noted, scene_of
 from random_scenes import KINDS, random_scene
 
 from reference.measured.workloads import crowd
-from tracer import Box, Camera, Lambertian, Scene, Sphere, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.antialias.lattice import CENTRES
-from tracer.arrays import Floats
+from tracer.arrays import Bools, Floats, Ints
 from tracer.geometry.camera import camera_frame
+from tracer.geometry.sphere import Spheres
 from tracer.trace import radiance as radiance_module
+from tracer.trace.hits import Hits
 from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
-from tracer.world import prepared_scene
+from tracer.world import light_grid, prepared_scene
 from tracer.world.light_grid import LightGrid
-from tracer.world.prepared_scene import PreparedScene
+from tracer.world.prepared_scene import PreparedScene, Shape
+
+
+def brute_force(scene: Scene) -> Floats:
+    """The picture (height, width, 3) of a scene, by every ray against every object.
+
+    The shapes and their arithmetic are the same, so the picture must be so to the last bit.
+    """
+    with (
+        patch("tracer.trace.samples.spans", _all_rows),
+        patch("tracer.trace.radiance.occlusion", _all_occluders),
+    ):
+        return render(scene)
+
+
+def _all_rows(
+    shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Every object covers every row."""
+    row, obj = np.indices((rows.size, shape.count)).reshape(2, -1)
+    left, right = np.full((row.size, 2), columns).T
+    return obj + shape.first, row, left, right
+
+
+@np.errstate(all="ignore")
+def _all_occluders(hits: Hits, frontlit: Bools) -> Bools:
+    """See `occlusion`: every object may come between."""
+    blocked, own, prepared = np.zeros_like(frontlit), hits.hit_object, hits.prepared
+    for light, lit, dark in zip(prepared.lights, frontlit, blocked, strict=True):
+        for shape in prepared.shapes:
+            for obj in range(shape.first, shape.first + shape.count):
+                at = np.flatnonzero(lit & ~dark & (own != obj))
+                end = tuple(np.full((3, at.size), light[:, None]))
+                every, eye, p = np.full(at.size, obj), prepared.frame.eye, hits.points(at)
+                dark[at] = shape.occludes(eye, every, p, end, shape.side(every, end))
+    return blocked
 
 
 def assert_same(scene: Scene) -> None:
@@ -181,10 +217,7 @@ def odd_sizes() -> Iterator[tuple[str, Scene]]:
     yield "no lights", replace(seen(FLOOR, BALL), lights=())
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [pytest.param(scene, id=name) for name, scene in odd_sizes()],
-)
+@pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in odd_sizes()])
 def test_odd_scenes(scene):
     assert_same(scene)
 
@@ -229,13 +262,7 @@ def test_many_plates_behind_each_other(monkeypatch):
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
-    sizes, nearest_hits = [], radiance_module.nearest_hits
-
-    def counted(prepared, samples):
-        sizes.append(samples.size)
-        return nearest_hits(prepared, samples)
-
-    monkeypatch.setattr(radiance_module, "nearest_hits", counted)
+    sizes = noted(monkeypatch, radiance_module, "nearest_hits", lambda _, samples: samples.size)
     monkeypatch.setattr(prepared_scene, "_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
@@ -259,13 +286,8 @@ def test_runs_are_of_neighbours():
 def test_many_lights_are_taken_some_at_a_time(monkeypatch):
     scene = crowd(40, width=48, height=27)
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
-    scene, groups, query = replace(scene, lights=lights), set(), LightGrid.query
-
-    def noted(self, *arguments):
-        groups.add(self.light.shape[1])
-        return query(self, *arguments)
-
-    monkeypatch.setattr(LightGrid, "query", noted)
+    scene = replace(scene, lights=lights)
+    groups = noted(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
     monkeypatch.setattr(prepared_scene, "_LIGHTS", 9)
     whole = [render(scene, samples) for samples in (1, 16)]
     monkeypatch.setattr(prepared_scene, "_LIGHTS", 4)
@@ -273,7 +295,7 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
         monkeypatch.setattr(prepared_scene, "_KEPT_BYTES", kept)
         for image, samples in zip(whole, (1, 16), strict=True):
             assert np.array_equal(render(scene, samples), image)
-    assert groups == {9, 4, 1}
+    assert {*groups} == {9, 4, 1}
     # Also where all lights together have been prepared before.
     prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
     sizes = [
@@ -301,3 +323,80 @@ def test_a_ball_that_touches_the_eye_from_behind_is_not_seen():
     for radius in (0.1, 0.2, 0.3, 0.7, 1.1):
         ball = Sphere(center=(0.1, 0.2, 0.3 + radius), radius=radius)
         assert np.array_equal(render(seen(wall, ball, light=(0.1, 5, 0), camera=camera)), alone)
+
+
+def sizes_found(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> list[int]:
+    """How many pairs or cells a search of the grid finds at once."""
+    sizes, real = [], getattr(owner, name)
+
+    def noted(*arguments):
+        for found in real(*arguments):
+            sizes.append(found[0].size)
+            yield found
+
+    monkeypatch.setattr(owner, name, noted)
+    return sizes
+
+
+def balls_under(light: Vector, count: int, radius: float, *others: Sphere) -> Scene:
+    """Balls side by side."""
+    rng = np.random.default_rng(1)
+    balls = [Sphere(center=c, radius=radius) for c in rng.uniform(-1, 1, (count, 3)).tolist()]
+    camera = Camera(view_point=(0, 0, 9), proj_distance=4)
+    return scene_of(*balls, *others, camera=camera, size=(60, 60), lights=light)
+
+
+@pytest.mark.parametrize(
+    ("far", "ground"),
+    [*((10.0**k, 1.0) for k in (7, 9, 11, 13, 20, 40)), (1e9, 6.4e6), (1.5e11, 6.4e6)],
+)
+def test_suns_and_planets_cost_no_more(far, ground, monkeypatch):
+    light = (0.3 * far, 0.8 * far, 0.5 * far)
+    planet = Sphere(center=(0, -ground - 1, 0), radius=ground)
+    sizes = sizes_found(monkeypatch, LightGrid, "query")
+    render(balls_under(light, 1000, 0.02, planet))
+    assert 0 < sum(sizes) < 5 * 60 * 60
+
+
+def test_candidates_are_found_some_at_a_time(monkeypatch):
+    # A crowd in one cell of the light's, and a ground from which ways to it are in many: memory is
+    # not for all pairs at once.
+    scene = balls_under((0.1, 3, 0.2), 300, 0.1, Sphere(center=(0, -1e6, 0), radius=1e6 - 1))
+    whole = render(scene, 16)
+    visited = sizes_found(monkeypatch, light_grid, "_cells")
+    sizes = sizes_found(monkeypatch, LightGrid, "query")
+    monkeypatch.setattr(light_grid, "_PAIRS_AT_ONCE", 1000)
+    monkeypatch.setattr(light_grid, "_CELLS_AT_ONCE", 1000)
+    np.testing.assert_array_equal(render(scene, 16), whole)
+    for some in (sizes, visited):
+        assert 100 < max(some) <= 1000 < sum(some)
+
+
+@pytest.mark.usefixtures("pixels_are_split")
+@pytest.mark.parametrize("up", [1e-75, 1e-60, 1.0])
+@pytest.mark.parametrize("high", [1e-75, 1e-60, 0.5])
+def test_no_packet_is_without_end(up, high, monkeypatch):
+    # At the limits of the format a pixel sees a floor over 1e150 times its own width; cells of the
+    # grid that such packets reach would be no numbers if they were infinite.
+    radii = noted(monkeypatch, LightGrid, "query", lambda _, middle, radius, *rest: radius)
+    floor, far = Box(min_pt=(-1e75, -1, -1e75), max_pt=(1e75, 0, 1e75)), (0, 1e75, -9e74)
+    ball = Sphere(center=(0, 0.5, -3), radius=0.5)
+    camera = Camera(view_point=(0, up, 0), view_width=1, view_height=high)
+    lights = [PointLight(position=position) for position in (far, (3, 5, 4))]
+    render(scene_of(floor, ball, camera=camera, size=(9, 8), lights=lights), 16)
+    assert np.isfinite(np.concatenate(radii)).all()
+
+
+@pytest.mark.usefixtures("pixels_are_split")
+def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere(monkeypatch):
+    # What a pixel sees there is larger than all else: every object may shade some of it.
+    # 0.8 tests a pixel; where layers of depth are octaves 5, without layers 20.
+    rng = np.random.default_rng(0)
+    floor = Box(min_pt=(-1e6, -1, -1e6), max_pt=(1e6, 0, 1e6))
+    at = rng.uniform((-20, -60), (20, -2), (200, 2)).tolist()
+    balls = [Sphere(center=(x, 0.1, z), radius=0.1) for x, z in at]
+    camera = Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1))
+    scene = scene_of(floor, *balls, camera=camera, size=(64, 64), lights=(30, 40, 20))
+    tried = noted(monkeypatch, Spheres, "occludes", lambda _, eye, owner, *rest: owner.size)
+    render(scene, samples=4)
+    assert 0 < sum(tried) < 64 * 64

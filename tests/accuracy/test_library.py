@@ -28,20 +28,23 @@ def test_sizes_may_be_integers_of_any_kind(kind):
     assert type(a_scene(True, 2).width) is int
 
 
+OFFSETS = [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
+
+
 @pytest.mark.parametrize(
-    ("value", "error", "message"),
+    ("given", "error", "message"),
     [
-        (4.0, TypeError, "must be an int, is 4.0"),
-        (2.5, TypeError, "must be an int, is 2.5"),
-        ("4", TypeError, "must be an int, is '4'"),
-        (0, ValueError, "must be at least 1, is 0"),
-        (np.int8(-1), ValueError, "must be at least 1, is -1"),
-        (10**9, ValueError, "must be at most 999999999"),
+        ({"samples": 4.0}, TypeError, r"samples must be an int, is 4\.0$"),
+        ({"samples": "4"}, TypeError, "samples must be an int, is '4'$"),
+        ({"samples": 0}, ValueError, "samples must be at least 1, is 0$"),
+        ({"samples": np.int8(-1)}, ValueError, "samples must be at least 1, is -1$"),
+        ({"samples": 10**9}, ValueError, "samples must be at most 999999999$"),
+        *(({"offset": o}, ValueError, "offset must be two finite numbers, is ") for o in OFFSETS),
     ],
 )
-def test_numbers_of_samples_that_are_refused(value, error, message):
-    with pytest.raises(error, match=f"^samples {message}$"):
-        render(a_scene(), samples=value)
+def test_samples_and_offsets_that_are_refused(given, error, message):
+    with pytest.raises(error, match=f"^{message}"):
+        render(a_scene(), **given)
 
 
 @pytest.mark.parametrize(
@@ -53,14 +56,6 @@ def test_underflow_is_no_error_to_anyone(view_dir):
     with np.errstate(all="raise"):
         assert a_scene(view_dir=view_dir) == scene
         assert np.array_equal(render(scene), image)
-
-
-@pytest.mark.parametrize(
-    "offset", [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
-)
-def test_offsets_that_are_refused(offset):
-    with pytest.raises(ValueError, match=r"^offset must be two finite numbers, is "):
-        render(a_scene(), offset=offset)
 
 
 def test_an_offset_may_be_any_two_numbers():
@@ -75,7 +70,7 @@ WALL = Box(min_pt=(-50, -50, -12), max_pt=(50, 50, -10))
 
 def seen(*surfaces: Surface) -> Scene:
     """Surfaces in a window 2 wide at a distance of 1, in pixels of .5."""
-    window = Camera(view_point=(0, 0, 0), view_dir=(0, 0, -1), view_width=2, view_height=2)
+    window = Camera(view_width=2, view_height=2)
     return scene_of(*surfaces, camera=window, size=(4, 4), lights=(3, 5, 4))
 
 

@@ -87,9 +87,7 @@ def test_a_large_ground_is_lit_in_the_exact_flavour():
 @pytest.mark.parametrize("flavour", SAMPLES)
 def test_what_nothing_is_made_of_is_left_out(flavour):
     odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
-    surfaces = Surfaces(
-        center=np.zeros((1, 3)), radius=np.ones(1), shader_index=[1], shaders=[odd, plain]
-    )
+    surfaces = Surfaces(center=[(0, 0, 0)], radius=[1], shader_index=[1], shaders=[odd, plain])
     scene = Scene(width=8, height=8, surfaces=surfaces)
     without = replace(scene, surfaces=[Sphere(shader=plain)])
     assert convert(scene, flavour) == convert(without, flavour).replace("bsdf0", "bsdf1")
@@ -109,16 +107,12 @@ def test_stock_scenes_stay_where_they_are():
     assert "moved and scaled" in stock(moved(TINY, 1, (1e6,) * 3))
 
 
-def test_the_distance_at_which_a_stock_light_is_right_is_told():
-    text = stock(close_up(Sphere(radius=0.5), light=(300, 400, 500)))
-    told = re.findall(r"<!-- right at a distance of ([\d.]+) -->", text)
-    assert [float(number) for number in told] == [pytest.approx(707, rel=2e-3)]
-
-
 def test_stock_matte_picture_is_exact_at_the_distance_that_counts():
     """A small matte ball far from its light: fall-off hardly varies over it."""
     ball = Sphere(radius=0.5, shader=Lambertian(diffuse=(0.63, 0.35, 0.07)))
     scene = close_up(ball, light=(300, 400, 500))
+    (told,) = re.findall(r"<!-- right at a distance of ([\d.]+) -->", stock(scene))
+    assert float(told) == pytest.approx(707, rel=2e-3)
     # Over a hit at 707 units the distance varies by 1 in 700, its square by 1 in 350; and
     # 256 samples blur what the exact picture takes at the pixel's centre, so look inside.
     found, right = render_mitsuba(scene, 256, None, "stock"), render_mitsuba(scene)
@@ -129,9 +123,8 @@ def test_stock_matte_picture_is_exact_at_the_distance_that_counts():
 def test_reflectances_are_halved_where_there_are_highlights(specular):
     shaders = Lambertian(diffuse=(0.9, 0.5, 0)), Phong(specular=(specular,) * 3, exponent=0)
     text = stock(close_up(*(Sphere(shader=shader) for shader in shaders)))
-    found = [
-        r.get("value") for r in ET.fromstring(text).iter("rgb") if r.get("name") != "intensity"
-    ]
+    colors = ET.fromstring(text).iter("rgb")
+    found = [color.get("value") for color in colors if color.get("name") != "intensity"]
     halves = ["0.45 0.25 0.0", "1.0 1.0 1.0", "0.4 0.4 0.4"]
     assert found == (halves if specular else ["0.9 0.5 0.0", "1.0 1.0 1.0"])
     assert ("all are\ndivided by 2" in text) == bool(specular)
@@ -242,8 +235,7 @@ def test_visible_points_of_a_room_are_on_its_walls(room, distances):
     least, most = np.linalg.norm(points, axis=1).min(), np.linalg.norm(points, axis=1).max()
     assert distances[0] - 1e-12 <= least <= most <= distances[1] + 1e-12
     if isinstance(room, Box):
-        walls = np.isclose(np.abs(points), room.max_pt, rtol=1e-12).any(axis=1)
-        assert walls.all()
+        assert np.isclose(np.abs(points), room.max_pt, rtol=1e-12).any(axis=1).all()
     # What is seen from inside is what is converted: the scene is moved to it.
     assert normalisation(scene).center[2] < -1
     result = check_scene(replace(scene, width=24, height=24), "room")
@@ -263,6 +255,5 @@ def test_visible_points_lie_on_the_nearest_surface():
     # Where few rays hit anything, more are sent.
     assert len(visible_points(close_up(Sphere(radius=0.1)))) >= 12
     # Rows of rays are 1/8 apart on a box's front, and none of them leaves it out.
-    assert (
-        len(visible_points(close_up(Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))))) == 64
-    )
+    front = Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))
+    assert len(visible_points(close_up(front))) == 64

@@ -1,4 +1,7 @@
-"""The converter's command line: what it writes, what it says, and what it leaves as it was."""
+"""The converter's command line: what it writes, what it says, and what it leaves as it was.
+
+And the choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it.
+"""
 
 import os
 import re
@@ -13,7 +16,8 @@ from scene_files import ONE_SPHERE, codes, small_one
 
 from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
-from converters.variant import SCALAR, mi, use
+from converters.variant import LLVM, SCALAR, Choice, choose, mi, use
+from reference import check
 from reference.command import own_scenes
 
 RENDER = ["--render", "--variant", SCALAR]
@@ -33,18 +37,14 @@ def names(folder: Path) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("flavour", "written"),
-    [
-        ("stock", ["small.mitsuba.xml"]),
-        ("exact", ["small.exact.mitsuba.xml"]),
-    ],
+    ("options", "written"),
+    [([], "small.mitsuba.xml"), (["--flavour", "exact"], "small.exact.mitsuba.xml")],
 )
-def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, flavour, written):
-    options = [] if flavour == "stock" else ["--flavour", flavour]
+def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, options, written):
     for _ in range(2):
         assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
-        assert names(small.parent) == {*written, "small.xml"}
-    scene = small.with_name(written[-1])
+        assert names(small.parent) == {written, "small.xml"}
+    scene = small.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: left out, for it is a converted scene\n" in capsys.readouterr().out
 
@@ -192,3 +192,58 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, 
 def test_what_is_no_number_is_told():
     with pytest.raises(ValueError, match="radius would be nan, and Mitsuba's"):
         plugin("shape", "sphere", radius=float("nan"))
+
+
+def test_without_a_usable_library_the_scalar_variant_is_left(small):
+    fake, output = small.with_name("libLLVM.so"), str(small.with_name("x.png"))
+    fake.write_text("not a library")
+    command = *COMMAND, "--render", str(small), "-o", output
+    done = run_python(*command, DRJIT_LIBLLVM_PATH=str(fake))
+    assert done.returncode == 0, done.stderr
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
+    assert np.asarray(Image.open(output)).max() > 100
+
+
+@pytest.mark.parametrize(
+    ("kernel", "variant", "reason"),
+    [
+        ("pass", LLVM, "libLLVM works"),
+        ("import os; os.abort()", SCALAR, "the libLLVM found here kills the process with SIGABRT"),
+        ("raise ImportError('not there')", SCALAR, "no usable libLLVM: ImportError: not there"),
+        ("raise SystemExit(3)", SCALAR, "no usable libLLVM: it said nothing"),
+        ("import time; time.sleep(60)", SCALAR, "the libLLVM found here hangs"),
+        ("import os; assert not os.path.isdir(os.path.expanduser('~'))", LLVM, "libLLVM works"),
+    ],
+)
+def test_the_probe_tells_how_its_child_ended(kernel, variant, reason, tmp_path, monkeypatch):
+    # It finds no kernels at home.
+    (tmp_path / ".drjit").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    options = {"timeout": 0.5} if "hangs" in reason else {}
+    assert choose(kernel, **options) == Choice(variant, reason)
+
+
+def test_the_probe_runs_once_a_process_and_scalar_can_always_be_asked_for():
+    assert use() is use()
+    assert use(SCALAR).variant == SCALAR
+    use()
+
+
+def test_asking_for_a_variant_that_does_not_work_says_why():
+    code = f"from converters.variant import use; use({LLVM!r})"
+    child = run_python("-c", code, DRJIT_LIBLLVM_PATH="/nonexistent")
+    assert child.returncode == 1
+    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
+
+
+@pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
+def test_variants_without_rgb_are_refused(variant, capsys):
+    scene = str(ONE_SPHERE)
+    assert check.main(["--variant", variant, scene]) == 2
+    assert main(["--render", "--variant", variant, scene]) == 1
+    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == second
+    assert first.startswith(wrong)
+    assert SCALAR in first
+    assert "spectral" not in first.removeprefix(wrong)
