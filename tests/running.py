@@ -21,6 +21,7 @@ ROOT = Path(tracer.__file__).parents[1]
 # The tracer under test, whatever folder a process starts in.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+INTERRUPTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 
 
 def started(
@@ -31,6 +32,8 @@ def started(
 
     def begin() -> None:
         signal.alarm(300)  # which stays when the program is loaded
+        for kind in INTERRUPTS:  # nohup ignores some, and so does a script in the background
+            signal.signal(kind, signal.SIG_DFL)
         prepare()
 
     options = PIPES | {"preexec_fn": begin} | options
