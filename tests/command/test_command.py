@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import tqdm
 from PIL import Image
-from running import SCENE, names, peak, run, started
+from running import ROOT, SCENE, names, peak, run, started, told
 
 import tracer
 from converters import to_mitsuba
@@ -64,12 +64,22 @@ def test_pictures_are_written_where_they_should_be(scene, arguments, made):
     assert expected.max() > 0
 
 
-@pytest.mark.parametrize("name", ["numpy", "numpy._core.gone"])
-def test_without_numpy(scene, name):
-    stub = f"raise ModuleNotFoundError('No module named {name}', name='{name}')"
-    (scene.parent / "numpy.py").write_text(stub)
-    error = f"No module named {name}; install it with python -m pip install numpy\n"
-    assert run("ball.xml", cwd=scene.parent) == (2, "", error)
+@pytest.mark.parametrize(
+    ("module", "missing"),
+    [
+        *(("tracer", m) for m in ("numpy", "numpy._core.gone")),
+        *((f"reference.{m}", "mitsuba") for m in ("benchmark", "check", "regenerate", "report")),
+        *((f"reference.{m}", "PIL") for m in ("compare", "regenerate")),
+        *((f"reference.{m}", "matplotlib") for m in ("speed_accuracy", "stability")),
+    ],
+)
+def test_a_command_without_its_packages_says_what_to_install(tmp_path, module, missing):
+    package, error = missing.partition(".")[0], f"No module named {missing}"
+    stub = f"raise ModuleNotFoundError({error!r}, name={missing!r})"
+    (tmp_path / f"{package}.py").write_text(stub)
+    status, out, err = run(python=("-m", module), env={"PYTHONPATH": f"{tmp_path}:{ROOT}"})
+    error += f"; install it with python -m pip install {package.replace('PIL', 'pillow')}\n"
+    assert (status, out, told(err)) == (2, "", error)
 
 
 def test_version_and_help():
@@ -240,7 +250,6 @@ def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, erro
 NAMED = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
 
 
-@pytest.mark.usefixtures("signals_heeded")
 def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene):
     """Nor do several, as of a user who is impatient."""
     scene.write_text(SLOW)
@@ -257,21 +266,15 @@ def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene)
     assert picture.read_bytes() == PNG + b"precious"
 
 
-def test_an_interrupt_that_the_shell_ignores(scene):
-    """As of a command in the background of a script."""
-    ignore = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
-    process = started(scene, "--quiet", preexec_fn=ignore)
+@pytest.mark.parametrize("ignored", [signal.SIGINT, signal.SIGCHLD])
+def test_signals_that_the_caller_ignores(scene, ignored):
+    """As in the background of a script; or in servers, where no process waits for its children."""
+    ignore = lambda: signal.signal(ignored, signal.SIG_IGN)  # noqa: E731
+    process = started(scene, "--quiet", "--processes", 2, preexec_fn=ignore)
     while process.poll() is None:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(ignored)
         time.sleep(0.01)
     assert (*process.communicate(), process.returncode) == ("", "", 0)
-    assert names(scene.parent) == ["ball.xml.png"]
-
-
-def test_ends_of_children_that_a_caller_ignores(scene):
-    """As some servers do: no process can wait for its children."""
-    ignore = lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # noqa: E731
-    assert run(scene, "--quiet", "--processes", 2, preexec_fn=ignore) == (0, "", "")
     assert names(scene.parent) == ["ball.xml.png"]
 
 
@@ -341,11 +344,15 @@ def test_the_bar_counts_pixels(monkeypatch):
     assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 
-def test_a_size_that_makes_pixels_oblong(scene, capsys):
+def test_warnings_and_a_size_that_makes_pixels_oblong(scene, capsys):
     assert cli.main([str(scene), "--size", "20x20"]) == 0
     window = "20 x 20 pixels show a window of 40 x 30, stretched"
     warning = f"{window}; viewWidth 30, or 27 columns, would make them square"
     assert capsys.readouterr().err == f"{scene}: warning: {warning}\n"
+    scene.write_text(SCENE.format(40, 30).replace("0 0 5", "0 0 -5"))
+    assert cli.main([str(scene), "--size", "20x20"]) == 0
+    seen = capsys.readouterr().err
+    assert seen.startswith(f"{scene}: warning: {warning}\n{scene}: warning: no object is in view")
     assert cli.main([str(scene), "--size", "20x20", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main([str(scene), "--size", "99999x99999"]) == 1
@@ -365,7 +372,6 @@ def test_standard_input_and_output(scene):
     assert names(scene.parent) == ["ball.xml.png"]
 
 
-@pytest.mark.usefixtures("signals_heeded")
 def test_watch(scene):
     """A file that is saved, is faulty, is mended, is replaced, is removed."""
     other = scene.with_name("other.xml")
@@ -414,24 +420,23 @@ def test_watch_waits_until_a_file_is_whole(scene, monkeypatch):
     assert rendered == [whole, new]
 
 
-def run_module(folder: Path, code: str, **environment: str) -> tuple[int, str, str]:
-    """Run the `main` of a module as a command."""
-    (folder / "other.py").write_text(f"import os\ndef main(): {code}")
+START = "the command cannot start: not enough memory; give it more memory, or install it again\n"
+THREADS = "return int(os.environ['OPENBLAS_NUM_THREADS'])"  # no more than someone asked for
+
+
+@pytest.mark.parametrize(
+    ("code", "environment", "status", "error"),
+    [
+        ("raise MemoryError", {}, 1, START),
+        (THREADS, {}, 1, ""),
+        (THREADS, {"OPENBLAS_NUM_THREADS": "2"}, 2, ""),
+    ],
+)
+def test_how_any_command_starts(tmp_path, code, environment, status, error):
+    (tmp_path / "other.py").write_text(f"import os\ndef main(): {code}")
     script = "from tracer.command.process import run\nrun('other')"
-    return run(python=("-c", script), env=environment, cwd=folder)
-
-
-def test_too_little_memory_to_start(tmp_path):
-    error = (
-        "the command cannot start: not enough memory; give it more memory, or install it again\n"
-    )
-    assert run_module(tmp_path, "raise MemoryError") == (1, "", error)
-
-
-@pytest.mark.parametrize("given", [{}, {"OPENBLAS_NUM_THREADS": "2"}])
-def test_no_threads_are_started_that_no_one_asked_for(given, tmp_path):
-    code = "return int(os.environ['OPENBLAS_NUM_THREADS'])"
-    assert run_module(tmp_path, code, **given)[0] == (2 if given else 1)
+    found = run(python=("-c", script), env=environment, cwd=tmp_path)
+    assert found == (status, "", error)
 
 
 def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene):

@@ -174,14 +174,5 @@ def test_other_scenes_do_not_warn(scene):
     assert render(scene).shape == (scene.height, scene.width, 3)
 
 
-def test_the_command_warns_in_a_line_of_its_own(path):
-    path.write_text(FILE.replace("<viewPoint>", "<viewDir>0 0 1</viewDir><viewPoint>"))
-    status, _, err = run(path)
-    assert status == 0
-    assert err.startswith(f"{path}: warning: no object is in view")
-    assert err.count("\n") == 1
-    assert run(path, "--quiet") == (0, "", "")
-
-
 def test_a_notebook_shows_a_scene_as_its_picture():
     assert BALL._repr_png_().startswith(b"\x89PNG\r\n")
