@@ -7,12 +7,11 @@ import os
 import resource
 import signal
 import stat
-import subprocess
-import sys
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from running import started
 
 from tracer.files import atomic_file
 
@@ -137,11 +136,8 @@ WRITER = """if True:
 
 
 def test_a_killed_writer_leaves_nothing_behind(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", WRITER, tmp_path / "there"], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"begun\n"
+    with started(tmp_path / "there", python=("-c", WRITER)) as process:
+        assert process.stdout.readline() == "begun\n"
         process.kill()
     assert contents(tmp_path) == []
 

@@ -112,7 +112,6 @@ def test_at_any_moment(command: str, moments: int, folder: Path) -> None:
 
 def test_watching_ends_when_nobody_reads(folder: Path) -> None:
     with start("tracer ball.xml --watch", folder) as process:
-        assert process.stdout is not None
         assert "ball.xml.png" in process.stdout.readline()
         process.stdout.close()
         (folder / "ball.xml").write_text(SCENE.format(61, 40))

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from running import SCENE, run, started
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
@@ -39,12 +39,17 @@ def picture(width: int = 300, height: int = 200) -> Scene:
 
 
 class Counting(Executor):
-    """Another executor that counts what it is asked for, and what that came to."""
+    """Another executor that keeps its futures; the first of them, or all, fail in a certain way."""
 
-    def __init__(self, executor: Executor) -> None:
+    def __init__(
+        self, executor: Executor, fail: Callable[[], object] = len, failures: int = 0
+    ) -> None:
         self.executor, self.futures = executor, list[Future[Any]]()
+        self.fail, self.failures = fail, failures
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if len(self.futures) < self.failures:
+            fn, args = self.fail, ()
         self.futures.append(self.executor.submit(fn, *args, **kwargs))
         return self.futures[-1]
 
@@ -56,27 +61,21 @@ def wait_until(holds: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def installed(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ModuleNotFoundError:
-        pytest.skip(f"{name} is not installed")
-
-
 def executor_of(kind: str, stack: ExitStack) -> Executor:
     if kind == "threads":
         return stack.enter_context(ThreadPoolExecutor(2))
     if kind == "loky":
-        pool = installed("loky").ProcessPoolExecutor(2)
+        loky = pytest.importorskip("loky", reason="loky is not installed")
+        pool = loky.ProcessPoolExecutor(2)
         stack.callback(pool.shutdown, kill_workers=True)
-        return pool  # type: ignore[no-any-return]
+        return pool
     if kind == "dask":
-        distributed = installed("distributed")
+        distributed = pytest.importorskip("distributed", reason="distributed is not installed")
         cluster = stack.enter_context(
             distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
         )
         client = stack.enter_context(distributed.Client(cluster))
-        return stack.enter_context(client.get_executor())  # type: ignore[no-any-return]
+        return stack.enter_context(client.get_executor())
     context = multiprocessing.get_context(kind)
     return stack.enter_context(ProcessPoolExecutor(2, context))
 
@@ -110,23 +109,9 @@ def test_any_executor_draws_the_same_picture(
 
 def test_without_an_executor_nothing_is_started(small_tiles: None) -> None:
     before = threading.active_count()
-    render(picture(2000, 1000))
+    render(picture())
     assert threading.active_count() == before
     assert multiprocessing.active_children() == []
-
-
-class Failing(Counting):
-    """An executor of which the first items, or all, fail in their own way."""
-
-    def __init__(self, executor: Executor, fail: Callable[[], object], times: int) -> None:
-        super().__init__(executor)
-        self.fail, self.times = fail, times
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        self.times -= 1
-        if self.times >= 0:
-            return super().submit(self.fail)
-        return super().submit(fn, *args, **kwargs)
 
 
 def die() -> None:
@@ -143,7 +128,7 @@ def test_what_an_executor_fails_to_do_is_done_here(
 ) -> None:
     scene = picture()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        failing = Failing(pool, fail, times)
+        failing = Counting(pool, fail, times)
         assert np.array_equal(render(scene, executor=failing), render(scene))
         assert failing.futures[0].exception() is not None
     assert capfd.readouterr() == ("", "")
@@ -265,15 +250,10 @@ def test_leaving_early_ends_the_pool(small_tiles: None, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("limit", range(5, 15))
 def test_few_files(limit: int, tmp_path: Path) -> None:
     """What starts a pool, or a part of one, may lack files for the rest."""
-    import resource  # not on all systems
-
     path = tmp_path / "ball.xml"
     path.write_text(SCENE.format(300, 200))
-
-    def prepare() -> None:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
-
-    assert run(path, "--quiet", "--processes", 2, preexec_fn=prepare) == (0, "", "")
+    few = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))  # noqa: E731
+    assert run(path, "--quiet", "--processes", 2, preexec_fn=few) == (0, "", "")
 
 
 @pytest.fixture
@@ -300,8 +280,6 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
             os.kill(worker, signal.SIGKILL)
         assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0
-    from PIL import Image
-
     Image.MAX_IMAGE_PIXELS = None
     with Image.open(f"{large}.png") as a, Image.open(other) as b:
         assert a.size == b.size
@@ -319,13 +297,10 @@ def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) 
 
 
 def test_processors_are_those_that_may_be_used() -> None:
-    if not hasattr(os, "sched_setaffinity"):
-        assert parallel.processors() == os.cpu_count()
-        return
     usable = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(usable)})
     try:
         assert parallel.processors() == 1
     finally:
         os.sched_setaffinity(0, usable)
-    assert sys.platform != "linux" or parallel.processors() == len(usable)
+    assert parallel.processors() == len(usable)
