@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,15 +115,11 @@ def test_without_an_executor_nothing_is_started(small_tiles: None) -> None:
     assert multiprocessing.active_children() == []
 
 
-def die() -> None:
-    os._exit(1)
-
-
 def run_out_of_memory() -> None:
     raise MemoryError
 
 
-@pytest.mark.parametrize(("fail", "times"), [(die, 1), (run_out_of_memory, 1000)])
+@pytest.mark.parametrize(("fail", "times"), [(partial(os._exit, 1), 1), (run_out_of_memory, 1000)])
 def test_what_an_executor_fails_to_do_is_done_here(
     fail: Callable[[], None], times: int, small_tiles: None, capfd: pytest.CaptureFixture[str]
 ) -> None:

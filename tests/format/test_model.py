@@ -5,9 +5,6 @@ from __future__ import annotations
 import copy
 import io
 import pickle
-import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import tracer
 from tracer import (
     Box,
     Camera,
@@ -297,36 +293,3 @@ def test_directions_are_refused_where_too_few_digits_are_right(vectors, wrong):
     for x in (0.99e-10, -0.99e-10):
         with pytest.raises(SceneError, match=wrong):
             Camera(**vectors(x))
-
-
-USES = """
-from pathlib import Path
-import numpy as np
-import tracer
-
-shader: tracer.Shader = tracer.Phong(diffuse=[1, 0.5, 0], specular=np.ones(3), exponent=9)
-ball = tracer.Sphere(center=np.array([1, 2, 3]), radius=2, shader=shader)
-brick = tracer.Box(min_pt=[0, 0, 0], max_pt=(1.0, 1, 1))
-lights = [tracer.PointLight(position=[1, 2, 3], intensity=np.ones(3))]
-scene = tracer.Scene(width=4, height=3, lights=lights, surfaces=[ball, brick])
-scene = tracer.Scene(width=4, height=3, lights=scene.lights, surfaces=scene.surfaces)
-x, y, z = scene.lights[0].position
-height: float = ball.center[1] + y
-line: int | None = scene.surfaces[0].line
-count: int = len(scene.surfaces.center) + len(scene.lights)
-tracer.save_scene(scene, Path("scene.xml"))
-with open("scene.xml", "rb") as file:
-    scene = tracer.load_scene(file)
-"""
-
-
-@pytest.mark.slow
-def test_types_of_documented_usage(tmp_path: Path) -> None:
-    pytest.importorskip("mypy", reason="mypy is not installed")
-    readme = (Path(tracer.__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    examples = re.findall(r"^```python\n(.*?)^```", readme, re.M | re.S)
-    for i, text in enumerate([USES, *examples]):
-        (tmp_path / f"use{i}.py").write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "mypy", "--strict", *map(str, tmp_path.glob("use*.py"))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.stdout.startswith("Success"), done.stdout

@@ -18,10 +18,6 @@ from converters.variant import LLVM, use
 from reference import benchmark, command, speed_accuracy
 from reference.judges.true_picture import rmse, true_picture
 from reference.measured import measurements
-from reference.measured.measurements import (
-    interleaved,
-    measured_on,
-)
 from tracer import render
 
 
@@ -31,7 +27,7 @@ def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
     def task(name: str, seconds: float) -> Callable[[], None]:
         return lambda: (order.append(name), sleep(seconds))[1]
 
-    timings = interleaved({"a": task("a", 0.03), "b": task("b", 0)}, 2, enough=0.05)
+    timings = measurements.interleaved({"a": task("a", 0.03), "b": task("b", 0)}, 2, enough=0.05)
     assert order[:6] == ["a", "b"] * 3  # after one of each to warm up
     assert set(order[6:]) == {"b"}
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
@@ -44,7 +40,7 @@ def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: P
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
         "| room | 50.0 (40.0–90.0) | 0.25× |\n| far | 50.0 (40.0–90.0) | 42× |"
     )
-    where = measured_on()
+    where = measurements.measured_on()
     assert re.search(r"commit [0-9a-f]{7}\b|no commit", where)
     measurements.write_csv(tmp_path / "a.csv", where, ("name", "error"), [("room", 1 / 3)])
     assert measurements.read_csv(tmp_path / "a.csv") == (where, [["room", "0.333333"]])
