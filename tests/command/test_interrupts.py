@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -97,7 +96,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
     "moments", [3, pytest.param(35, marks=pytest.mark.slow)], ids=["some", "many"]
 )
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[0])
-def test_at_any_moment(command: str, moments: int, folder: Path) -> None:
+def test_at_any_moment(command, moments, folder):
     began = time.monotonic()
     start(command, folder).communicate(timeout=60)
     took = time.monotonic() - began
@@ -110,7 +109,7 @@ def test_at_any_moment(command: str, moments: int, folder: Path) -> None:
     assert 130 in found
 
 
-def test_watching_ends_when_nobody_reads(folder: Path) -> None:
+def test_watching_ends_when_nobody_reads(folder):
     with start("tracer ball.xml --watch", folder) as process:
         assert "ball.xml.png" in process.stdout.readline()
         process.stdout.close()
@@ -131,9 +130,7 @@ def test_watching_ends_when_nobody_reads(folder: Path) -> None:
     [lambda: os.close(1), lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), 1)],
     ids=["a closed stream", "/dev/full"],
 )
-def test_results_that_cannot_be_printed(
-    command: str, status: int, prepare: Callable[[], object], folder: Path
-) -> None:
+def test_results_that_cannot_be_printed(command, status, prepare, folder):
     found, _, err = run(python=["-m", *command.split()], cwd=folder, preexec_fn=prepare)
     assert (found, err.count("\n")) == (status, 1)
     assert "standard output: cannot be written" in err

@@ -93,9 +93,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks, and of what Dask imports
 @pytest.mark.parametrize("kind", ["fork", "spawn", "forkserver", "threads", "loky", "dask"])
-def test_any_executor_draws_the_same_picture(
-    kind: str, small_tiles: None, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_any_executor_draws_the_same_picture(kind, small_tiles, capfd):
     with ExitStack() as stack:
         counting = Counting(executor_of(kind, stack))
         for scene, samples in ((picture(), 1), (picture(400, 3), 1), (picture(90, 60), 16)):
@@ -108,7 +106,7 @@ def test_any_executor_draws_the_same_picture(
         assert capfd.readouterr() == ("", "")
 
 
-def test_without_an_executor_nothing_is_started(small_tiles: None) -> None:
+def test_without_an_executor_nothing_is_started(small_tiles):
     before = threading.active_count()
     render(picture())
     assert threading.active_count() == before
@@ -120,9 +118,7 @@ def run_out_of_memory() -> None:
 
 
 @pytest.mark.parametrize(("fail", "times"), [(partial(os._exit, 1), 1), (run_out_of_memory, 1000)])
-def test_what_an_executor_fails_to_do_is_done_here(
-    fail: Callable[[], None], times: int, small_tiles: None, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_an_executor_fails_to_do_is_done_here(fail, times, small_tiles, capfd):
     scene = picture()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         failing = Counting(pool, fail, times)
@@ -150,9 +146,7 @@ class Late(Executor):
 
 
 @pytest.mark.parametrize("processors", [1, 2, 6])
-def test_an_executor_has_work_for_all_processors_and_no_more(
-    processors: int, small_tiles: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_executor_has_work_for_all_processors_and_no_more(processors, small_tiles, monkeypatch):
     for module in (parallel, render_module):
         monkeypatch.setattr(module, "processors", lambda: processors)
     late = Late()
@@ -161,14 +155,14 @@ def test_an_executor_has_work_for_all_processors_and_no_more(
 
 
 @pytest.mark.parametrize("processors", [2, 16])
-def test_all_processors_have_tiles(processors: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_processors_have_tiles(processors, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: processors)
     monkeypatch.setattr(render_module, "_LEAST_SAMPLES", 1000)
     monkeypatch.setattr(render_module, "worker_pool", lambda *_: None)
     assert len(tiles_of(picture(), processes=processors)) >= 4 * processors
 
 
-def test_a_program_with_threads_is_not_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_with_threads_is_not_forked(monkeypatch):
     """Another thread may hold a lock, which stays locked in the fork."""
     wait = threading.Event()
     thread = threading.Thread(target=wait.wait)
@@ -182,19 +176,19 @@ def test_a_program_with_threads_is_not_forked(monkeypatch: pytest.MonkeyPatch) -
         thread.join()
 
 
-def test_an_executor_that_is_shut_down() -> None:
+def test_an_executor_that_is_shut_down():
     pool = ThreadPoolExecutor(1)
     pool.shutdown()
     assert np.array_equal(render(picture(), executor=pool), render(picture()))
 
 
-def test_an_error_here_is_raised_here(small_tiles: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_here_is_raised_here(small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "radiance_at", lambda *_, **__: run_out_of_memory())
     with ThreadPoolExecutor(1) as pool, pytest.raises(MemoryError):
         render(picture(), executor=pool)
 
 
-def test_a_scene_that_cannot_be_pickled(small_tiles: None) -> None:
+def test_a_scene_that_cannot_be_pickled(small_tiles):
     class Red(Lambertian):
         """Pickled by a name that is not there."""
 
@@ -208,9 +202,7 @@ def tiles_of(scene: Scene, **options: Any) -> list[bytes]:
 
 
 @pytest.mark.parametrize("samples", [1, 16])
-def test_the_pool_of_the_command_draws_the_same(
-    samples: int, small_tiles: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pool_of_the_command_draws_the_same(samples, small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 3)
     used: list[int] = []
     started_pool = parallel.worker_pool
@@ -227,7 +219,7 @@ def test_the_pool_of_the_command_draws_the_same(
     assert len(drawn[1]) > 3
 
 
-def test_a_small_picture_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_picture_starts_no_process(monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 2)
     pools: list[int] = []
     monkeypatch.setattr(render_module, "worker_pool", lambda count, *_: pools.append(count))
@@ -236,7 +228,7 @@ def test_a_small_picture_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> N
     assert pools == [0, 1]
 
 
-def test_leaving_early_ends_the_pool(small_tiles: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 2)
     with closing(render_tiles(picture(), processes=2)) as tiles:
         next(tiles)
@@ -245,7 +237,7 @@ def test_leaving_early_ends_the_pool(small_tiles: None, monkeypatch: pytest.Monk
 
 @needs_two
 @pytest.mark.parametrize("limit", range(5, 15))
-def test_few_files(limit: int, tmp_path: Path) -> None:
+def test_few_files(limit, tmp_path):
     """What starts a pool, or a part of one, may lack files for the rest."""
     path = tmp_path / "ball.xml"
     path.write_text(SCENE.format(300, 200))
@@ -269,7 +261,7 @@ def workers_of(process: subprocess.Popen[str]) -> Iterator[int]:
 
 
 @needs_two
-def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_costs_time_not_the_picture(large, tmp_path):
     other = tmp_path / "other.png"
     assert run(large, "-o", other, "--quiet", "--processes", 1)[0] == 0
     with started(large, "--quiet", "--processes", 2) as process:
@@ -284,7 +276,7 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
 
 
 @needs_two
-def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) -> None:
+def test_workers_end_with_a_command_that_is_killed(large, tmp_path):
     with started(large, "--quiet", "--processes", 2) as process:
         workers = list(workers_of(process))
         process.kill()
@@ -293,7 +285,7 @@ def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) 
     assert [path.name for path in tmp_path.iterdir()] == ["large.xml"]
 
 
-def test_processors_are_those_that_may_be_used() -> None:
+def test_processors_are_those_that_may_be_used():
     usable = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(usable)})
     try:

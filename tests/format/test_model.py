@@ -6,7 +6,6 @@ import copy
 import io
 import pickle
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,17 +80,15 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
     (Sphere, {"center": [[1, 2, 3]]}, ["center: needs 3 numbers, has shape (1, 3)"]),
     (Sphere, {"radius": (1, 2)}, ["radius: needs 1 number, has 2"]),
     # Parts of another type.
-    *(
-        (
-            Scene,
-            {"width": "a", "height": 8, "camera": 3, "lights": one, "surfaces": one},
-            [
-                "camera: must be of type Camera, is of type int",
-                *(f"{name}: must be a list, is of type {kind}" for name in ("lights", "surfaces")),
-                "width: must be an int, is 'a'",
-            ],
-        )
-        for one, kind in ((Sphere(), "Sphere"), (None, "NoneType"), (5, "int"))
+    (
+        Scene,
+        {"width": "a", "height": 8, "camera": 3, "lights": None, "surfaces": Sphere()},
+        [
+            "camera: must be of type Camera, is of type int",
+            "lights: must be a list, is of type NoneType",
+            "surfaces: must be a list, is of type Sphere",
+            "width: must be an int, is 'a'",
+        ],
     ),
     (Sphere, {"shader": "red"}, ["shader: must be of type Lambertian or Phong, is of type str"]),
     (Scene, SIZE | {"surfaces": ["ball"]}, ["surfaces: must be of type Sphere or Box, is of type"]),
@@ -135,12 +132,12 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
 
 
 @pytest.mark.parametrize(("made", "values", "expected"), FAULTS, ids=range(len(FAULTS)))
-def test_all_faults_are_reported(made: type, values: dict[str, Any], expected: list[str]) -> None:
+def test_all_faults_are_reported(made, values, expected):
     lines = str(faults_of(lambda: made(**values))).splitlines()
     assert [line[: len(key)] for line, key in zip(lines, expected, strict=True)] == expected
 
 
-def test_a_scene_does_not_change_with_the_arrays_it_was_made_from() -> None:
+def test_a_scene_does_not_change_with_the_arrays_it_was_made_from():
     arrays = {name: np.array(value) for name, value in ARRAYS.items() if name != "shaders"}
     surfaces = Surfaces(**arrays, shaders=ARRAYS["shaders"])
     for array in arrays.values():
@@ -159,7 +156,7 @@ def test_a_scene_does_not_change_with_the_arrays_it_was_made_from() -> None:
         *(lambda o, p=p: pickle.loads(pickle.dumps(o, p)) for p in range(6)),
     ],
 )
-def test_copies_are_equal(copy_of: Callable[[Any], Any]) -> None:
+def test_copies_are_equal(copy_of):
     lights = [PointLight(position=(1, 2, 3))]
     scene = Scene(width=4, height=3, lights=lights, surfaces=Surfaces(**ARRAYS))
     same = copy_of(scene)
@@ -173,7 +170,7 @@ def test_copies_are_equal(copy_of: Callable[[Any], Any]) -> None:
         assert (type(same), vars(same), str(same)) == (type(error), vars(error), str(error))
 
 
-def test_surfaces_are_equal_as_sequences_are() -> None:
+def test_surfaces_are_equal_as_sequences_are():
     surfaces = Surfaces(**ARRAYS)
     assert list(surfaces) == [
         Sphere(center=(0, 0, 0), radius=1, shader=MATTE),
@@ -202,7 +199,7 @@ def test_surfaces_are_equal_as_sequences_are() -> None:
     assert Surfaces() == Surfaces()
 
 
-def test_surfaces_are_sorted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surfaces_are_sorted_once(monkeypatch):
     surfaces, sorts = Surfaces(**ARRAYS), []
 
     def argsort(array: np.ndarray) -> np.ndarray:
@@ -217,7 +214,7 @@ def test_surfaces_are_sorted_once(monkeypatch: pytest.MonkeyPatch) -> None:
 # In a file and back
 
 
-def test_all_digits_are_saved(tmp_path: Path) -> None:
+def test_all_digits_are_saved(tmp_path):
     third = (1 / 3, -0.0, 1e-75)
     scene = Scene(
         camera=Camera(view_point=third, proj_normal=(0, 1e-9, 1), view_height=0.1 + 0.2),
@@ -242,7 +239,7 @@ def test_all_digits_are_saved(tmp_path: Path) -> None:
     assert len(same.surfaces.shaders) <= 3
 
 
-def test_only_scenes_are_replaced(tmp_path: Path) -> None:
+def test_only_scenes_are_replaced(tmp_path):
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
     for there in ("", "<scene/>", '<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >'):
         path.write_text(there)
@@ -263,7 +260,7 @@ LINED = """<scene><image>4 3</image><camera/>
 </scene>"""
 
 
-def test_objects_know_their_lines() -> None:
+def test_objects_know_their_lines():
     scene = load_scene(io.BytesIO(LINED.encode()))
     read = scene.surfaces
     for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.of(list(read)):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from time import sleep
 
 import pytest
@@ -21,7 +20,7 @@ from reference.measured import measurements
 from tracer import render
 
 
-def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
+def test_tasks_run_in_turns_and_only_short_ones_go_on():
     order: list[str] = []
 
     def task(name: str, seconds: float) -> Callable[[], None]:
@@ -33,7 +32,7 @@ def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
 
 
-def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: Path) -> None:
+def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path):
     time = measurements.Timing(0.05, 0.04, 0.09)
     rows = [("room", time, 0.25), ("far", time, 42.4)]
     assert benchmark.table("Title", "A note.", ("scene", "time", "ratio"), rows) == (
@@ -48,9 +47,7 @@ def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", benchmark.SECTIONS, ids=lambda section: section.__name__)
-def test_benchmark_tables_are_complete(
-    section: Callable[[bool], str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_benchmark_tables_are_complete(section, monkeypatch):
     monkeypatch.setattr(benchmark, "ROUNDS", 1)
     monkeypatch.setattr(measurements, "_MORE", 1)
     lines = [line for line in section(True).splitlines() if line.startswith("|")]
@@ -59,7 +56,7 @@ def test_benchmark_tables_are_complete(
 
 
 @pytest.mark.slow
-def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MORE", 1)
     scene = small("four-spheres", 32, 18)

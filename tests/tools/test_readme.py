@@ -22,7 +22,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
 
 
-def test_the_readme_is_one_page_with_two_commands() -> None:
+def test_the_readme_is_one_page_with_two_commands():
     """One line each: `.ci/run` takes them from here, and runs them in a clean checkout."""
     assert README.count("\n") <= 160
     first, last = (blocks("sh")[k].rstrip("\n") for k in (0, -1))
@@ -33,7 +33,7 @@ def test_the_readme_is_one_page_with_two_commands() -> None:
     assert "'.[test]'" in last
 
 
-def test_its_speeds_are_those_of_the_benchmark() -> None:
+def test_its_speeds_are_those_of_the_benchmark():
     """The least and the most of the stored speedups over stock Mitsuba."""
     text = " ".join(README.split())
     page = (ROOT / "reference/benchmark.md").read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def test_its_speeds_are_those_of_the_benchmark() -> None:
             assert re.search(rf"{re.escape(f'{low} to {high}')} times [^.,]*{shown}", text), title
 
 
-def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_do_as_they_say(tmp_path, monkeypatch):
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
@@ -87,7 +87,7 @@ with open("scene.xml", "rb") as file:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("checker", ["mypy --strict", f"pyright --pythonpath {sys.executable}"])
-def test_types_of_documented_usage(checker: str, tmp_path: Path) -> None:
+def test_types_of_documented_usage(checker, tmp_path):
     (tmp_path / "example.py").write_text("\n".join(blocks("python")))
     (tmp_path / "uses.py").write_text(USES)
     done = run_python("-m", *checker.split(), f"{tmp_path}/example.py", f"{tmp_path}/uses.py")
@@ -95,35 +95,33 @@ def test_types_of_documented_usage(checker: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
+def test_links_lead_somewhere(page):
     path = ROOT / page
     links = re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
     missing = [link for link in links if "://" not in link and not (path.parent / link).exists()]
     assert missing == []
 
 
-def test_the_commands_exist() -> None:
+def test_the_commands_exist():
     text = "\n".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
     modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", text))
     assert len(modules) >= 5
     assert [module for module in modules if find_spec(module) is None] == []
 
 
-def test_the_map_names_every_module_of_the_tracer() -> None:
+def test_the_map_names_every_module_of_the_tracer():
     text = (ROOT / "reference/map.md").read_text(encoding="utf-8")
     modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__", "__main__"}
     assert modules - set(re.findall(r"`(\w+)`", text)) == set()
 
 
-def test_the_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sheet_shows_every_scene(monkeypatch):
     """Five square scenes and nine wide ones make a row and three."""
     monkeypatch.setattr(regenerate, "_SAMPLES", 1)
     assert regenerate.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
 
 
-def test_what_is_converted_beside_scenes_is_none_of_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_converted_beside_scenes_is_none_of_them(tmp_path, monkeypatch):
     monkeypatch.setattr("reference.command.SCENES", tmp_path)
     for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
         (tmp_path / name).touch()
@@ -131,7 +129,7 @@ def test_what_is_converted_beside_scenes_is_none_of_them(
 
 
 @pytest.mark.parametrize("path", own_scenes(), ids=lambda path: path.stem)
-def test_a_scene_says_what_it_shows_and_shows_something(path: Path) -> None:
+def test_a_scene_says_what_it_shows_and_shows_something(path):
     text = path.read_text(encoding="utf-8")
     assert text.startswith("<!-- ")
     assert text.index("-->") > 40
