@@ -107,15 +107,13 @@ def test_permissions_are_kept_and_a_link_stays_one(there):
         ("pipe", "not a regular file"),
         ("missing/picture.png", "No such file"),
         ("loop", "Too many levels of symbolic links"),
-        ("turn", "Too many levels of symbolic links"),
     ],
 )
 def test_targets_that_cannot_be_written(there, target, reason):
     folder = there.parent
     (folder / "folder").mkdir()
     os.mkfifo(folder / "pipe")
-    for link, to in (("loop", "loop"), ("turn", "back"), ("back", "turn")):
-        (folder / link).symlink_to(to)
+    (folder / "loop").symlink_to("loop")
     before = sorted(folder.rglob("*"))
     with pytest.raises(OSError, match=reason) as caught:
         write(folder / target)

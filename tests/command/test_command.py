@@ -8,13 +8,15 @@ import signal
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import tqdm
 from PIL import Image
-from running import ROOT, SCENE, names, peak, run, started, told
+from running import ROOT, SCENE, names, peak, run, started, told, wait_until
 
 import tracer
 from converters import to_mitsuba
@@ -94,41 +96,37 @@ COUNT = "must be a whole number from 1 to 999999999, is"
 SIZE = "argument --size: must be width and height in pixels, as 640x360, is"
 INPUT = "-: a picture of standard input needs a name, with -o, and no --watch"
 BOTH = "would both be written there; do them one by one"
+OUTPUT = "standard output takes the picture of one scene, and no --watch"
+FOLDER = "several scenes need a folder; to have it made, end it in /"
 PIXEL = "argument --pixel: must be column and row, as 160,90, is"
 
 
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        ([], "the following arguments are required: SCENE.xml"),
-        (["ball.xml", "--samples", "0"], f"argument --samples: {COUNT} '0'"),
-        (["ball.xml", "--samples", "1_0"], f"argument --samples: {COUNT} '1_0'"),
-        (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
-        (["ball.png", "-o", "ball.png"],
-         "ball.png: this would replace a scene; choose another with -o"),
-        (["ball.xml", "-o", "ball.v2.jpg"],
-         "-o ball.v2.jpg: pictures are PNG files; name it ball.v2.png"),
-        (["ball.xml", "--size", "640"], f"{SIZE} '640'"),
-        (["ball.xml", "--size", "0x10"], f"{SIZE} '0x10'"),
-        (["-"], INPUT),
-        (["-", "-o", "ball.png", "--watch"], INPUT),
-        (["ball.xml", "other.xml", "-o", "-"],
-         "-o -: standard output takes the picture of one scene, and no --watch"),
-        (["ball.xml", "other.xml", "-o", "here.png"],
-         "-o here.png: several scenes need a folder; to have it made, end it in /"),
-        (["ball.xml", "ball.xml"], f"ball.xml.png: ball.xml and ball.xml {BOTH}"),
-        (["ball.xml", "sub/ball.xml", "-o", "."],
-         f"./ball.xml.png: ball.xml and sub/ball.xml {BOTH}"),
-        (["ball.xml", "--pixel=4,x"], f"{PIXEL} '4,x'"),
-        (["ball.xml", "--pixel=1,2,3"], f"{PIXEL} '1,2,3'"),
-        (["ball.xml", "--pixel=4,4", "-o", "x.png"],
-         "--pixel cannot be combined with -o or --watch"),
+        ("", "the following arguments are required: SCENE.xml"),
+        ("ball.xml --samples 0", f"argument --samples: {COUNT} '0'"),
+        ("ball.xml --samples 1_0", f"argument --samples: {COUNT} '1_0'"),
+        ("ball.xml -o=", "argument -o/--output: the name is empty; name a file"),
+        ("ball.png -o ball.png", "ball.png: this would replace a scene; choose another with -o"),
+        ("ball.xml -o ball.v2.jpg", "-o ball.v2.jpg: pictures are PNG files; name it ball.v2.png"),
+        ("ball.xml --size 640", f"{SIZE} '640'"),
+        ("ball.xml --size 0x10", f"{SIZE} '0x10'"),
+        ("-", INPUT),
+        ("- -o ball.png --watch", INPUT),
+        ("ball.xml other.xml -o -", f"-o -: {OUTPUT}"),
+        ("ball.xml -o - --watch", f"-o -: {OUTPUT}"),
+        ("ball.xml other.xml -o here.png", f"-o here.png: {FOLDER}"),
+        ("ball.xml ball.xml", f"ball.xml.png: ball.xml and ball.xml {BOTH}"),
+        ("ball.xml sub/ball.xml -o .", f"./ball.xml.png: ball.xml and sub/ball.xml {BOTH}"),
+        ("ball.xml --pixel=4,x", f"{PIXEL} '4,x'"),
+        ("ball.xml --pixel=4,4 -o x.png", "--pixel cannot be combined with -o or --watch"),
     ],
-)  # fmt: skip
+)
 def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
     monkeypatch.chdir(scene.parent)
     with pytest.raises(SystemExit, match="2"):
-        cli.main(arguments)
+        cli.main(arguments.split())
     out, err = capsys.readouterr()
     assert (out, err.splitlines()[-1]) == ("", f"tracer: error: {error}")
     assert names(scene.parent) == []
@@ -224,22 +222,18 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
 
 
 @pytest.mark.parametrize(
-    ("number", "error"),
+    ("draw", "error"),
     [
-        (None, "{0}: not enough memory for 40 x 30 pixels of 4 samples;"
+        (Mock(side_effect=MemoryError),
+         "{0}: not enough memory for 40 x 30 pixels of 4 samples;"
                " make the image smaller or take fewer samples\n"),
-        (np.nan, "{0}.png: cannot be written: an image must not hold NaN;"
+        (Mock(return_value=np.full((30, 40, 3), np.nan)),
+         "{0}.png: cannot be written: an image must not hold NaN;"
                  " this is a fault of the tracer; please report it with the scene\n"),
     ],
 )  # fmt: skip
-def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, error):
+def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, draw, error):
     """However it comes about: a line, and not a traceback."""
-
-    def draw(_job: object, _number: int) -> np.ndarray:
-        if number is None:
-            raise MemoryError
-        return np.full((30, 40, 3), number)
-
     monkeypatch.setattr("tracer.picture.render._RenderJob.radiance", draw)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
@@ -256,9 +250,7 @@ def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene)
     picture = scene.with_name("ball.xml.png")
     picture.write_bytes(PNG + b"precious")
     process = started(scene, python=("-c", NAMED))
-    while len(names(scene.parent)) == 1:
-        assert process.poll() is None
-        time.sleep(0.02)
+    wait_until(lambda: len(names(scene.parent)) > 1)
     for _ in range(5):
         process.send_signal(signal.SIGTERM)
     assert (*process.communicate(timeout=30), process.returncode) == ("", "", 130)
@@ -401,17 +393,9 @@ def test_watch_waits_until_a_file_is_whole(scene, monkeypatch):
     """An editor may write it in pieces, each after a look at the file."""
     whole, rendered = scene.read_text(), []
     new = whole + "\n"
-    texts = iter([new[:20], new[:40], new, None, None])
-
-    def sleep(_seconds: float) -> None:
-        try:
-            text = next(texts)
-        except StopIteration:
-            sys.exit()
-        if text:
-            scene.write_text(text)
-
-    monkeypatch.setattr(cli, "sleep", sleep)
+    steps = [partial(scene.write_text, text) for text in (new[:20], new[:40], new)]
+    following = iter([*steps, dict, dict, sys.exit])
+    monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
     monkeypatch.setattr(cli, "_render", lambda path, *_: rendered.append(Path(path).read_text()))
     with pytest.raises(SystemExit):
         cli.main([str(scene), "--watch"])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, SCENE, run, started
+from running import INTERRUPTS, SCENE, run, started, wait_until
 
 from tracer import write_png
 
@@ -78,10 +78,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
             send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
     assert err == "", moment
-    deadline = time.monotonic() + 20
-    while left_running():
-        assert time.monotonic() < deadline, "a process has stayed"
-        time.sleep(0.02)
+    wait_until(lambda: not left_running())
     if process.returncode != 130:  # it was done: then its whole result is there
         assert process.returncode in (0, 1, 3)
         assert out

@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from running import SCENE, run, started
+from running import SCENE, run, started, wait_until
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.picture import parallel
@@ -53,13 +52,6 @@ class Counting(Executor):
             fn, args = self.fail, ()
         self.futures.append(self.executor.submit(fn, *args, **kwargs))
         return self.futures[-1]
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def executor_of(kind: str, stack: ExitStack) -> Executor:

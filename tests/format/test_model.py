@@ -149,13 +149,10 @@ def test_a_scene_does_not_change_with_the_arrays_it_was_made_from():
                 getattr(same, name)[:] = -1
 
 
-@pytest.mark.parametrize(
-    "copy_of",
-    [
-        *(copy.copy, copy.deepcopy),
-        *(lambda o, p=p: pickle.loads(pickle.dumps(o, p)) for p in range(6)),
-    ],
-)
+PICKLED = [lambda made, p=p: pickle.loads(pickle.dumps(made, p)) for p in range(6)]
+
+
+@pytest.mark.parametrize("copy_of", [copy.copy, copy.deepcopy, *PICKLED])
 def test_copies_are_equal(copy_of):
     lights = [PointLight(position=(1, 2, 3))]
     scene = Scene(width=4, height=3, lights=lights, surfaces=Surfaces(**ARRAYS))
