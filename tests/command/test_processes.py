@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -64,10 +65,8 @@ def executor_of(kind: str, stack: ExitStack) -> Executor:
         return pool
     if kind == "dask":
         distributed = pytest.importorskip("distributed", reason="distributed is not installed")
-        cluster = stack.enter_context(
-            distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-        )
-        client = stack.enter_context(distributed.Client(cluster))
+        options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+        client = stack.enter_context(distributed.Client(**options))
         return stack.enter_context(client.get_executor())
     context = multiprocessing.get_context(kind)
     return stack.enter_context(ProcessPoolExecutor(2, context))
@@ -196,16 +195,10 @@ def tiles_of(scene: Scene, **options: Any) -> list[bytes]:
 @pytest.mark.parametrize("samples", [1, 16])
 def test_the_pool_of_the_command_draws_the_same(samples, small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 3)
-    used: list[int] = []
-    started_pool = parallel.worker_pool
-
-    def counted(count: int, *rest: Any) -> Executor | None:
-        used.append(count)
-        return started_pool(count, *rest)
-
-    monkeypatch.setattr(render_module, "worker_pool", counted)
+    pool = Mock(wraps=parallel.worker_pool)
+    monkeypatch.setattr(render_module, "worker_pool", pool)
     drawn = [tiles_of(picture(), samples=samples, processes=n) for n in (1, 2, 3, 9)]
-    assert used == [0, 1, 2, 2]
+    assert [call.args[0] for call in pool.call_args_list] == [0, 1, 2, 2]
     # With one process tiles are larger: only those that several share can be compared so.
     assert drawn[1] == drawn[2] == drawn[3]
     assert len(drawn[1]) > 3

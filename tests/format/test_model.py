@@ -7,6 +7,7 @@ import io
 import pickle
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -197,15 +198,10 @@ def test_surfaces_are_equal_as_sequences_are():
 
 
 def test_surfaces_are_sorted_once(monkeypatch):
-    surfaces, sorts = Surfaces(**ARRAYS), []
-
-    def argsort(array: np.ndarray) -> np.ndarray:
-        sorts.append(array)
-        return array.argsort()
-
+    surfaces, argsort = Surfaces(**ARRAYS), Mock(wraps=np.argsort)
     monkeypatch.setattr("numpy.argsort", argsort)
     assert [surfaces[k] for k in (0, 1, -1)] == list(surfaces)
-    assert len(sorts) == 1
+    assert argsort.call_count == 1
 
 
 # In a file and back

@@ -33,7 +33,6 @@ def colours(blue: int) -> NDArray[np.uint8]:
     return np.dstack([10 + 30 * column, 10 + 40 * row, np.full_like(row, blue)]).astype(np.uint8)
 
 
-Report = Callable[..., tuple[int, str, str]]
 TRACER, MITSUBA = colours(blue=40), colours(blue=200)
 
 
@@ -93,7 +92,7 @@ def test_page_holds_everything():
 
 
 @pytest.fixture
-def report(capsys: pytest.CaptureFixture[str]) -> Report:
+def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """The command, in Mitsuba's plainest variant: its status, its errors, and the page."""
 
     def call(output: Path | str, *arguments: Path | str) -> tuple[int, str, str]:
