@@ -20,6 +20,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from PIL import Image
+from probe import scene_of
 from running import SCENE, run, started, wait_until
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
@@ -30,13 +31,9 @@ from tracer.picture.render import render_tiles
 
 def picture(width: int = 300, height: int = 200) -> Scene:
     """A sphere, in all of the picture but its corners."""
-    return Scene(
-        camera=Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2),
-        width=width,
-        height=height,
-        lights=(PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))),
-        surfaces=(Sphere(),),
-    )
+    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
+    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
+    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
 
 
 class Counting(Executor):

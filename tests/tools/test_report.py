@@ -23,7 +23,6 @@ from reference.figures import figures, linear
 from reference.report import main, page
 from tracer import load_scene, render
 
-ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 8, 6
 
 
