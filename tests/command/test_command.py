@@ -125,6 +125,7 @@ PIXEL = "argument --pixel: must be column and row, as 160,90, is"
 )
 def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
     monkeypatch.chdir(scene.parent)
+    monkeypatch.setattr(cli, "sleep", None)  # so that watching ends
     with pytest.raises(SystemExit, match="2"):
         cli.main(arguments.split())
     out, err = capsys.readouterr()
