@@ -1,4 +1,4 @@
-"""The command line, as the process that a user starts."""
+"""The command line, as the process that a user starts; how all commands start."""
 
 from __future__ import annotations
 

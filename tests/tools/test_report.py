@@ -1,4 +1,4 @@
-"""The report page: what it holds, and how it works in a real browser."""
+"""The report page: what it holds, and its command."""
 
 from __future__ import annotations
 
