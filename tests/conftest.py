@@ -3,7 +3,6 @@
 import math
 import os
 import shutil
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,19 +51,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     """No picture is so full of outlines that it is made of lattices."""
     monkeypatch.setattr(antialias, "_SUPERSAMPLE", math.inf)
-
-
-@pytest.fixture
-def signals_heeded() -> Iterator[None]:
-    """No interrupt is ignored: commands inherit that from nohup, or from a script's background."""
-    names = {"SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"}
-    kinds = [kind for kind in signal.Signals if kind.name in names]
-    ignored = [kind for kind in kinds if signal.getsignal(kind) == signal.SIG_IGN]
-    for kind in ignored:
-        signal.signal(kind, signal.SIG_DFL)
-    yield
-    for kind in ignored:
-        signal.signal(kind, signal.SIG_IGN)
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ SCENE = """<scene><camera><viewPoint>0 0 5</viewPoint><projDistance>{0}</projDis
 ROOT = Path(tracer.__file__).parents[1]
 # The tracer under test, whatever folder a process starts in.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
-PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+INTERRUPTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 
 
 def started(
@@ -31,9 +32,12 @@ def started(
 
     def begin() -> None:
         signal.alarm(300)  # which stays when the program is loaded
+        for kind in INTERRUPTS:  # nohup ignores some, and so does a script in the background
+            signal.signal(kind, signal.SIG_DFL)
         prepare()
 
-    options = PIPES | {"preexec_fn": begin} | options
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    options = {**pipes, "preexec_fn": begin, **options}
     options["env"] = ENVIRONMENT | options.get("env", {})
     return subprocess.Popen([sys.executable, *python, *map(str, arguments)], **options)
 
@@ -51,9 +55,16 @@ def run_python(
     *arguments: str, cwd: Path = ROOT, stdout: int = subprocess.PIPE, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Run Python with this project's packages."""
-    command, environment = [sys.executable, *arguments], ENVIRONMENT | environment
-    options: Any = PIPES | {"stdout": stdout, "timeout": 120}
-    return subprocess.run(command, cwd=cwd, env=environment, **options)
+    status, out, err = run(python=arguments, cwd=cwd, stdout=stdout, env=environment)
+    return subprocess.CompletedProcess(arguments, status, out, err)
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Wait until something holds, 20 seconds at most."""
+    deadline = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def told(err: str) -> str:

@@ -7,12 +7,11 @@ import os
 import resource
 import signal
 import stat
-import subprocess
-import sys
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from running import started
 
 from tracer.files import atomic_file
 
@@ -108,15 +107,13 @@ def test_permissions_are_kept_and_a_link_stays_one(there):
         ("pipe", "not a regular file"),
         ("missing/picture.png", "No such file"),
         ("loop", "Too many levels of symbolic links"),
-        ("turn", "Too many levels of symbolic links"),
     ],
 )
 def test_targets_that_cannot_be_written(there, target, reason):
     folder = there.parent
     (folder / "folder").mkdir()
     os.mkfifo(folder / "pipe")
-    for link, to in (("loop", "loop"), ("turn", "back"), ("back", "turn")):
-        (folder / link).symlink_to(to)
+    (folder / "loop").symlink_to("loop")
     before = sorted(folder.rglob("*"))
     with pytest.raises(OSError, match=reason) as caught:
         write(folder / target)
@@ -137,11 +134,8 @@ WRITER = """if True:
 
 
 def test_a_killed_writer_leaves_nothing_behind(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", WRITER, tmp_path / "there"], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"begun\n"
+    with started(tmp_path / "there", python=("-c", WRITER)) as process:
+        assert process.stdout.readline() == "begun\n"
         process.kill()
     assert contents(tmp_path) == []
 

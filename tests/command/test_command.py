@@ -1,4 +1,4 @@
-"""The command line, as the process that a user starts."""
+"""The command line, as the process that a user starts; how all commands start."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import signal
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import tqdm
 from PIL import Image
-from running import SCENE, names, peak, run, started
+from running import ROOT, SCENE, names, peak, run, started, told, wait_until
 
 import tracer
 from converters import to_mitsuba
@@ -64,12 +66,22 @@ def test_pictures_are_written_where_they_should_be(scene, arguments, made):
     assert expected.max() > 0
 
 
-@pytest.mark.parametrize("name", ["numpy", "numpy._core.gone"])
-def test_without_numpy(scene, name):
-    stub = f"raise ModuleNotFoundError('No module named {name}', name='{name}')"
-    (scene.parent / "numpy.py").write_text(stub)
-    error = f"No module named {name}; install it with python -m pip install numpy\n"
-    assert run("ball.xml", cwd=scene.parent) == (2, "", error)
+@pytest.mark.parametrize(
+    ("module", "missing"),
+    [
+        *(("tracer", m) for m in ("numpy", "numpy._core.gone")),
+        *((f"reference.{m}", "mitsuba") for m in ("benchmark", "check", "regenerate", "report")),
+        *((f"reference.{m}", "PIL") for m in ("compare", "regenerate")),
+        *((f"reference.{m}", "matplotlib") for m in ("speed_accuracy", "stability")),
+    ],
+)
+def test_a_command_without_its_packages_says_what_to_install(tmp_path, module, missing):
+    package, error = missing.partition(".")[0], f"No module named {missing}"
+    stub = f"raise ModuleNotFoundError({error!r}, name={missing!r})"
+    (tmp_path / f"{package}.py").write_text(stub)
+    status, out, err = run(python=("-m", module), env={"PYTHONPATH": f"{tmp_path}:{ROOT}"})
+    error += f"; install it with python -m pip install {package.replace('PIL', 'pillow')}\n"
+    assert (status, out, told(err)) == (2, "", error)
 
 
 def test_version_and_help():
@@ -84,41 +96,38 @@ COUNT = "must be a whole number from 1 to 999999999, is"
 SIZE = "argument --size: must be width and height in pixels, as 640x360, is"
 INPUT = "-: a picture of standard input needs a name, with -o, and no --watch"
 BOTH = "would both be written there; do them one by one"
+OUTPUT = "standard output takes the picture of one scene, and no --watch"
+FOLDER = "several scenes need a folder; to have it made, end it in /"
 PIXEL = "argument --pixel: must be column and row, as 160,90, is"
 
 
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        ([], "the following arguments are required: SCENE.xml"),
-        (["ball.xml", "--samples", "0"], f"argument --samples: {COUNT} '0'"),
-        (["ball.xml", "--samples", "1_0"], f"argument --samples: {COUNT} '1_0'"),
-        (["ball.xml", "-o", ""], "argument -o/--output: the name is empty; name a file"),
-        (["ball.png", "-o", "ball.png"],
-         "ball.png: this would replace a scene; choose another with -o"),
-        (["ball.xml", "-o", "ball.v2.jpg"],
-         "-o ball.v2.jpg: pictures are PNG files; name it ball.v2.png"),
-        (["ball.xml", "--size", "640"], f"{SIZE} '640'"),
-        (["ball.xml", "--size", "0x10"], f"{SIZE} '0x10'"),
-        (["-"], INPUT),
-        (["-", "-o", "ball.png", "--watch"], INPUT),
-        (["ball.xml", "other.xml", "-o", "-"],
-         "-o -: standard output takes the picture of one scene, and no --watch"),
-        (["ball.xml", "other.xml", "-o", "here.png"],
-         "-o here.png: several scenes need a folder; to have it made, end it in /"),
-        (["ball.xml", "ball.xml"], f"ball.xml.png: ball.xml and ball.xml {BOTH}"),
-        (["ball.xml", "sub/ball.xml", "-o", "."],
-         f"./ball.xml.png: ball.xml and sub/ball.xml {BOTH}"),
-        (["ball.xml", "--pixel=4,x"], f"{PIXEL} '4,x'"),
-        (["ball.xml", "--pixel=1,2,3"], f"{PIXEL} '1,2,3'"),
-        (["ball.xml", "--pixel=4,4", "-o", "x.png"],
-         "--pixel cannot be combined with -o or --watch"),
+        ("", "the following arguments are required: SCENE.xml"),
+        ("ball.xml --samples 0", f"argument --samples: {COUNT} '0'"),
+        ("ball.xml --samples 1_0", f"argument --samples: {COUNT} '1_0'"),
+        ("ball.xml -o=", "argument -o/--output: the name is empty; name a file"),
+        ("ball.png -o ball.png", "ball.png: this would replace a scene; choose another with -o"),
+        ("ball.xml -o ball.v2.jpg", "-o ball.v2.jpg: pictures are PNG files; name it ball.v2.png"),
+        ("ball.xml --size 640", f"{SIZE} '640'"),
+        ("ball.xml --size 0x10", f"{SIZE} '0x10'"),
+        ("-", INPUT),
+        ("- -o ball.png --watch", INPUT),
+        ("ball.xml other.xml -o -", f"-o -: {OUTPUT}"),
+        ("ball.xml -o - --watch", f"-o -: {OUTPUT}"),
+        ("ball.xml other.xml -o here.png", f"-o here.png: {FOLDER}"),
+        ("ball.xml ball.xml", f"ball.xml.png: ball.xml and ball.xml {BOTH}"),
+        ("ball.xml sub/ball.xml -o .", f"./ball.xml.png: ball.xml and sub/ball.xml {BOTH}"),
+        ("ball.xml --pixel=4,x", f"{PIXEL} '4,x'"),
+        ("ball.xml --pixel=4,4 -o x.png", "--pixel cannot be combined with -o or --watch"),
     ],
-)  # fmt: skip
+)
 def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
     monkeypatch.chdir(scene.parent)
+    monkeypatch.setattr(cli, "sleep", None)  # so that watching ends
     with pytest.raises(SystemExit, match="2"):
-        cli.main(arguments)
+        cli.main(arguments.split())
     out, err = capsys.readouterr()
     assert (out, err.splitlines()[-1]) == ("", f"tracer: error: {error}")
     assert names(scene.parent) == []
@@ -214,22 +223,18 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
 
 
 @pytest.mark.parametrize(
-    ("number", "error"),
+    ("draw", "error"),
     [
-        (None, "{0}: not enough memory for 40 x 30 pixels of 4 samples;"
+        (Mock(side_effect=MemoryError),
+         "{0}: not enough memory for 40 x 30 pixels of 4 samples;"
                " make the image smaller or take fewer samples\n"),
-        (np.nan, "{0}.png: cannot be written: an image must not hold NaN;"
+        (Mock(return_value=np.full((30, 40, 3), np.nan)),
+         "{0}.png: cannot be written: an image must not hold NaN;"
                  " this is a fault of the tracer; please report it with the scene\n"),
     ],
 )  # fmt: skip
-def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, error):
+def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, draw, error):
     """However it comes about: a line, and not a traceback."""
-
-    def draw(_job: object, _number: int) -> np.ndarray:
-        if number is None:
-            raise MemoryError
-        return np.full((30, 40, 3), number)
-
     monkeypatch.setattr("tracer.picture.render._RenderJob.radiance", draw)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
@@ -240,16 +245,13 @@ def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, number, erro
 NAMED = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
 
 
-@pytest.mark.usefixtures("signals_heeded")
 def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene):
     """Nor do several, as of a user who is impatient."""
     scene.write_text(SLOW)
     picture = scene.with_name("ball.xml.png")
     picture.write_bytes(PNG + b"precious")
     process = started(scene, python=("-c", NAMED))
-    while len(names(scene.parent)) == 1:
-        assert process.poll() is None
-        time.sleep(0.02)
+    wait_until(lambda: len(names(scene.parent)) > 1)
     for _ in range(5):
         process.send_signal(signal.SIGTERM)
     assert (*process.communicate(timeout=30), process.returncode) == ("", "", 130)
@@ -257,21 +259,15 @@ def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene)
     assert picture.read_bytes() == PNG + b"precious"
 
 
-def test_an_interrupt_that_the_shell_ignores(scene):
-    """As of a command in the background of a script."""
-    ignore = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
-    process = started(scene, "--quiet", preexec_fn=ignore)
+@pytest.mark.parametrize("ignored", [signal.SIGINT, signal.SIGCHLD])
+def test_signals_that_the_caller_ignores(scene, ignored):
+    """As in the background of a script; or in servers, where no process waits for its children."""
+    ignore = lambda: signal.signal(ignored, signal.SIG_IGN)  # noqa: E731
+    process = started(scene, "--quiet", "--processes", 2, preexec_fn=ignore)
     while process.poll() is None:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(ignored)
         time.sleep(0.01)
     assert (*process.communicate(), process.returncode) == ("", "", 0)
-    assert names(scene.parent) == ["ball.xml.png"]
-
-
-def test_ends_of_children_that_a_caller_ignores(scene):
-    """As some servers do: no process can wait for its children."""
-    ignore = lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # noqa: E731
-    assert run(scene, "--quiet", "--processes", 2, preexec_fn=ignore) == (0, "", "")
     assert names(scene.parent) == ["ball.xml.png"]
 
 
@@ -341,11 +337,15 @@ def test_the_bar_counts_pixels(monkeypatch):
     assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 
-def test_a_size_that_makes_pixels_oblong(scene, capsys):
+def test_warnings_and_a_size_that_makes_pixels_oblong(scene, capsys):
     assert cli.main([str(scene), "--size", "20x20"]) == 0
     window = "20 x 20 pixels show a window of 40 x 30, stretched"
     warning = f"{window}; viewWidth 30, or 27 columns, would make them square"
     assert capsys.readouterr().err == f"{scene}: warning: {warning}\n"
+    scene.write_text(SCENE.format(40, 30).replace("0 0 5", "0 0 -5"))
+    assert cli.main([str(scene), "--size", "20x20"]) == 0
+    seen = capsys.readouterr().err
+    assert seen.startswith(f"{scene}: warning: {warning}\n{scene}: warning: no object is in view")
     assert cli.main([str(scene), "--size", "20x20", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main([str(scene), "--size", "99999x99999"]) == 1
@@ -365,15 +365,12 @@ def test_standard_input_and_output(scene):
     assert names(scene.parent) == ["ball.xml.png"]
 
 
-@pytest.mark.usefixtures("signals_heeded")
 def test_watch(scene):
     """A file that is saved, is faulty, is mended, is replaced, is removed."""
     other = scene.with_name("other.xml")
     other.write_text(SCENE.format(3, 3))
     with started(scene, other, "--watch") as process:
         out, err = process.stdout, process.stderr
-        assert out is not None
-        assert err is not None
         assert "ball.xml.png: 40 x 30" in out.readline()
         assert "other.xml.png: 3 x 3" in out.readline()
         other.write_text(SCENE.format(5, 5))
@@ -397,41 +394,32 @@ def test_watch_waits_until_a_file_is_whole(scene, monkeypatch):
     """An editor may write it in pieces, each after a look at the file."""
     whole, rendered = scene.read_text(), []
     new = whole + "\n"
-    texts = iter([new[:20], new[:40], new, None, None])
-
-    def sleep(_seconds: float) -> None:
-        try:
-            text = next(texts)
-        except StopIteration:
-            sys.exit()
-        if text:
-            scene.write_text(text)
-
-    monkeypatch.setattr(cli, "sleep", sleep)
+    steps = [partial(scene.write_text, text) for text in (new[:20], new[:40], new)]
+    following = iter([*steps, dict, dict, sys.exit])
+    monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
     monkeypatch.setattr(cli, "_render", lambda path, *_: rendered.append(Path(path).read_text()))
     with pytest.raises(SystemExit):
         cli.main([str(scene), "--watch"])
     assert rendered == [whole, new]
 
 
-def run_module(folder: Path, code: str, **environment: str) -> tuple[int, str, str]:
-    """Run the `main` of a module as a command."""
-    (folder / "other.py").write_text(f"import os\ndef main(): {code}")
+START = "the command cannot start: not enough memory; give it more memory, or install it again\n"
+THREADS = "return int(os.environ['OPENBLAS_NUM_THREADS'])"  # no more than someone asked for
+
+
+@pytest.mark.parametrize(
+    ("code", "environment", "status", "error"),
+    [
+        ("raise MemoryError", {}, 1, START),
+        (THREADS, {}, 1, ""),
+        (THREADS, {"OPENBLAS_NUM_THREADS": "2"}, 2, ""),
+    ],
+)
+def test_how_any_command_starts(tmp_path, code, environment, status, error):
+    (tmp_path / "other.py").write_text(f"import os\ndef main(): {code}")
     script = "from tracer.command.process import run\nrun('other')"
-    return run(python=("-c", script), env=environment, cwd=folder)
-
-
-def test_too_little_memory_to_start(tmp_path):
-    error = (
-        "the command cannot start: not enough memory; give it more memory, or install it again\n"
-    )
-    assert run_module(tmp_path, "raise MemoryError") == (1, "", error)
-
-
-@pytest.mark.parametrize("given", [{}, {"OPENBLAS_NUM_THREADS": "2"}])
-def test_no_threads_are_started_that_no_one_asked_for(given, tmp_path):
-    code = "return int(os.environ['OPENBLAS_NUM_THREADS'])"
-    assert run_module(tmp_path, code, **given)[0] == (2 if given else 1)
+    found = run(python=("-c", script), env=environment, cwd=tmp_path)
+    assert found == (status, "", error)
 
 
 def test_a_small_picture_does_not_wait_for_modules_it_does_not_need(scene):

@@ -7,36 +7,25 @@ import random
 import re
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from running import ENVIRONMENT, SCENE
+from running import INTERRUPTS, SCENE, run, started, wait_until
 
 from tracer import write_png
 
-
-class Command(NamedTuple):
-    """A command, and what it writes."""
-
-    arguments: str
-    results: tuple[str, ...] = ()
-
-
-COMMANDS = [
-    Command("tracer large.xml --processes 2", ("large.xml.png",)),
-    Command("converters.to_mitsuba ball.xml", ("ball.mitsuba.xml",)),
-    Command("reference.check ball.xml -o out.png", ("out.png",)),
-    Command("reference.certify ball.xml -o sure.png --bounds wide.png", ("sure.png", "wide.png")),
-    Command("reference.compare hand-ins right.png --json"),
-    Command("reference.report ball.xml -o page.html", ("page.html",)),
-]
-
-SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
+# Commands, and what they write.
+COMMANDS = {
+    "tracer large.xml --processes 2": ["large.xml.png"],
+    "converters.to_mitsuba ball.xml": ["ball.mitsuba.xml"],
+    "reference.check ball.xml -o out.png": ["out.png"],
+    "reference.certify ball.xml -o sure.png --bounds wide.png": ["sure.png", "wide.png"],
+    "reference.compare hand-ins right.png --json": [],
+    "reference.report ball.xml -o page.html": ["page.html"],
+}
 
 
 @pytest.fixture
@@ -63,19 +52,11 @@ def left_running() -> set[str]:
     return found
 
 
-def start(command: Command, folder: Path) -> subprocess.Popen[str]:
+def start(command: str, folder: Path) -> subprocess.Popen[str]:
     """Start a command, and wait until it handles signals: before that Python itself starts."""
-    module, *arguments = command.arguments.split()
     mine = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
-    process = subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
-        cwd=folder,
-        env=ENVIRONMENT | mine,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    python = ["-m", *command.split()]
+    process = started(python=python, cwd=folder, env=mine, start_new_session=True)
     status = Path(f"/proc/{process.pid}/status")
     while process.poll() is None:
         caught = re.search(r"SigCgt:\s*(\w+)", status.read_text())
@@ -85,7 +66,7 @@ def start(command: Command, folder: Path) -> subprocess.Popen[str]:
     return process
 
 
-def interrupt(command: Command, moment: float, number: int, folder: Path) -> int:
+def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
     """Interrupt a command after some seconds; return its status, and check what it leaves."""
     before = set(folder.rglob("*"))
     process = start(command, folder)
@@ -94,18 +75,15 @@ def interrupt(command: Command, moment: float, number: int, folder: Path) -> int
     send = os.killpg if number % 2 else os.kill
     for _ in range(1 + (number // 2) % 2):
         with suppress(ProcessLookupError):
-            send(process.pid, SIGNALS[number % 5])
+            send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
     assert err == "", moment
-    deadline = time.monotonic() + 20
-    while left_running():
-        assert time.monotonic() < deadline, "a process has stayed"
-        time.sleep(0.02)
+    wait_until(lambda: not left_running())
     if process.returncode != 130:  # it was done: then its whole result is there
         assert process.returncode in (0, 1, 3)
         assert out
-        assert all((folder / name).exists() for name in command.results)
-    for name in command.results:
+        assert all((folder / name).exists() for name in COMMANDS[command])
+    for name in COMMANDS[command]:
         (folder / name).unlink(missing_ok=True)
     assert set(folder.rglob("*")) == before
     return process.returncode
@@ -114,12 +92,12 @@ def interrupt(command: Command, moment: float, number: int, folder: Path) -> int
 @pytest.mark.parametrize(
     "moments", [3, pytest.param(35, marks=pytest.mark.slow)], ids=["some", "many"]
 )
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.arguments.split()[0])
-def test_at_any_moment(command: Command, moments: int, folder: Path, signals_heeded: None) -> None:
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[0])
+def test_at_any_moment(command, moments, folder):
     began = time.monotonic()
     start(command, folder).communicate(timeout=60)
     took = time.monotonic() - began
-    for name in command.results:
+    for name in COMMANDS[command]:
         (folder / name).unlink()
     seed = int(os.environ.get("INTERRUPTS_SEED", moments))
     print(f"INTERRUPTS_SEED={seed}")
@@ -128,9 +106,8 @@ def test_at_any_moment(command: Command, moments: int, folder: Path, signals_hee
     assert 130 in found
 
 
-def test_watching_ends_when_nobody_reads(folder: Path) -> None:
-    with start(Command("tracer ball.xml --watch"), folder) as process:
-        assert process.stdout is not None
+def test_watching_ends_when_nobody_reads(folder):
+    with start("tracer ball.xml --watch", folder) as process:
         assert "ball.xml.png" in process.stdout.readline()
         process.stdout.close()
         (folder / "ball.xml").write_text(SCENE.format(61, 40))
@@ -145,14 +122,12 @@ def test_watching_ends_when_nobody_reads(folder: Path) -> None:
         ("reference.compare hand-ins right.png --csv", 3),
     ],
 )
-@pytest.mark.parametrize("to", ["/dev/full", "a closed stream"])
-def test_results_that_cannot_be_printed(command: str, status: int, to: str, folder: Path) -> None:
-    module, *arguments = command.split()
-    close = "exec >&-;" if to == "a closed stream" else f"exec > {to};"
-    shell = ["sh", "-c", f'{close} exec "$@"', "sh", sys.executable, "-m", module, *arguments]
-    done = subprocess.run(
-        shell, cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=60
-    )
-    assert done.returncode == status
-    assert done.stderr.count("\n") == 1
-    assert "standard output: cannot be written" in done.stderr
+@pytest.mark.parametrize(
+    "prepare",
+    [lambda: os.close(1), lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), 1)],
+    ids=["a closed stream", "/dev/full"],
+)
+def test_results_that_cannot_be_printed(command, status, prepare, folder):
+    found, _, err = run(python=["-m", *command.split()], cwd=folder, preexec_fn=prepare)
+    assert (found, err.count("\n")) == (status, 1)
+    assert "standard output: cannot be written" in err

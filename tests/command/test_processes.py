@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
 import signal
 import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from running import SCENE, run, started
+from PIL import Image
+from probe import scene_of
+from running import SCENE, run, started, wait_until
 
 from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.picture import parallel
@@ -29,54 +31,40 @@ from tracer.picture.render import render_tiles
 
 def picture(width: int = 300, height: int = 200) -> Scene:
     """A sphere, in all of the picture but its corners."""
-    return Scene(
-        camera=Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2),
-        width=width,
-        height=height,
-        lights=(PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))),
-        surfaces=(Sphere(),),
-    )
+    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
+    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
+    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
 
 
 class Counting(Executor):
-    """Another executor that counts what it is asked for, and what that came to."""
+    """Another executor that keeps its futures; the first of them, or all, fail in a certain way."""
 
-    def __init__(self, executor: Executor) -> None:
+    def __init__(
+        self, executor: Executor, fail: Callable[[], object] = len, failures: int = 0
+    ) -> None:
         self.executor, self.futures = executor, list[Future[Any]]()
+        self.fail, self.failures = fail, failures
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if len(self.futures) < self.failures:
+            fn, args = self.fail, ()
         self.futures.append(self.executor.submit(fn, *args, **kwargs))
         return self.futures[-1]
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def installed(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ModuleNotFoundError:
-        pytest.skip(f"{name} is not installed")
 
 
 def executor_of(kind: str, stack: ExitStack) -> Executor:
     if kind == "threads":
         return stack.enter_context(ThreadPoolExecutor(2))
     if kind == "loky":
-        pool = installed("loky").ProcessPoolExecutor(2)
+        loky = pytest.importorskip("loky", reason="loky is not installed")
+        pool = loky.ProcessPoolExecutor(2)
         stack.callback(pool.shutdown, kill_workers=True)
-        return pool  # type: ignore[no-any-return]
+        return pool
     if kind == "dask":
-        distributed = installed("distributed")
-        cluster = stack.enter_context(
-            distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-        )
-        client = stack.enter_context(distributed.Client(cluster))
-        return stack.enter_context(client.get_executor())  # type: ignore[no-any-return]
+        distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+        options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+        client = stack.enter_context(distributed.Client(**options))
+        return stack.enter_context(client.get_executor())
     context = multiprocessing.get_context(kind)
     return stack.enter_context(ProcessPoolExecutor(2, context))
 
@@ -93,9 +81,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks, and of what Dask imports
 @pytest.mark.parametrize("kind", ["fork", "spawn", "forkserver", "threads", "loky", "dask"])
-def test_any_executor_draws_the_same_picture(
-    kind: str, small_tiles: None, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_any_executor_draws_the_same_picture(kind, small_tiles, capfd):
     with ExitStack() as stack:
         counting = Counting(executor_of(kind, stack))
         for scene, samples in ((picture(), 1), (picture(400, 3), 1), (picture(90, 60), 16)):
@@ -108,42 +94,22 @@ def test_any_executor_draws_the_same_picture(
         assert capfd.readouterr() == ("", "")
 
 
-def test_without_an_executor_nothing_is_started(small_tiles: None) -> None:
+def test_without_an_executor_nothing_is_started(small_tiles):
     before = threading.active_count()
-    render(picture(2000, 1000))
+    render(picture())
     assert threading.active_count() == before
     assert multiprocessing.active_children() == []
-
-
-class Failing(Counting):
-    """An executor of which the first items, or all, fail in their own way."""
-
-    def __init__(self, executor: Executor, fail: Callable[[], object], times: int) -> None:
-        super().__init__(executor)
-        self.fail, self.times = fail, times
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        self.times -= 1
-        if self.times >= 0:
-            return super().submit(self.fail)
-        return super().submit(fn, *args, **kwargs)
-
-
-def die() -> None:
-    os._exit(1)
 
 
 def run_out_of_memory() -> None:
     raise MemoryError
 
 
-@pytest.mark.parametrize(("fail", "times"), [(die, 1), (run_out_of_memory, 1000)])
-def test_what_an_executor_fails_to_do_is_done_here(
-    fail: Callable[[], None], times: int, small_tiles: None, capfd: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize(("fail", "times"), [(partial(os._exit, 1), 1), (run_out_of_memory, 1000)])
+def test_what_an_executor_fails_to_do_is_done_here(fail, times, small_tiles, capfd):
     scene = picture()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        failing = Failing(pool, fail, times)
+        failing = Counting(pool, fail, times)
         assert np.array_equal(render(scene, executor=failing), render(scene))
         assert failing.futures[0].exception() is not None
     assert capfd.readouterr() == ("", "")
@@ -168,9 +134,7 @@ class Late(Executor):
 
 
 @pytest.mark.parametrize("processors", [1, 2, 6])
-def test_an_executor_has_work_for_all_processors_and_no_more(
-    processors: int, small_tiles: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_executor_has_work_for_all_processors_and_no_more(processors, small_tiles, monkeypatch):
     for module in (parallel, render_module):
         monkeypatch.setattr(module, "processors", lambda: processors)
     late = Late()
@@ -179,14 +143,14 @@ def test_an_executor_has_work_for_all_processors_and_no_more(
 
 
 @pytest.mark.parametrize("processors", [2, 16])
-def test_all_processors_have_tiles(processors: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_processors_have_tiles(processors, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: processors)
     monkeypatch.setattr(render_module, "_LEAST_SAMPLES", 1000)
     monkeypatch.setattr(render_module, "worker_pool", lambda *_: None)
     assert len(tiles_of(picture(), processes=processors)) >= 4 * processors
 
 
-def test_a_program_with_threads_is_not_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_with_threads_is_not_forked(monkeypatch):
     """Another thread may hold a lock, which stays locked in the fork."""
     wait = threading.Event()
     thread = threading.Thread(target=wait.wait)
@@ -200,19 +164,19 @@ def test_a_program_with_threads_is_not_forked(monkeypatch: pytest.MonkeyPatch) -
         thread.join()
 
 
-def test_an_executor_that_is_shut_down() -> None:
+def test_an_executor_that_is_shut_down():
     pool = ThreadPoolExecutor(1)
     pool.shutdown()
     assert np.array_equal(render(picture(), executor=pool), render(picture()))
 
 
-def test_an_error_here_is_raised_here(small_tiles: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_here_is_raised_here(small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "radiance_at", lambda *_, **__: run_out_of_memory())
     with ThreadPoolExecutor(1) as pool, pytest.raises(MemoryError):
         render(picture(), executor=pool)
 
 
-def test_a_scene_that_cannot_be_pickled(small_tiles: None) -> None:
+def test_a_scene_that_cannot_be_pickled(small_tiles):
     class Red(Lambertian):
         """Pickled by a name that is not there."""
 
@@ -226,26 +190,18 @@ def tiles_of(scene: Scene, **options: Any) -> list[bytes]:
 
 
 @pytest.mark.parametrize("samples", [1, 16])
-def test_the_pool_of_the_command_draws_the_same(
-    samples: int, small_tiles: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pool_of_the_command_draws_the_same(samples, small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 3)
-    used: list[int] = []
-    started_pool = parallel.worker_pool
-
-    def counted(count: int, *rest: Any) -> Executor | None:
-        used.append(count)
-        return started_pool(count, *rest)
-
-    monkeypatch.setattr(render_module, "worker_pool", counted)
+    pool = Mock(wraps=parallel.worker_pool)
+    monkeypatch.setattr(render_module, "worker_pool", pool)
     drawn = [tiles_of(picture(), samples=samples, processes=n) for n in (1, 2, 3, 9)]
-    assert used == [0, 1, 2, 2]
+    assert [call.args[0] for call in pool.call_args_list] == [0, 1, 2, 2]
     # With one process tiles are larger: only those that several share can be compared so.
     assert drawn[1] == drawn[2] == drawn[3]
     assert len(drawn[1]) > 3
 
 
-def test_a_small_picture_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_picture_starts_no_process(monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 2)
     pools: list[int] = []
     monkeypatch.setattr(render_module, "worker_pool", lambda count, *_: pools.append(count))
@@ -254,7 +210,7 @@ def test_a_small_picture_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> N
     assert pools == [0, 1]
 
 
-def test_leaving_early_ends_the_pool(small_tiles: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: 2)
     with closing(render_tiles(picture(), processes=2)) as tiles:
         next(tiles)
@@ -263,17 +219,12 @@ def test_leaving_early_ends_the_pool(small_tiles: None, monkeypatch: pytest.Monk
 
 @needs_two
 @pytest.mark.parametrize("limit", range(5, 15))
-def test_few_files(limit: int, tmp_path: Path) -> None:
+def test_few_files(limit, tmp_path):
     """What starts a pool, or a part of one, may lack files for the rest."""
-    import resource  # not on all systems
-
     path = tmp_path / "ball.xml"
     path.write_text(SCENE.format(300, 200))
-
-    def prepare() -> None:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
-
-    assert run(path, "--quiet", "--processes", 2, preexec_fn=prepare) == (0, "", "")
+    few = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))  # noqa: E731
+    assert run(path, "--quiet", "--processes", 2, preexec_fn=few) == (0, "", "")
 
 
 @pytest.fixture
@@ -292,7 +243,7 @@ def workers_of(process: subprocess.Popen[str]) -> Iterator[int]:
 
 
 @needs_two
-def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_costs_time_not_the_picture(large, tmp_path):
     other = tmp_path / "other.png"
     assert run(large, "-o", other, "--quiet", "--processes", 1)[0] == 0
     with started(large, "--quiet", "--processes", 2) as process:
@@ -300,8 +251,6 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
             os.kill(worker, signal.SIGKILL)
         assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0
-    from PIL import Image
-
     Image.MAX_IMAGE_PIXELS = None
     with Image.open(f"{large}.png") as a, Image.open(other) as b:
         assert a.size == b.size
@@ -309,7 +258,7 @@ def test_a_killed_worker_costs_time_not_the_picture(large: Path, tmp_path: Path)
 
 
 @needs_two
-def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) -> None:
+def test_workers_end_with_a_command_that_is_killed(large, tmp_path):
     with started(large, "--quiet", "--processes", 2) as process:
         workers = list(workers_of(process))
         process.kill()
@@ -318,14 +267,11 @@ def test_workers_end_with_a_command_that_is_killed(large: Path, tmp_path: Path) 
     assert [path.name for path in tmp_path.iterdir()] == ["large.xml"]
 
 
-def test_processors_are_those_that_may_be_used() -> None:
-    if not hasattr(os, "sched_setaffinity"):
-        assert parallel.processors() == os.cpu_count()
-        return
+def test_processors_are_those_that_may_be_used():
     usable = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(usable)})
     try:
         assert parallel.processors() == 1
     finally:
         os.sched_setaffinity(0, usable)
-    assert sys.platform != "linux" or parallel.processors() == len(usable)
+    assert parallel.processors() == len(usable)

@@ -30,7 +30,7 @@ def codes() -> NDArray[np.uint8]:
     return np.concatenate([tracer.to_codes(tracer.render(scene)) for scene in sized])
 
 
-def test_all_scenes_are_drawn(tmp_path: Path) -> None:
+def test_all_scenes_are_drawn(tmp_path):
     """By two processes, which no system but Linux starts as forks."""
     command = [sys.executable, "-m", "tracer", *map(str, SCENES), "-o", f"{tmp_path}/pictures/"]
     options = ["--size", "320x180", "--processes", "2", "--quiet"]
@@ -42,7 +42,7 @@ def test_all_scenes_are_drawn(tmp_path: Path) -> None:
             assert (np.asarray(picture) == tracer.to_codes(tracer.render(scene))).all()
 
 
-def test_a_picture_is_replaced(tmp_path: Path) -> None:
+def test_a_picture_is_replaced(tmp_path):
     for value in (0.0, 1.0):
         tracer.write_png(tmp_path / "picture.png", np.full((1, 1, 3), value))
     with Image.open(tmp_path / "picture.png") as picture:
@@ -50,7 +50,7 @@ def test_a_picture_is_replaced(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_codes_are_those_of_other_systems() -> None:
+def test_codes_are_those_of_other_systems():
     """But for roundings of exp and log, which may differ in the last place."""
     with Image.open(STORED) as picture:
         apart = np.abs(np.asarray(picture).astype(int) - codes()).max(axis=2)

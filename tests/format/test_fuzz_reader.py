@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from test_reader import EVERYTHING
 
 from tracer import (
     Box,
@@ -23,28 +24,7 @@ from tracer import (
     save_scene,
 )
 
-VALID = b"""<?xml version="1.0" encoding="utf-8"?>
-<!-- everything that the format has -->
-<scene>
-  <camera>
-    <viewPoint>5 4 3</viewPoint> <viewDir>-5 -4 -3</viewDir> <viewUp>0 1 0</viewUp>
-    <projNormal>5 4 3</projNormal> <projDistance>5</projDistance>
-    <viewWidth>2.5</viewWidth> <viewHeight>2.5</viewHeight>
-  </camera>
-  <image>30 20</image>
-  <light><position>0 0 5</position><intensity>1 1 1</intensity></light>
-  <light><position>4 5 -6</position><color>.5 .5 .5</color></light>
-  <shader name="red" type="Phong">
-    <diffuseColor>1 0 0</diffuseColor> <specularColor>1 1 1</specularColor>
-    <exponent>1e2</exponent>
-  </shader>
-  <surface type="Sphere"><shader ref="red"/><center>0 0 0</center><radius>1</radius></surface>
-  <surface type="Box">
-    <shader type="Lambertian"><diffuseColor>0 1 0</diffuseColor></shader>
-    <minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt>
-  </surface>
-</scene>
-"""
+VALID = EVERYTHING.encode()
 
 # Pieces that make trouble in readers of XML, of numbers, or of this format.
 PIECES = [
@@ -75,26 +55,25 @@ def mutated(draw: st.DrawFn) -> bytes:
     return content
 
 
-def read(content: bytes) -> Scene | None:
-    """The scene, which is the same when it has been written, or None if the file is refused."""
+def read(content: bytes) -> None:
+    """The file is refused in lines, or its scene is the same when it has been written."""
     try:
         scene = load_scene(io.BytesIO(content))
     except SceneFileError as error:
         lines = str(error).split("\n")
         assert all(line.startswith("<stream>:") and line.isprintable() for line in lines)
-        return None
+        assert content != VALID
+        return
     save_scene(scene, file := io.BytesIO())
     file.seek(0)
     assert load_scene(file) == scene
-    return scene
 
 
 @settings(max_examples=600, deadline=None)
 @given(mutated())
 @example(VALID)
 def test_mutated_files(content):
-    scene = read(content)
-    assert content != VALID or len(scene.surfaces) == len(scene.lights) == 2
+    read(content)
 
 
 @settings(max_examples=300, deadline=None)

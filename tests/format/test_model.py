@@ -5,17 +5,13 @@ from __future__ import annotations
 import copy
 import io
 import pickle
-import re
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-import tracer
 from tracer import (
     Box,
     Camera,
@@ -85,17 +81,15 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
     (Sphere, {"center": [[1, 2, 3]]}, ["center: needs 3 numbers, has shape (1, 3)"]),
     (Sphere, {"radius": (1, 2)}, ["radius: needs 1 number, has 2"]),
     # Parts of another type.
-    *(
-        (
-            Scene,
-            {"width": "a", "height": 8, "camera": 3, "lights": one, "surfaces": one},
-            [
-                "camera: must be of type Camera, is of type int",
-                *(f"{name}: must be a list, is of type {kind}" for name in ("lights", "surfaces")),
-                "width: must be an int, is 'a'",
-            ],
-        )
-        for one, kind in ((Sphere(), "Sphere"), (None, "NoneType"), (5, "int"))
+    (
+        Scene,
+        {"width": "a", "height": 8, "camera": 3, "lights": None, "surfaces": Sphere()},
+        [
+            "camera: must be of type Camera, is of type int",
+            "lights: must be a list, is of type NoneType",
+            "surfaces: must be a list, is of type Sphere",
+            "width: must be an int, is 'a'",
+        ],
     ),
     (Sphere, {"shader": "red"}, ["shader: must be of type Lambertian or Phong, is of type str"]),
     (Scene, SIZE | {"surfaces": ["ball"]}, ["surfaces: must be of type Sphere or Box, is of type"]),
@@ -139,12 +133,12 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
 
 
 @pytest.mark.parametrize(("made", "values", "expected"), FAULTS, ids=range(len(FAULTS)))
-def test_all_faults_are_reported(made: type, values: dict[str, Any], expected: list[str]) -> None:
+def test_all_faults_are_reported(made, values, expected):
     lines = str(faults_of(lambda: made(**values))).splitlines()
     assert [line[: len(key)] for line, key in zip(lines, expected, strict=True)] == expected
 
 
-def test_a_scene_does_not_change_with_the_arrays_it_was_made_from() -> None:
+def test_a_scene_does_not_change_with_the_arrays_it_was_made_from():
     arrays = {name: np.array(value) for name, value in ARRAYS.items() if name != "shaders"}
     surfaces = Surfaces(**arrays, shaders=ARRAYS["shaders"])
     for array in arrays.values():
@@ -156,14 +150,11 @@ def test_a_scene_does_not_change_with_the_arrays_it_was_made_from() -> None:
                 getattr(same, name)[:] = -1
 
 
-@pytest.mark.parametrize(
-    "copy_of",
-    [
-        *(copy.copy, copy.deepcopy),
-        *(lambda o, p=p: pickle.loads(pickle.dumps(o, p)) for p in range(6)),
-    ],
-)
-def test_copies_are_equal(copy_of: Callable[[Any], Any]) -> None:
+PICKLED = [lambda made, p=p: pickle.loads(pickle.dumps(made, p)) for p in range(6)]
+
+
+@pytest.mark.parametrize("copy_of", [copy.copy, copy.deepcopy, *PICKLED])
+def test_copies_are_equal(copy_of):
     lights = [PointLight(position=(1, 2, 3))]
     scene = Scene(width=4, height=3, lights=lights, surfaces=Surfaces(**ARRAYS))
     same = copy_of(scene)
@@ -177,7 +168,7 @@ def test_copies_are_equal(copy_of: Callable[[Any], Any]) -> None:
         assert (type(same), vars(same), str(same)) == (type(error), vars(error), str(error))
 
 
-def test_surfaces_are_equal_as_sequences_are() -> None:
+def test_surfaces_are_equal_as_sequences_are():
     surfaces = Surfaces(**ARRAYS)
     assert list(surfaces) == [
         Sphere(center=(0, 0, 0), radius=1, shader=MATTE),
@@ -206,22 +197,17 @@ def test_surfaces_are_equal_as_sequences_are() -> None:
     assert Surfaces() == Surfaces()
 
 
-def test_surfaces_are_sorted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    surfaces, sorts = Surfaces(**ARRAYS), []
-
-    def argsort(array: np.ndarray) -> np.ndarray:
-        sorts.append(array)
-        return array.argsort()
-
+def test_surfaces_are_sorted_once(monkeypatch):
+    surfaces, argsort = Surfaces(**ARRAYS), Mock(wraps=np.argsort)
     monkeypatch.setattr("numpy.argsort", argsort)
     assert [surfaces[k] for k in (0, 1, -1)] == list(surfaces)
-    assert len(sorts) == 1
+    assert argsort.call_count == 1
 
 
 # In a file and back
 
 
-def test_all_digits_are_saved(tmp_path: Path) -> None:
+def test_all_digits_are_saved(tmp_path):
     third = (1 / 3, -0.0, 1e-75)
     scene = Scene(
         camera=Camera(view_point=third, proj_normal=(0, 1e-9, 1), view_height=0.1 + 0.2),
@@ -246,7 +232,7 @@ def test_all_digits_are_saved(tmp_path: Path) -> None:
     assert len(same.surfaces.shaders) <= 3
 
 
-def test_only_scenes_are_replaced(tmp_path: Path) -> None:
+def test_only_scenes_are_replaced(tmp_path):
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
     for there in ("", "<scene/>", '<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >'):
         path.write_text(there)
@@ -267,7 +253,7 @@ LINED = """<scene><image>4 3</image><camera/>
 </scene>"""
 
 
-def test_objects_know_their_lines() -> None:
+def test_objects_know_their_lines():
     scene = load_scene(io.BytesIO(LINED.encode()))
     read = scene.surfaces
     for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.of(list(read)):
@@ -297,36 +283,3 @@ def test_directions_are_refused_where_too_few_digits_are_right(vectors, wrong):
     for x in (0.99e-10, -0.99e-10):
         with pytest.raises(SceneError, match=wrong):
             Camera(**vectors(x))
-
-
-USES = """
-from pathlib import Path
-import numpy as np
-import tracer
-
-shader: tracer.Shader = tracer.Phong(diffuse=[1, 0.5, 0], specular=np.ones(3), exponent=9)
-ball = tracer.Sphere(center=np.array([1, 2, 3]), radius=2, shader=shader)
-brick = tracer.Box(min_pt=[0, 0, 0], max_pt=(1.0, 1, 1))
-lights = [tracer.PointLight(position=[1, 2, 3], intensity=np.ones(3))]
-scene = tracer.Scene(width=4, height=3, lights=lights, surfaces=[ball, brick])
-scene = tracer.Scene(width=4, height=3, lights=scene.lights, surfaces=scene.surfaces)
-x, y, z = scene.lights[0].position
-height: float = ball.center[1] + y
-line: int | None = scene.surfaces[0].line
-count: int = len(scene.surfaces.center) + len(scene.lights)
-tracer.save_scene(scene, Path("scene.xml"))
-with open("scene.xml", "rb") as file:
-    scene = tracer.load_scene(file)
-"""
-
-
-@pytest.mark.slow
-def test_types_of_documented_usage(tmp_path: Path) -> None:
-    pytest.importorskip("mypy", reason="mypy is not installed")
-    readme = (Path(tracer.__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    examples = re.findall(r"^```python\n(.*?)^```", readme, re.M | re.S)
-    for i, text in enumerate([USES, *examples]):
-        (tmp_path / f"use{i}.py").write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "mypy", "--strict", *map(str, tmp_path.glob("use*.py"))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.stdout.startswith("Success"), done.stdout

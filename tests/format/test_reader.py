@@ -46,24 +46,31 @@ def test_defaults():
     assert scene.surfaces.file_index.tolist() == [0, 2, 1]
 
 
+EVERYTHING = """<?xml version="1.0" encoding="utf-8"?>
+<!-- everything that the format has -->
+<scene>
+  <surface type="Sphere"><shader ref="red"/><radius>.5</radius><center>1 2 3</center></surface>
+  <surface type="Box">
+    <shader type="Lambertian"><diffuseColor>0 1 0</diffuseColor></shader>
+    <minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt>
+  </surface>
+  <image>640 480</image>
+  <light><intensity>.7 .8 .9</intensity><position>-1 -2 -3</position></light>
+  <light><position>-1 -2 -3</position><color>.7 .8 .9</color></light>
+  <shader name="red" type="Phong">
+    <exponent>2e1</exponent>
+    <specularColor>.1 .2 .3</specularColor> <diffuseColor>.4 .5 .6</diffuseColor>
+  </shader>
+  <camera>
+    <viewPoint>1 2 3</viewPoint> <viewDir>4 5 6</viewDir> <viewUp>0 0 1</viewUp>
+    <projNormal>1 1 1</projNormal> <projDistance>7</projDistance>
+    <viewWidth>.75</viewWidth> <viewHeight>.76</viewHeight>
+  </camera>
+</scene>
+"""
+
+
 def test_everything_given():
-    scene = scene_of("""
-      <surface type="Sphere">
-        <radius>.5</radius> <center>1 2 3</center>
-        <shader type="Phong">
-          <exponent>20</exponent>
-          <specularColor>.1 .2 .3</specularColor>
-          <diffuseColor>.4 .5 .6</diffuseColor>
-        </shader>
-      </surface>
-      <image>640 480</image>
-      <light><intensity>.7 .8 .9</intensity><position>-1 -2 -3</position></light>
-      <light><position>-1 -2 -3</position><color>.7 .8 .9</color></light>
-      <camera>
-        <viewPoint>1 2 3</viewPoint> <viewDir>4 5 6</viewDir> <viewUp>0 0 1</viewUp>
-        <projNormal>1 1 1</projNormal> <projDistance>7</projDistance>
-        <viewWidth>.75</viewWidth> <viewHeight>.76</viewHeight>
-      </camera>""")
     camera = Camera(
         view_point=(1, 2, 3),
         view_dir=(4, 5, 6),
@@ -76,7 +83,10 @@ def test_everything_given():
     light = PointLight(position=(-1, -2, -3), intensity=(0.7, 0.8, 0.9))
     shader = Phong(diffuse=(0.4, 0.5, 0.6), specular=(0.1, 0.2, 0.3), exponent=20)
     ball = Sphere(center=(1, 2, 3), radius=0.5, shader=shader)
-    assert scene == Scene(width=640, height=480, camera=camera, lights=[light] * 2, surfaces=[ball])
+    green = Lambertian(diffuse=(0, 1, 0))
+    box = Box(min_pt=(-1, -2, -3), max_pt=(1, 2, 3), shader=green)
+    expected = Scene(width=640, height=480, camera=camera, lights=[light] * 2, surfaces=[ball, box])
+    assert load_scene(io.BytesIO(EVERYTHING.encode())) == expected
 
 
 def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():

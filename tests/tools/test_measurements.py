@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from time import sleep
 
 import pytest
@@ -18,33 +17,29 @@ from converters.variant import LLVM, use
 from reference import benchmark, command, speed_accuracy
 from reference.judges.true_picture import rmse, true_picture
 from reference.measured import measurements
-from reference.measured.measurements import (
-    interleaved,
-    measured_on,
-)
 from tracer import render
 
 
-def test_tasks_run_in_turns_and_only_short_ones_go_on() -> None:
+def test_tasks_run_in_turns_and_only_short_ones_go_on():
     order: list[str] = []
 
     def task(name: str, seconds: float) -> Callable[[], None]:
         return lambda: (order.append(name), sleep(seconds))[1]
 
-    timings = interleaved({"a": task("a", 0.03), "b": task("b", 0)}, 2, enough=0.05)
+    timings = measurements.interleaved({"a": task("a", 0.03), "b": task("b", 0)}, 2, enough=0.05)
     assert order[:6] == ["a", "b"] * 3  # after one of each to warm up
     assert set(order[6:]) == {"b"}
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
 
 
-def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: Path) -> None:
+def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path):
     time = measurements.Timing(0.05, 0.04, 0.09)
     rows = [("room", time, 0.25), ("far", time, 42.4)]
     assert benchmark.table("Title", "A note.", ("scene", "time", "ratio"), rows) == (
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
         "| room | 50.0 (40.0–90.0) | 0.25× |\n| far | 50.0 (40.0–90.0) | 42× |"
     )
-    where = measured_on()
+    where = measurements.measured_on()
     assert re.search(r"commit [0-9a-f]{7}\b|no commit", where)
     measurements.write_csv(tmp_path / "a.csv", where, ("name", "error"), [("room", 1 / 3)])
     assert measurements.read_csv(tmp_path / "a.csv") == (where, [["room", "0.333333"]])
@@ -52,9 +47,7 @@ def test_a_table_says_how_many_times_and_a_csv_where_it_was_measured(tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", benchmark.SECTIONS, ids=lambda section: section.__name__)
-def test_benchmark_tables_are_complete(
-    section: Callable[[bool], str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_benchmark_tables_are_complete(section, monkeypatch):
     monkeypatch.setattr(benchmark, "ROUNDS", 1)
     monkeypatch.setattr(measurements, "_MORE", 1)
     lines = [line for line in section(True).splitlines() if line.startswith("|")]
@@ -63,7 +56,7 @@ def test_benchmark_tables_are_complete(
 
 
 @pytest.mark.slow
-def test_speed_accuracy_of_a_small_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MORE", 1)
     scene = small("four-spheres", 32, 18)

@@ -64,12 +64,9 @@ def drag(page: Page, *parts: float) -> None:
     page.mouse.up()
 
 
-def test_all_pictures_are_there(page: Page) -> None:
-    assert page.evaluate("[...document.images].map(i => i.naturalWidth)") == [8, 8, 8, 20]
-
-
-def test_slider_and_seam(page: Page) -> None:
+def test_slider_and_seam(page):
     """In the middle half of each; at the slider's ends all of one; the seam can be dragged."""
+    assert page.evaluate("[...document.images].map(i => i.naturalWidth)") == [8, 8, 8, 20]
     slider = page.locator("input")
     middle = shot(page)
     np.testing.assert_array_equal(middle[:, :4], TRACER[:, :4])
@@ -94,7 +91,7 @@ def blues(page: Page, seconds: float) -> list[int]:
     return seen
 
 
-def test_flicker(page: Page) -> None:
+def test_flicker(page):
     """Each picture whole, in turn; slower than three flashes a second; it stops when told.
 
     Who wants no motion sees the other picture at each press, and nothing moves by itself.
@@ -116,7 +113,7 @@ def test_flicker(page: Page) -> None:
     assert turns[2] == turns[0]
 
 
-def test_click_zooms_to_the_pixel(page: Page) -> None:
+def test_click_zooms_to_the_pixel(page):
     """Each click doubles, about the place clicked: (5.5, 2.5) pixels stays where it is."""
     page.locator("input").press("End")
     panel = page.locator(".panel").first
@@ -134,7 +131,7 @@ def test_click_zooms_to_the_pixel(page: Page) -> None:
 
 
 @pytest.mark.parametrize("drags", [False, True])
-def test_zoom_and_move(page: Page, *, drags: bool) -> None:
+def test_zoom_and_move(page, *, drags):
     """Twice as large about the centre, then to the picture's border: columns 4 ... 7; and back."""
     page.locator("input").press("End")
     panel = page.locator(".panel").first
@@ -150,7 +147,7 @@ def test_zoom_and_move(page: Page, *, drags: bool) -> None:
     np.testing.assert_array_equal(shot(page), TRACER)
 
 
-def test_all_is_reached_by_tab(page: Page) -> None:
+def test_all_is_reached_by_tab(page):
     reached = []
     for _ in range(9):
         page.keyboard.press("Tab")
@@ -165,7 +162,7 @@ WIDER = "[...document.querySelectorAll('body, main, .scroll, table, .scene, p, h
 WIDER += ".filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.className)"
 
 
-def test_on_a_phone_and_printed(page: Page) -> None:
+def test_on_a_phone_and_printed(page):
     """On a phone the table scrolls in its own box, and fingers meet the controls.
 
     On paper there are no controls, nothing sticks out, and no picture is cut in two.
@@ -186,7 +183,7 @@ def test_on_a_phone_and_printed(page: Page) -> None:
     assert {*page.evaluate(f"{uncut}.map(e => getComputedStyle(e).breakInside)")} == {"avoid"}
 
 
-def test_a_class(browser: Browser, tmp_path: Path) -> None:
+def test_a_class(browser, tmp_path):
     """Names are text; thumbnails lead to pairs; the worst pixel has a ring, zoomed as well."""
     scene = tmp_path / "<b>.xml"
     scene.write_text(

@@ -1,20 +1,19 @@
-"""README and pages keep their word."""
+"""README, pages and scenes keep their word."""
 
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from running import ROOT, run_python
 
 from reference import regenerate
 from reference.command import own_scenes
-from tracer import SceneFileError, load_scene
+from tracer import SceneFileError, load_scene, render
 
-ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = ["README.md", ".github/CONTRIBUTING.md", *map(str, (ROOT / "reference").glob("*.md"))]
 
@@ -23,7 +22,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
 
 
-def test_the_readme_is_one_page_with_two_commands() -> None:
+def test_the_readme_is_one_page_with_two_commands():
     """One line each: `.ci/run` takes them from here, and runs them in a clean checkout."""
     assert README.count("\n") <= 160
     first, last = (blocks("sh")[k].rstrip("\n") for k in (0, -1))
@@ -34,7 +33,7 @@ def test_the_readme_is_one_page_with_two_commands() -> None:
     assert "'.[test]'" in last
 
 
-def test_its_speeds_are_those_of_the_benchmark() -> None:
+def test_its_speeds_are_those_of_the_benchmark():
     """The least and the most of the stored speedups over stock Mitsuba."""
     text = " ".join(README.split())
     page = (ROOT / "reference/benchmark.md").read_text(encoding="utf-8")
@@ -48,7 +47,7 @@ def test_its_speeds_are_those_of_the_benchmark() -> None:
             assert re.search(rf"{re.escape(f'{low} to {high}')} times [^.,]*{shown}", text), title
 
 
-def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_do_as_they_say(tmp_path, monkeypatch):
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
@@ -65,38 +64,77 @@ def test_the_examples_do_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert f"\n```text\n{error.value}\n```\n" in README
 
 
+USES = """
+from pathlib import Path
+import numpy as np
+import tracer
+
+shader: tracer.Shader = tracer.Phong(diffuse=[1, 0.5, 0], specular=np.ones(3), exponent=9)
+ball = tracer.Sphere(center=np.array([1, 2, 3]), radius=2, shader=shader)
+brick = tracer.Box(min_pt=[0, 0, 0], max_pt=(1.0, 1, 1))
+lights = [tracer.PointLight(position=[1, 2, 3], intensity=np.ones(3))]
+scene = tracer.Scene(width=4, height=3, lights=lights, surfaces=[ball, brick])
+scene = tracer.Scene(width=4, height=3, lights=scene.lights, surfaces=scene.surfaces)
+x, y, z = scene.lights[0].position
+height: float = ball.center[1] + y
+line: int | None = scene.surfaces[0].line
+count: int = len(scene.surfaces.center) + len(scene.lights)
+tracer.save_scene(scene, Path("scene.xml"))
+with open("scene.xml", "rb") as file:
+    scene = tracer.load_scene(file)
+"""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("checker", [["mypy", "--strict"], ["pyright"]], ids=lambda c: c[0])
-def test_the_python_examples_are_typed(checker: list[str], tmp_path: Path) -> None:
-    example = tmp_path / "example.py"
-    example.write_text("\n".join(blocks("python")))
-    command = [sys.executable, "-m", *checker, str(example)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("checker", ["mypy --strict", f"pyright --pythonpath {sys.executable}"])
+def test_types_of_documented_usage(checker, tmp_path):
+    (tmp_path / "example.py").write_text("\n".join(blocks("python")))
+    (tmp_path / "uses.py").write_text(USES)
+    done = run_python("-m", *checker.split(), f"{tmp_path}/example.py", f"{tmp_path}/uses.py")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
+def test_links_lead_somewhere(page):
     path = ROOT / page
     links = re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
     missing = [link for link in links if "://" not in link and not (path.parent / link).exists()]
     assert missing == []
 
 
-def test_the_commands_exist() -> None:
+def test_the_commands_exist():
     text = "\n".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
     modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", text))
     assert len(modules) >= 5
     assert [module for module in modules if find_spec(module) is None] == []
 
 
-def test_the_map_names_every_module_of_the_tracer() -> None:
+def test_the_map_names_every_module_of_the_tracer():
     text = (ROOT / "reference/map.md").read_text(encoding="utf-8")
     modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__", "__main__"}
     assert modules - set(re.findall(r"`(\w+)`", text)) == set()
 
 
-def test_the_sheet_shows_every_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sheet_shows_every_scene(monkeypatch):
     """Five square scenes and nine wide ones make a row and three."""
     monkeypatch.setattr(regenerate, "_SAMPLES", 1)
     assert regenerate.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
+
+
+def test_what_is_converted_beside_scenes_is_none_of_them(tmp_path, monkeypatch):
+    monkeypatch.setattr("reference.command.SCENES", tmp_path)
+    for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
+        (tmp_path / name).touch()
+    assert [path.name for path in own_scenes()] == ["ball.xml", "room.xml"]
+
+
+@pytest.mark.parametrize("path", own_scenes(), ids=lambda path: path.stem)
+def test_a_scene_says_what_it_shows_and_shows_something(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<!-- ")
+    assert text.index("-->") > 40
+    image = render(load_scene(path))
+    seen = image.any(axis=2)
+    # Neither an empty picture nor one that is burnt out.
+    assert seen.mean() > 0.1
+    assert (image[seen].min(axis=1) > 1).mean() < 0.05
