@@ -232,21 +232,6 @@ def test_crowded_pixels_are_divided_as_well(monkeypatch):
     np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
 
 
-def test_a_picture_of_unresolved_pixels_is_sampled(monkeypatch):
-    # To split them all would take four times the samples.
-    scene, classify = from_afar(BALL, pixels=16), antialias.classify
-
-    def unresolved(*cells):
-        found = classify(*cells)
-        return found._replace(unresolved=np.ones_like(found.unresolved))
-
-    monkeypatch.setattr(antialias, "classify", unresolved)
-    counts = noted(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
-    image = render(scene, 64)
-    assert sum(counts) < 1.2 * 16 * 16 * 65
-    np.testing.assert_allclose(image, uniform(scene, 32), atol=0.02)
-
-
 def test_ids_are_equal_where_object_face_and_lights_are():
     """What antialiasing takes for one smooth surface."""
     boxes = box((-3, -2, -3), (3, -1, 3)), box((-1, -1, -1), (1, 1, 1))

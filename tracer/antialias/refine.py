@@ -53,10 +53,6 @@ _LINES = 4
 # With more lights than this no one of them matters much: more than `_LINES` are enough.
 _CROWDED = 24
 
-# Where this part of all pixels may hold more than straight lines, most of their parts do as well:
-# these pixels are sampled, too.
-_UNRESOLVED = 0.5
-
 
 def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     """Whether samples everywhere cost less than classification, in a view full of silhouettes.
@@ -86,8 +82,6 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     most = _LINES if len(prepared.lights) > _CROWDED else _CROWDED
     crowded = found.crowded | (np.bincount(found.lines.cell, minlength=inside.size) > most)
-    if np.count_nonzero(found.unresolved) > _UNRESOLVED * inside.size:
-        crowded |= found.unresolved
     split, some = inside & ~crowded, indices(inside & crowded)
     lines = found.lines.take(indices(split[found.lines.cell]))
     rest = found._replace(lines=lines, unresolved=found.unresolved & split)
