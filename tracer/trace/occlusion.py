@@ -89,8 +89,8 @@ def shadow_edges(
     Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
     near as that, each on the point's own object.  These block when grown by the footprint, or have
     the light within it of their surface; and they do not block when shrunk by it.  Where any object
-    does even then, nothing near is lit.  Last is which points (n,) are
-    crowded: of so many edges, none are listed.
+    does even then, nothing near is lit.  Last is which points (n,) are crowded: of so many edges,
+    none are listed.
     """
     blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
     objects = hits.prepared.position_error.size
