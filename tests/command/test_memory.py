@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import platform
 import resource
@@ -13,6 +14,7 @@ from probe import scene_of
 from running import peak
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
+from tracer.world.prepared_scene import PreparedScene
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
@@ -30,6 +32,24 @@ def test_a_second_picture_needs_no_fresh_pages(samples):
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
     # Memory for the picture itself may be fresh, whether in large pages or in small ones.
     assert faults * resource.getpagesize() < 2 * image.nbytes
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_what_a_picture_took_is_free_at_once(samples):
+    """Not only when Python looks for cycles, many pictures later."""
+    scene = scene_of(Sphere(center=(0, 0, -3)), size=(40, 30), lights=(3, 4, 5))
+
+    def prepared() -> int:
+        return sum(isinstance(thing, PreparedScene) for thing in gc.get_objects())
+
+    gc.collect()
+    before = prepared()
+    gc.disable()
+    try:
+        render(scene, samples)
+        assert prepared() == before
+    finally:
+        gc.enable()
 
 
 RENDER = "import pickle, sys, tracer; tracer.render(*pickle.load(sys.stdin.buffer))"

@@ -109,7 +109,7 @@ class PreparedScene:
                 continue
             some, part = slice(start, start + step), copy(self)
             part.lights, part.local = self.lights[some], self.local[some]
-            part.intensities = self.intensities[some]
+            part.intensities, part._kept = self.intensities[some], []  # not itself: a cycle
             for name in ("grid", "side"):
                 vars(part).pop(name, None)
             yield part
