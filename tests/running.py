@@ -51,14 +51,6 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     return process.returncode, out, err
 
 
-def run_python(
-    *arguments: str, cwd: Path = ROOT, stdout: int = subprocess.PIPE, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    """Run Python with this project's packages."""
-    status, out, err = run(python=arguments, cwd=cwd, stdout=stdout, env=environment)
-    return subprocess.CompletedProcess(arguments, status, out, err)
-
-
 def wait_until(holds: Callable[[], bool]) -> None:
     """Wait until something holds, 20 seconds at most."""
     deadline = time.monotonic() + 20

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
-from running import run_python
+from running import run
 from scene_files import overflowing, small, small_one
 
 from converters.rendering import Rendering
@@ -258,12 +258,12 @@ def scene_file(tmp_path: Path) -> Path:
 )
 def test_command_reports_and_writes_the_comparison(scene_file, flavour, said):
     odd = scene_file.rename(os.fsdecode(os.fsencode(scene_file.parent) + ODD_NAME))
-    arguments = "-m", "reference.check", "--flavour", flavour, str(odd), "-o", f"{odd.parent}/new/"
+    arguments = "--flavour", flavour, odd, "-o", f"{odd.parent}/new/"
     none = {"DRJIT_LIBLLVM_PATH": "/nonexistent", "PYTHONIOENCODING": "utf-8"}
-    done = run_python(*arguments, **none)
-    assert done.returncode == 0, done.stderr
-    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
-    assert f"\\udcff\\n{said}" in done.stdout
+    status, out, err = run(*arguments, python=("-m", "reference.check"), env=none)
+    assert status == 0, err
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
+    assert f"\\udcff\\n{said}" in out
     middle = "" if flavour == "exact" else f".{flavour}"
     with Image.open(odd.parent / "new" / f"{odd.stem}{middle}.check.png") as picture:
         assert picture.width > 3 * 40

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from running import run_python, told
+from running import ROOT, run, told
 from scene_files import ONE_SPHERE, codes, small_one
 
 from converters.mitsuba_xml import plugin
@@ -67,9 +67,9 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, nam
 @pytest.mark.parametrize("what", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
 def test_no_one_reads_the_output(small, unread, what):
     target = small.with_name("written.png" if what else "written")
-    done = run_python(*COMMAND, *what, str(small), "-o", str(target), stdout=unread)
+    status, _, err = run(*what, small, "-o", target, python=COMMAND, stdout=unread)
     # Dr.Jit says there if it has found no libLLVM.
-    assert (done.returncode, told(done.stderr)) == (0, "")
+    assert (status, told(err)) == (0, "")
     assert target.exists()
 
 
@@ -107,9 +107,9 @@ def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, 
     small.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
     odd, path = small.rename(os.fsdecode(os.fsencode(small.parent) + ODD)), str(small.parent)
     environment = {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
-    done = run_python(*COMMAND, "--flavour", flavour, str(odd), **environment)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert f"{path}{repr(os.fsdecode(ODD))[1:-5]}." in done.stdout
+    status, out, err = run("--flavour", flavour, odd, python=COMMAND, cwd=ROOT, env=environment)
+    assert (status, err) == (0, "")
+    assert f"{path}{repr(os.fsdecode(ODD))[1:-5]}." in out
 
 
 # As drjit ends where a library of the system is missing.
@@ -131,12 +131,12 @@ except ImportError:
     ],
 )
 def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
-    missing, path = f"raise ModuleNotFoundError('No module named {module}')", str(tmp_path)
+    missing = f"raise ModuleNotFoundError('No module named {module}')"
     (tmp_path / f"{module}.py").write_text(stub or missing)
-    done = run_python(*COMMAND, option, str(ONE_SPHERE), "-o", f"{path}/", PYTHONPATH=path)
-    assert done.returncode == 1
-    assert told(done.stderr).startswith(message)
-    assert told(done.stderr).count("\n") == 1
+    arguments, path = (option, ONE_SPHERE, "-o", f"{tmp_path}/"), {"PYTHONPATH": tmp_path}
+    status, _, err = run(*arguments, python=COMMAND, cwd=ROOT, env=path)
+    assert (status, told(err).count("\n")) == (1, 1)
+    assert told(err).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -197,10 +197,10 @@ def test_what_is_no_number_is_told():
 def test_without_a_usable_library_the_scalar_variant_is_left(small):
     fake, output = small.with_name("libLLVM.so"), str(small.with_name("x.png"))
     fake.write_text("not a library")
-    command = *COMMAND, "--render", str(small), "-o", output
-    done = run_python(*command, DRJIT_LIBLLVM_PATH=str(fake))
-    assert done.returncode == 0, done.stderr
-    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
+    environment = {"DRJIT_LIBLLVM_PATH": fake}
+    status, out, err = run("--render", small, "-o", output, python=COMMAND, env=environment)
+    assert status == 0, err
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
     assert np.asarray(Image.open(output)).max() > 100
 
 
@@ -231,9 +231,9 @@ def test_the_probe_runs_once_a_process_and_scalar_can_always_be_asked_for():
 
 def test_asking_for_a_variant_that_does_not_work_says_why():
     code = f"from converters.variant import use; use({LLVM!r})"
-    child = run_python("-c", code, DRJIT_LIBLLVM_PATH="/nonexistent")
-    assert child.returncode == 1
-    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
+    status, _, err = run(python=("-c", code), env={"DRJIT_LIBLLVM_PATH": "/nonexistent"})
+    assert status == 1
+    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in err
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
