@@ -12,7 +12,6 @@ from tracer import Scene, load_scene
 from tracer.arrays import Floats
 
 NAMES = [path.stem for path in own_scenes()]
-ONE_SPHERE = SCENES / "one-sphere.xml"
 
 
 def names(*quick: str) -> list:
@@ -23,14 +22,6 @@ def names(*quick: str) -> list:
 def small(name: str, width: int = 48, height: int = 27) -> Scene:
     """A scene of this project in so few pixels."""
     return resized(load_scene(SCENES / f"{name}.xml"), width, height)
-
-
-def small_one(folder: Path, size: str) -> Path:
-    """A scene in a folder, of so small a size (two numbers) that it is soon rendered."""
-    scene = folder / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", size), encoding="utf-8")
-    return scene
 
 
 def overflowing(scene: Path) -> Path:

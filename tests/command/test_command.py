@@ -20,6 +20,7 @@ from running import ROOT, SCENE, names, peak, run, started, told, wait_until
 
 import tracer
 from converters import to_mitsuba
+from reference import compare
 from tracer.command import cli
 from tracer.picture.png import Compressed
 from tracer.picture.render import Tile
@@ -133,11 +134,22 @@ def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
     assert names(scene.parent) == []
 
 
-def test_a_working_folder_that_is_gone(no_working_folder, capsys):
-    for main in (cli.main, to_mitsuba.main):
-        with pytest.raises(SystemExit, match="1"):
-            main(["x.xml"])
-        assert capsys.readouterr().err == no_working_folder
+@pytest.mark.parametrize(
+    ("main", "arguments", "status"),
+    [
+        (cli.main, ["x.xml"], "1"),
+        (to_mitsuba.main, ["x.xml"], "1"),
+        (compare.main, [__file__, __file__, "-o", "a.png"], "2"),
+    ],
+)
+def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkeypatch, capsys):
+    (gone := tmp_path / "gone").mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(SystemExit, match=status):
+        main(arguments)
+    wrong = "the working folder cannot be found: No such file or directory; change to another\n"
+    assert capsys.readouterr().err == wrong
 
 
 def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):

@@ -4,18 +4,16 @@ What it makes of the project's scenes is in `test_cross_validation`, what it cat
 `test_mutations`.
 """
 
-import os
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import scene_files
 from PIL import Image
 from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
 from running import run
-from scene_files import overflowing, small, small_one
 
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use
@@ -84,7 +82,7 @@ def by_mitsuba(image: np.ndarray) -> Rendering:
 
 
 def four_spheres() -> tuple[Scene, np.ndarray]:
-    scene = small("four-spheres", 80, 60)
+    scene = scene_files.small("four-spheres", 80, 60)
     return scene, render(scene)
 
 
@@ -239,14 +237,6 @@ def test_near_ties_of_float64_are_no_mistakes_of_the_tracer():
 
 
 VARIANT = ["--variant", SCALAR]
-# No text, and more than a line.
-ODD_NAME = b"/\xff\n.xml"
-
-
-@pytest.fixture
-def scene_file(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "40 30")
 
 
 @pytest.mark.parametrize(
@@ -256,8 +246,7 @@ def scene_file(tmp_path: Path) -> Path:
         pytest.param("stock", ", diffuse light by stock plugins: agrees", marks=pytest.mark.slow),
     ],
 )
-def test_command_reports_and_writes_the_comparison(scene_file, flavour, said):
-    odd = scene_file.rename(os.fsdecode(os.fsencode(scene_file.parent) + ODD_NAME))
+def test_command_reports_and_writes_the_comparison(odd, flavour, said):
     arguments = "--flavour", flavour, odd, "-o", f"{odd.parent}/new/"
     none = {"DRJIT_LIBLLVM_PATH": "/nonexistent", "PYTHONIOENCODING": "utf-8"}
     status, out, err = run(*arguments, python=("-m", "reference.check"), env=none)
@@ -274,21 +263,21 @@ def test_command_reports_and_writes_the_comparison(scene_file, flavour, said):
     [((0, 0.01), 1, "DIFFERS"), ((0.01, 0), 3, "undecided"), ((0, 0), 0, "agrees")],
 )
 def test_command_ends_with_the_status_of_the_verdict(
-    scene_file, monkeypatch, capsys, wrong, status, verdict
+    small, monkeypatch, capsys, wrong, status, verdict
 ):
     by_mitsuba_too, by_tracer = wrong
-    image = render(load_scene(scene_file))
+    image = render(load_scene(small))
     drawn = Mock(return_value=lambda: by_mitsuba(image + by_mitsuba_too))
     monkeypatch.setattr(check, "load", drawn)
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: image + by_tracer)
-    assert main([*VARIANT, str(scene_file)]) == status
+    assert main([*VARIANT, str(small)]) == status
     assert f"small: {verdict}\n" in capsys.readouterr().out
-    assert scene_file.with_name("small.check.png").exists()
+    assert small.with_name("small.check.png").exists()
 
 
-def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsys):
-    bright, missing = overflowing(scene_file), str(scene_file.with_name("missing.xml"))
-    assert main([*VARIANT, str(bright), missing, str(scene_file)]) == 1
+def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys):
+    bright, missing = scene_files.overflowing(small), str(small.with_name("missing.xml"))
+    assert main([*VARIANT, str(bright), missing, str(small)]) == 1
     captured = capsys.readouterr()
     first, second = captured.err.splitlines()
     assert first == (
@@ -297,7 +286,7 @@ def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsy
     )
     assert second.startswith(f"{missing}: cannot be read: ")
     assert "small: agrees" in captured.out
-    assert main([*VARIANT, str(scene_file), "-o", missing + "/x.png"]) == 1
+    assert main([*VARIANT, str(small), "-o", missing + "/x.png"]) == 1
     wrong = f"{missing}/x.png: cannot be written: No such file or directory\n"
     assert capsys.readouterr().err == wrong
 
@@ -311,7 +300,7 @@ def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsy
         (ChildProcessError(9), "not enough memory; make the image smaller"),
     ],
 )
-def test_what_mitsuba_stumbles_over_is_told_in_a_line(scene_file, monkeypatch, capsys, error, line):
+def test_what_mitsuba_stumbles_over_is_told_in_a_line(small, monkeypatch, capsys, error, line):
     monkeypatch.setattr(check, "check", Mock(side_effect=error))
-    assert main([*VARIANT, str(scene_file)]) == 1
-    assert capsys.readouterr().err == f"{scene_file}: {line}\n"
+    assert main([*VARIANT, str(small)]) == 1
+    assert capsys.readouterr().err == f"{small}: {line}\n"

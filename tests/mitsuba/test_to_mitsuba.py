@@ -3,7 +3,6 @@
 And the choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it.
 """
 
-import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from running import ROOT, run, told
-from scene_files import ONE_SPHERE, codes, small_one
+from scene_files import codes
 
 from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
@@ -22,14 +21,6 @@ from reference.command import own_scenes
 
 RENDER = ["--render", "--variant", SCALAR]
 COMMAND = ["-m", "converters.to_mitsuba"]
-# No text, and more than a line.
-ODD = b"/\xff\n.xml"
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "40 30")
 
 
 def names(folder: Path) -> set[str]:
@@ -103,13 +94,12 @@ def test_wrong_usage_ends_with_status_2(arguments, message, capsys):
 
 
 @pytest.mark.parametrize("flavour", ["stock", "exact"])
-def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, flavour):
-    small.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
-    odd, path = small.rename(os.fsdecode(os.fsencode(small.parent) + ODD)), str(small.parent)
-    environment = {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
+def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, flavour):
+    odd.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
+    environment = {"PYTHONPATH": odd.parent, "PYTHONIOENCODING": "utf-8"}
     status, out, err = run("--flavour", flavour, odd, python=COMMAND, cwd=ROOT, env=environment)
     assert (status, err) == (0, "")
-    assert f"{path}{repr(os.fsdecode(ODD))[1:-5]}." in out
+    assert f"{odd.parent}/\\udcff\\n." in out
 
 
 # As drjit ends where a library of the system is missing.
@@ -130,11 +120,11 @@ except ImportError:
         ("--render", "mitsuba", BROKEN, "Mitsuba cannot run: libatomic.so.1: cannot open shared"),
     ],
 )
-def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
+def test_what_is_not_installed_is_told(small, option, module, stub, message):
     missing = f"raise ModuleNotFoundError('No module named {module}')"
-    (tmp_path / f"{module}.py").write_text(stub or missing)
-    arguments, path = (option, ONE_SPHERE, "-o", f"{tmp_path}/"), {"PYTHONPATH": tmp_path}
-    status, _, err = run(*arguments, python=COMMAND, cwd=ROOT, env=path)
+    small.with_name(f"{module}.py").write_text(stub or missing)
+    path = {"PYTHONPATH": small.parent}
+    status, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
     assert (status, told(err).count("\n")) == (1, 1)
     assert told(err).startswith(message)
 
@@ -237,10 +227,9 @@ def test_asking_for_a_variant_that_does_not_work_says_why():
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
-def test_variants_without_rgb_are_refused(variant, capsys):
-    scene = str(ONE_SPHERE)
-    assert check.main(["--variant", variant, scene]) == 2
-    assert main(["--render", "--variant", variant, scene]) == 1
+def test_variants_without_rgb_are_refused(small, variant, capsys):
+    assert check.main(["--variant", variant, str(small)]) == 2
+    assert main(["--render", "--variant", variant, str(small)]) == 1
     wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
     first, second = capsys.readouterr().err.splitlines()
     assert first == second

@@ -262,7 +262,3 @@ def test_too_little_memory_is_told(
     right = save(tmp_path / "a.png", CODES)
     told = f"{right}: cannot be compared: not enough memory; compare a part\n"
     assert compare(right, SCENE) == (3, [], told)
-
-
-def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:
-    assert compare(SCENE, SCENE, "-o", "a.png") == (2, [], no_working_folder)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scene_files import overflowing, small_one
+from scene_files import overflowing
 
 from converters.rendering import Rendering
 from reference.check import CheckResult
@@ -103,12 +103,6 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
     return call
 
 
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "16 12")
-
-
 @pytest.mark.parametrize(
     ("encoding", "before", "within", "shown"),
     [
@@ -161,7 +155,7 @@ def test_what_is_in_the_way(small, report, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="2"):
         report(link, small)
     assert f"{link}: this would replace an input" in capsys.readouterr().err
-    assert load_scene(small).width == 16
+    assert load_scene(small).width == 40
     os.mkfifo(pipe)
     assert report(pipe, small) == (1, f"{pipe}: cannot be written: not a regular file\n", "")
     assert pipe.is_fifo()
