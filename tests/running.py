@@ -1,7 +1,5 @@
 """Commands as processes, as a user starts them, and the scenes that they get."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

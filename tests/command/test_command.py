@@ -1,7 +1,5 @@
 """The command line, as the process that a user starts; how all commands start."""
 
-from __future__ import annotations
-
 import re
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Pictures that processes share: any executor, its failures, and the command's own pool."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource

@@ -1,7 +1,5 @@
 """The picture comparison: its figures, what it reads, and its command."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import json

@@ -1,7 +1,5 @@
 """Mistakes in another tracer are found, and none is named that was not made."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """README, pages and scenes keep their word."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """The report page: what it holds, and its command."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os

@@ -1,7 +1,5 @@
 """The weight of the project, and the order of its modules: whoever raises a budget says why."""
 
-from __future__ import annotations
-
 import ast
 import io
 from functools import cache
