@@ -51,8 +51,6 @@ from tracer.command.process import print_line, print_result
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["main"]
-
 
 def tolerance(text: str) -> float:
     """The type of a tolerance; argparse names it so where the text is no number."""
