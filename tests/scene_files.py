@@ -1,15 +1,12 @@
-"""Scenes of this project, small; scenes that tests write; the codes of a picture."""
+"""Scenes of this project, small, and scenes that tests write."""
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from reference.command import SCENES, own_scenes
 from reference.measured.workloads import resized
 from tracer import Scene, load_scene
-from tracer.arrays import Floats
 
 NAMES = [path.stem for path in own_scenes()]
 
@@ -31,8 +28,3 @@ def overflowing(scene: Path) -> Path:
     bright = scene.with_name("bright.xml")
     bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
     return bright
-
-
-def codes(light: Floats) -> NDArray[np.uint8]:
-    """The format's 8-bit values, as its text has them."""
-    return np.round(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
