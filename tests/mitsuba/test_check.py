@@ -13,11 +13,11 @@ import scene_files
 from PIL import Image
 from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
-from running import run
+from running import names, run
 
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use
-from reference import check
+from reference import check, report
 from reference.check import STOCK, Limits, check_diffuse, check_scene, compare, main, near_edges
 from reference.command import SCENES
 from reference.regenerate import load_small
@@ -259,20 +259,23 @@ def test_command_reports_and_writes_the_comparison(odd, flavour, said):
 
 
 @pytest.mark.parametrize(
+    ("command", "made"), [(main, "small.check.png"), (report.main, "report.html")]
+)
+@pytest.mark.parametrize(
     ("wrong", "status", "verdict"),
     [((0, 0.01), 1, "DIFFERS"), ((0.01, 0), 3, "undecided"), ((0, 0), 0, "agrees")],
 )
-def test_command_ends_with_the_status_of_the_verdict(
-    small, monkeypatch, capsys, wrong, status, verdict
+def test_commands_end_with_the_status_of_the_verdict(
+    small, monkeypatch, capsys, command, made, wrong, status, verdict
 ):
     by_mitsuba_too, by_tracer = wrong
     image = render(load_scene(small))
     drawn = Mock(return_value=lambda: by_mitsuba(image + by_mitsuba_too))
     monkeypatch.setattr(check, "load", drawn)
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: image + by_tracer)
-    assert main([*VARIANT, str(small)]) == status
-    assert f"small: {verdict}\n" in capsys.readouterr().out
-    assert small.with_name("small.check.png").exists()
+    assert command([*VARIANT, str(small), "-o", f"{small.parent}/made/"]) == status
+    assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
+    assert names(small.parent / "made") == [made]
 
 
 def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys):
