@@ -278,9 +278,11 @@ def test_commands_end_with_the_status_of_the_verdict(
     assert names(small.parent / "made") == [made]
 
 
-def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys):
+@pytest.mark.parametrize("command", [main, report.main])
+def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys, command):
     bright, missing = scene_files.overflowing(small), str(small.with_name("missing.xml"))
-    assert main([*VARIANT, str(bright), missing, str(small)]) == 1
+    made = small.parent / "made"
+    assert command([*VARIANT, str(bright), missing, str(small), "-o", f"{made}/"]) == 1
     captured = capsys.readouterr()
     first, second = captured.err.splitlines()
     assert first == (
@@ -288,9 +290,20 @@ def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys):
         " keep the colours and lights of the scene closer to 1"
     )
     assert second.startswith(f"{missing}: cannot be read: ")
-    assert "small: agrees" in captured.out
-    assert main([*VARIANT, str(small), "-o", missing + "/x.png"]) == 1
-    wrong = f"{missing}/x.png: cannot be written: No such file or directory\n"
+    if command is main:
+        assert "small: agrees" in captured.out
+        return
+    text = (made / "report.html").read_text(encoding="utf-8")
+    assert text.count('<section class="scene"') == 1
+    assert "<p>1 scene, " in text
+    assert "All agree." not in text
+    assert f"Not compared: {first}" in text.replace("&#39;", "'")
+    assert text.count("Not compared: ") == 2
+
+
+def test_a_comparison_that_cannot_be_written_is_told(small, capsys):
+    assert main([*VARIANT, str(small), "-o", f"{small}/x.png"]) == 1
+    wrong = f"{small}/x.png: cannot be written: Not a directory\n"
     assert capsys.readouterr().err == wrong
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scene_files import overflowing
 
 from reference.check import CheckResult
 from reference.figures import figures, linear
@@ -117,25 +116,6 @@ def test_what_a_scene_shows_is_its_first_comment(tmp_path, report, encoding, bef
     html = (folder / "report.html").read_text(encoding="utf-8")
     assert shown in html
     assert "ask somebody" not in html
-
-
-def test_bad_scenes_are_told_and_spare_the_others(small, report):
-    bright, bad = overflowing(small), small.with_name("no.xml")
-    bad.write_text("<scene/>")
-    status, error, text = report(small.with_name("report.html"), bright, bad, small)
-    assert status == 1
-    for words in (
-        f"{bright}: Mitsuba's radiance is not finite; keep the colours and lights of the scene",
-        f"{bad}:1: scene: has no image",
-    ):
-        assert error.count(words) == 1
-    assert len(error.splitlines()) == 3  # <scene/> has two faults
-    assert text.count('<section class="scene"') == 1
-    assert "The unit sphere, lit from the upper left" in text
-    assert "All agree." not in text
-    assert "<p>1 scene, " in text
-    assert f"Not compared: {bright}: Mitsuba" in text
-    assert text.count("Not compared: ") == 2
 
 
 def test_what_is_in_the_way(small, report, monkeypatch, capsys):
