@@ -201,8 +201,8 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     found = json.loads("".join(told))
     assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
-    assert [*out.rglob("*.png")] == [out / "cy" / "one-sphere.compare.png"]
-    assert found[3]["comparison"] == str(out / "cy" / "one-sphere.compare.png")
+    assert [*out.rglob("*.png")] == [out / "cy" / "one-sphere.png.compare.png"]
+    assert found[3]["comparison"] == str(out / "cy" / "one-sphere.png.compare.png")
     x, y = found[3]["worst"]
     size = np.abs(CODES[:, ::-1].astype(int) - CODES).max(axis=2)
     assert (found[3]["differing"], size[y, x]) == ((size > 0).sum(), size.max())
