@@ -143,7 +143,7 @@ PANELS = (
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
           np.logspace(3, 25, 12, base=2), silhouette, wrong_share, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
-          largest_error, ("float32, closest approach",), ("ε offset",)),
+          largest_error, _HITS[:2], ("ε offset",)),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
