@@ -86,6 +86,12 @@ def test_few_mistakes_are_found() -> None:
     assert found["right"] + found["part"] >= 19
 
 
+def test_what_shows_only_beside_another_mistake_is_found() -> None:
+    """Light beyond 1 wraps, and without the other mistake none is."""
+    assert verdict("two-boxes", ("wrapped",)) is None
+    assert verdict("two-boxes", ("wrapped", "intensity-ignored")) == "right"
+
+
 @pytest.mark.slow
 def test_mistakes_are_found() -> None:
     """Two hundred pictures of eight scenes: 1 % are wrong at most, 94 % right or in part."""
