@@ -96,6 +96,7 @@ _FLOAT32 = partial(plain.render, arithmetic="float32")
 METHODS: dict[str, Method] = {
     "this tracer": render,
     "float64, textbook": partial(plain.render, spheres="textbook"),
+    "float64, multiplied out": partial(plain.render, spheres="expanded"),
     "float64, pow(n·h, e)": plain.render,
     "float32, closest approach": _FLOAT32,
     "float32, pow(n·h, e)": _FLOAT32,
@@ -130,11 +131,18 @@ class Panel:
     methods: tuple[str, ...]
     guides: tuple[str, ...] = ()
     """Names of lines of ε, of float32 and of float64, times x; then times its square."""
+    nearby: tuple[float, ...] = (1.0,)
+    """A point shows the worst of the scenes at these multiples of its place on the axis."""
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
 _SHADOWS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 256 ulp")
 _SHINY = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
+_MOVED = ("float64, multiplied out", "float32, closest approach")
+
+# Multiplied out, |o - c|^2 is rounded once for all pixels, and not at all where the offset is a
+# round number: so several are tried.
+_NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
@@ -143,7 +151,7 @@ PANELS = (
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
           np.logspace(3, 25, 12, base=2), silhouette, wrong_share, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
-          largest_error, _HITS[:2], ("ε offset",)),
+          largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
@@ -163,8 +171,11 @@ PANELS = (
 
 def measure(panel: Panel, name: str, at: Iterable[float]) -> Floats:
     """The judge's verdict on a method, at each place of a panel's axis."""
-    scenes = [panel.scene(float(x)) for x in at]
-    return np.array([panel.judge(METHODS[name](scene), _exact(scene)) for scene in scenes])
+    draw, found = METHODS[name], list[float]()
+    for x in at:
+        scenes = [panel.scene(near * float(x)) for near in panel.nearby]
+        found.append(max(panel.judge(draw(scene), _exact(scene)) for scene in scenes))
+    return np.array(found)
 
 
 @cache

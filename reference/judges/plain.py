@@ -66,12 +66,21 @@ def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Arr
 def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """The quadratic formula as most textbooks print it: error grows as eps D^2."""
     m = o - c
-    a, b = _dot(d, d), 2 * _dot(m, d)
-    root = np.sqrt(b * b - 4 * a * (_dot(m, m) - r * r))
+    return _quadratic(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
+
+
+def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
+    """The same with |o - c|^2 multiplied out: error grows as the square of an offset, too."""
+    away2 = _dot(o, o) - 2 * _dot(o, c) + _dot(c, c)
+    return _quadratic(_dot(d, d), 2 * (_dot(o, d) - _dot(c, d)), away2 - r * r)
+
+
+def _quadratic(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
-SPHERES = {"closest": closest_approach, "textbook": textbook}
+SPHERES = {"closest": closest_approach, "textbook": textbook, "expanded": expanded}
 """From origin, direction, centre and radius to near and far t; NaN where the ray misses."""
 
 SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {

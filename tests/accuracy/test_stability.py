@@ -57,7 +57,7 @@ def test_the_tracer_holds_at_the_hard_end_of_every_axis(panel):
     assert found <= (2e-7 if panel.judge is stability.largest_error else 0.0)
 
 
-def test_what_the_chart_shows_by_hand():
+def test_what_the_chart_shows_by_hand(monkeypatch):
     exact = np.array([[[0.5] * 3, [0.0] * 3], [[0.25] * 3, [1.0] * 3]])
     off = exact + np.array([[[0.0], [0.125]], [[-0.25], [0.0]]])
     lost = exact.copy()
@@ -65,6 +65,12 @@ def test_what_the_chart_shows_by_hand():
     for image, most, share in ((off, 0.25, 50), (lost, 1, 25)):
         assert stability.largest_error(image, exact) == most
         assert stability.wrong_share(image, exact) == share
+    # Of the scenes near a point the worst counts.
+    panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
+    monkeypatch.setitem(
+        stability.METHODS, "dark", lambda s: render(s) * (s.camera.proj_distance < 25)
+    )
+    assert stability.measure(panel, "dark", [10.0]) > 0.5
 
 
 @pytest.mark.slow
