@@ -22,7 +22,6 @@ import argparse
 import os
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
@@ -50,8 +49,6 @@ from tracer.command.arguments import file_name, is_folder
 from tracer.command.process import print_line, print_result
 from tracer.files import atomic_file
 from tracer.messages import printable
-
-__all__ = ["main"]
 
 
 def tolerance(text: str) -> float:
@@ -134,10 +131,8 @@ def _outputs(options: argparse.Namespace, folder: Path, pictures: list[Path]) ->
     """Where the comparison of each picture goes; none to another's place."""
     if not options.many and not is_folder(options.output):
         return [Path(options.output)]
-    alike = Counter(picture.with_suffix("") for picture in pictures)  # a.png and a.jpg
-    names = [p.stem if alike[p.with_suffix("")] == 1 else p.name for p in pictures]
-    return [Path(options.output, p.parent.relative_to(folder), f"{name}.compare.png")
-            for p, name in zip(pictures, names, strict=True)]  # fmt: skip
+    below = [picture.relative_to(folder) for picture in pictures]
+    return [Path(options.output, path.with_name(f"{path.name}.compare.png")) for path in below]
 
 
 @lru_cache(maxsize=1)

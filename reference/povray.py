@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from tracer import Phong, Scene, Shader, Sphere
 
-__all__ = ["command", "installed", "linear", "picture", "to_pov", "trace"]
-
 WHITE = 4.0
 """Brightest radiance in `linear` pictures."""
 

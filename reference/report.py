@@ -39,8 +39,6 @@ from tracer.command.process import FAILED, MISUSED, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["main", "page"]
-
 # What a report is called in a folder, and how each begins, as the template does.
 _NAME, _HTML = "report.html", b"<!doctype html>"
 CHARTS = {

@@ -18,10 +18,9 @@ import gc
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
@@ -29,6 +28,7 @@ from converters.flavours import exact
 from converters.variant import LLVM, mi, use
 from reference import povray
 from reference.command import SCENES, built
+from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import rmse, supersampled, true_picture
@@ -36,8 +36,6 @@ from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from reference.figures import Floats
 from reference.judges import plain
 from reference.measured.charts import WIDTH, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 
-Floats: TypeAlias = NDArray[np.float64]
 Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 

@@ -54,19 +54,24 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A scene that is soon rendered, in a folder of its own."""
+    text = (Path(__file__).parents[1] / "scenes/one-sphere.xml").read_text(encoding="utf-8")
+    path = tmp_path / "small.xml"
+    path.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def odd(small: Path) -> Path:
+    """The same, by a name that is no text, and more than a line."""
+    return small.rename(small.with_name(os.fsdecode(b"\xff\n.xml")))
+
+
+@pytest.fixture
 def unread() -> Iterator[int]:
     """A pipe to write to, which no one reads."""
     read, write = os.pipe()
     os.close(read)
     yield write
     os.close(write)
-
-
-@pytest.fixture
-def no_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The working folder is gone: what commands say of that."""
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    return "the working folder cannot be found: No such file or directory; change to another\n"

@@ -1,7 +1,5 @@
 """Commands as processes, as a user starts them, and the scenes that they get."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -49,14 +47,6 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     with started(*arguments, **options) as process:
         out, err = process.communicate(input)
     return process.returncode, out, err
-
-
-def run_python(
-    *arguments: str, cwd: Path = ROOT, stdout: int = subprocess.PIPE, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    """Run Python with this project's packages."""
-    status, out, err = run(python=arguments, cwd=cwd, stdout=stdout, env=environment)
-    return subprocess.CompletedProcess(arguments, status, out, err)
 
 
 def wait_until(holds: Callable[[], bool]) -> None:

@@ -1,18 +1,14 @@
-"""Scenes of this project, small; scenes that tests write; the codes of a picture."""
+"""Scenes of this project, small, and scenes that tests write."""
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from reference.command import SCENES, own_scenes
 from reference.measured.workloads import resized
 from tracer import Scene, load_scene
-from tracer.arrays import Floats
 
 NAMES = [path.stem for path in own_scenes()]
-ONE_SPHERE = SCENES / "one-sphere.xml"
 
 
 def names(*quick: str) -> list:
@@ -25,14 +21,6 @@ def small(name: str, width: int = 48, height: int = 27) -> Scene:
     return resized(load_scene(SCENES / f"{name}.xml"), width, height)
 
 
-def small_one(folder: Path, size: str) -> Path:
-    """A scene in a folder, of so small a size (two numbers) that it is soon rendered."""
-    scene = folder / "small.xml"
-    text = ONE_SPHERE.read_text(encoding="utf-8")
-    scene.write_text(text.replace("300 300", size), encoding="utf-8")
-    return scene
-
-
 def overflowing(scene: Path) -> Path:
     """A scene like another, whose radiance is more than float32 holds."""
     light = "<light><position>3 5 4</position></light>"
@@ -40,8 +28,3 @@ def overflowing(scene: Path) -> Path:
     bright = scene.with_name("bright.xml")
     bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
     return bright
-
-
-def codes(light: Floats) -> NDArray[np.uint8]:
-    """The format's 8-bit values, as its text has them."""
-    return np.round(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)

@@ -1,7 +1,5 @@
 """Files appear under their name only when they are whole, whatever goes wrong."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

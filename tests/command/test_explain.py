@@ -1,7 +1,5 @@
 """Pixels explained, and warnings: they say the same as the picture."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

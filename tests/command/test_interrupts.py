@@ -1,7 +1,5 @@
 """Commands that are interrupted at any moment: they end at once, and leave nothing behind."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

@@ -1,7 +1,5 @@
 """Memory is kept from tile to tile and from picture to picture, and is bounded."""
 
-from __future__ import annotations
-
 import gc
 import pickle
 import platform

@@ -1,7 +1,5 @@
 """What `import tracer` gives, and when; and what is in a wheel."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import pydoc

@@ -1,7 +1,5 @@
 """8-bit codes against exact arithmetic, and PNG files against Pillow."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

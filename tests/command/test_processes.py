@@ -1,7 +1,5 @@
 """Pictures that processes share: any executor, its failures, and the command's own pool."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource
@@ -11,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +20,7 @@ from PIL import Image
 from probe import scene_of
 from running import SCENE, run, started, wait_until
 
-from tracer import Camera, Lambertian, PointLight, Scene, Sphere, render
+from tracer import Camera, PointLight, Scene, Sphere, render
 from tracer.picture import parallel
 from tracer.picture import render as render_module
 from tracer.picture.render import render_tiles
@@ -105,7 +102,14 @@ def run_out_of_memory() -> None:
     raise MemoryError
 
 
-@pytest.mark.parametrize(("fail", "times"), [(partial(os._exit, 1), 1), (run_out_of_memory, 1000)])
+@pytest.mark.parametrize(
+    ("fail", "times"),
+    [
+        (partial(os._exit, 1), 1),
+        (run_out_of_memory, 1000),
+        (lambda: None, 1000),  # cannot be pickled, as scenes with shaders of another type
+    ],
+)
 def test_what_an_executor_fails_to_do_is_done_here(fail, times, small_tiles, capfd):
     scene = picture()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
@@ -174,15 +178,6 @@ def test_an_error_here_is_raised_here(small_tiles, monkeypatch):
     monkeypatch.setattr(render_module, "radiance_at", lambda *_, **__: run_out_of_memory())
     with ThreadPoolExecutor(1) as pool, pytest.raises(MemoryError):
         render(picture(), executor=pool)
-
-
-def test_a_scene_that_cannot_be_pickled(small_tiles):
-    class Red(Lambertian):
-        """Pickled by a name that is not there."""
-
-    scene = replace(picture(), surfaces=(Sphere(shader=Red(diffuse=(1, 0, 0))),))
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        assert np.array_equal(render(scene, executor=pool), render(scene))
 
 
 def tiles_of(scene: Scene, **options: Any) -> list[bytes]:

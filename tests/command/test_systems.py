@@ -3,8 +3,6 @@
 `python tests/command/test_systems.py` stores the codes anew.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

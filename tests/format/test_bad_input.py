@@ -1,7 +1,5 @@
 """Every fault of a scene file is reported in a line of its own, and never by a traceback."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """Whatever a file holds, reading it gives a scene or says what is wrong, in lines."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

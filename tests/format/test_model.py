@@ -1,7 +1,5 @@
 """Scenes that programs make: checks, copies, comparisons, types, files."""
 
-from __future__ import annotations
-
 import copy
 import io
 import pickle

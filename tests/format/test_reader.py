@@ -1,7 +1,5 @@
 """What a scene file means: every default and every convention of the format."""
 
-from __future__ import annotations
-
 import gc
 import io
 import tracemalloc

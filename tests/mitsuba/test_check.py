@@ -4,22 +4,20 @@ What it makes of the project's scenes is in `test_cross_validation`, what it cat
 `test_mutations`.
 """
 
-import os
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import scene_files
 from PIL import Image
 from probe import close_up, moved, scene_of
 from random_scenes import KINDS, random_scene
-from running import run_python
-from scene_files import overflowing, small, small_one
+from running import names, run
 
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use
-from reference import check
+from reference import check, report
 from reference.check import STOCK, Limits, check_diffuse, check_scene, compare, main, near_edges
 from reference.command import SCENES
 from reference.regenerate import load_small
@@ -84,7 +82,7 @@ def by_mitsuba(image: np.ndarray) -> Rendering:
 
 
 def four_spheres() -> tuple[Scene, np.ndarray]:
-    scene = small("four-spheres", 80, 60)
+    scene = scene_files.small("four-spheres", 80, 60)
     return scene, render(scene)
 
 
@@ -239,14 +237,6 @@ def test_near_ties_of_float64_are_no_mistakes_of_the_tracer():
 
 
 VARIANT = ["--variant", SCALAR]
-# No text, and more than a line.
-ODD_NAME = b"/\xff\n.xml"
-
-
-@pytest.fixture
-def scene_file(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "40 30")
 
 
 @pytest.mark.parametrize(
@@ -256,39 +246,43 @@ def scene_file(tmp_path: Path) -> Path:
         pytest.param("stock", ", diffuse light by stock plugins: agrees", marks=pytest.mark.slow),
     ],
 )
-def test_command_reports_and_writes_the_comparison(scene_file, flavour, said):
-    odd = scene_file.rename(os.fsdecode(os.fsencode(scene_file.parent) + ODD_NAME))
-    arguments = "-m", "reference.check", "--flavour", flavour, str(odd), "-o", f"{odd.parent}/new/"
+def test_command_reports_and_writes_the_comparison(odd, flavour, said):
+    arguments = "--flavour", flavour, odd, "-o", f"{odd.parent}/new/"
     none = {"DRJIT_LIBLLVM_PATH": "/nonexistent", "PYTHONIOENCODING": "utf-8"}
-    done = run_python(*arguments, **none)
-    assert done.returncode == 0, done.stderr
-    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
-    assert f"\\udcff\\n{said}" in done.stdout
+    status, out, err = run(*arguments, python=("-m", "reference.check"), env=none)
+    assert status == 0, err
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
+    assert f"\\udcff\\n{said}" in out
     middle = "" if flavour == "exact" else f".{flavour}"
     with Image.open(odd.parent / "new" / f"{odd.stem}{middle}.check.png") as picture:
         assert picture.width > 3 * 40
 
 
 @pytest.mark.parametrize(
+    ("command", "made"), [(main, "small.check.png"), (report.main, "report.html")]
+)
+@pytest.mark.parametrize(
     ("wrong", "status", "verdict"),
     [((0, 0.01), 1, "DIFFERS"), ((0.01, 0), 3, "undecided"), ((0, 0), 0, "agrees")],
 )
-def test_command_ends_with_the_status_of_the_verdict(
-    scene_file, monkeypatch, capsys, wrong, status, verdict
+def test_commands_end_with_the_status_of_the_verdict(
+    small, monkeypatch, capsys, command, made, wrong, status, verdict
 ):
     by_mitsuba_too, by_tracer = wrong
-    image = render(load_scene(scene_file))
+    image = render(load_scene(small))
     drawn = Mock(return_value=lambda: by_mitsuba(image + by_mitsuba_too))
     monkeypatch.setattr(check, "load", drawn)
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: image + by_tracer)
-    assert main([*VARIANT, str(scene_file)]) == status
-    assert f"small: {verdict}\n" in capsys.readouterr().out
-    assert scene_file.with_name("small.check.png").exists()
+    assert command([*VARIANT, str(small), "-o", f"{small.parent}/made/"]) == status
+    assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
+    assert names(small.parent / "made") == [made]
 
 
-def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsys):
-    bright, missing = overflowing(scene_file), str(scene_file.with_name("missing.xml"))
-    assert main([*VARIANT, str(bright), missing, str(scene_file)]) == 1
+@pytest.mark.parametrize("command", [main, report.main])
+def test_what_cannot_be_compared_is_told_and_spares_the_others(small, capsys, command):
+    bright, missing = scene_files.overflowing(small), str(small.with_name("missing.xml"))
+    made = small.parent / "made"
+    assert command([*VARIANT, str(bright), missing, str(small), "-o", f"{made}/"]) == 1
     captured = capsys.readouterr()
     first, second = captured.err.splitlines()
     assert first == (
@@ -296,9 +290,20 @@ def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsy
         " keep the colours and lights of the scene closer to 1"
     )
     assert second.startswith(f"{missing}: cannot be read: ")
-    assert "small: agrees" in captured.out
-    assert main([*VARIANT, str(scene_file), "-o", missing + "/x.png"]) == 1
-    wrong = f"{missing}/x.png: cannot be written: No such file or directory\n"
+    if command is main:
+        assert "small: agrees" in captured.out
+    else:
+        text = (made / "report.html").read_text(encoding="utf-8")
+        assert text.count('<section class="scene"') == 1
+        assert "<p>1 scene, " in text
+        assert "All agree." not in text
+        assert f"Not compared: {first}" in text.replace("&#39;", "'")
+        assert text.count("Not compared: ") == 2
+
+
+def test_a_comparison_that_cannot_be_written_is_told(small, capsys):
+    assert main([*VARIANT, str(small), "-o", f"{small}/x.png"]) == 1
+    wrong = f"{small}/x.png: cannot be written: Not a directory\n"
     assert capsys.readouterr().err == wrong
 
 
@@ -311,7 +316,7 @@ def test_what_cannot_be_compared_is_told_and_spares_the_others(scene_file, capsy
         (ChildProcessError(9), "not enough memory; make the image smaller"),
     ],
 )
-def test_what_mitsuba_stumbles_over_is_told_in_a_line(scene_file, monkeypatch, capsys, error, line):
+def test_what_mitsuba_stumbles_over_is_told_in_a_line(small, monkeypatch, capsys, error, line):
     monkeypatch.setattr(check, "check", Mock(side_effect=error))
-    assert main([*VARIANT, str(scene_file)]) == 1
-    assert capsys.readouterr().err == f"{scene_file}: {line}\n"
+    assert main([*VARIANT, str(small)]) == 1
+    assert capsys.readouterr().err == f"{small}: {line}\n"

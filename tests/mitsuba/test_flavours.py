@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from probe import close_up, moved, scene_of
-from running import run_python
+from running import run
 from scene_files import small
 
 from converters.camera import visible_points, window_of
@@ -43,8 +43,9 @@ def test_load_file_reads_the_exact_flavour_after_one_import(tmp_path, variant_fi
     (tmp_path / "x.xml").write_text(exact(TINY))
     lines = [f"mi.set_variant({SCALAR!r})", "import converters.plugins"][:: 1 - 2 * variant_first]
     after = "assert mi.TensorXf(mi.render(mi.load_file('x.xml'))).array.__len__() == 192"
-    done = run_python("-c", "\n".join(["import mitsuba as mi", *lines, after]), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    script = "\n".join(["import mitsuba as mi", *lines, after])
+    status, _, err = run(python=("-c", script), cwd=tmp_path)
+    assert status == 0, err
 
 
 def test_the_exact_flavour_asks_for_an_rgb_variant(tmp_path):
@@ -53,7 +54,7 @@ def test_the_exact_flavour_asks_for_an_rgb_variant(tmp_path):
         f"mi.load_string({exact(TINY)!r})"
     )
     wrong = "needs an RGB variant of Mitsuba; scalar_spectral is none"
-    assert wrong in run_python("-c", code, cwd=tmp_path).stderr
+    assert wrong in run(python=("-c", code), cwd=tmp_path)[2]
 
 
 @pytest.mark.parametrize(

@@ -3,37 +3,22 @@
 And the choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it.
 """
 
-import os
 import re
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from running import run_python, told
-from scene_files import ONE_SPHERE, codes, small_one
+from running import ROOT, names, run, told
 
 from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
 from converters.variant import LLVM, SCALAR, Choice, choose, mi, use
-from reference import check
+from reference import check, report
 from reference.command import own_scenes
 
 RENDER = ["--render", "--variant", SCALAR]
 COMMAND = ["-m", "converters.to_mitsuba"]
-# No text, and more than a line.
-ODD = b"/\xff\n.xml"
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "40 30")
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 @pytest.mark.parametrize(
@@ -43,7 +28,7 @@ def names(folder: Path) -> set[str]:
 def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, options, written):
     for _ in range(2):
         assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
-        assert names(small.parent) == {written, "small.xml"}
+        assert {*names(small.parent)} == {written, "small.xml"}
     scene = small.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: left out, for it is a converted scene\n" in capsys.readouterr().out
@@ -61,15 +46,16 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, nam
     error = capsys.readouterr().err
     assert error.startswith(f"{name}{message}")
     assert error.count("\n") == 1
-    assert names(tmp_path / "made") == {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
+    made = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
+    assert {*names(tmp_path / "made")} == made
 
 
 @pytest.mark.parametrize("what", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
 def test_no_one_reads_the_output(small, unread, what):
     target = small.with_name("written.png" if what else "written")
-    done = run_python(*COMMAND, *what, str(small), "-o", str(target), stdout=unread)
+    status, _, err = run(*what, small, "-o", target, python=COMMAND, stdout=unread)
     # Dr.Jit says there if it has found no libLLVM.
-    assert (done.returncode, told(done.stderr)) == (0, "")
+    assert (status, told(err)) == (0, "")
     assert target.exists()
 
 
@@ -81,7 +67,7 @@ def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
     wrong = f"{other}: cannot be written: a file of another kind is there\n"
     assert capsys.readouterr().err == wrong
     assert other.read_text() == "<scene>"
-    assert names(small.parent) == {other.name, "small.xml"}
+    assert {*names(small.parent)} == {other.name, "small.xml"}
     use()
 
 
@@ -103,13 +89,12 @@ def test_wrong_usage_ends_with_status_2(arguments, message, capsys):
 
 
 @pytest.mark.parametrize("flavour", ["stock", "exact"])
-def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(small, flavour):
-    small.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
-    odd, path = small.rename(os.fsdecode(os.fsencode(small.parent) + ODD)), str(small.parent)
-    environment = {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
-    done = run_python(*COMMAND, "--flavour", flavour, str(odd), **environment)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert f"{path}{repr(os.fsdecode(ODD))[1:-5]}." in done.stdout
+def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, flavour):
+    odd.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
+    environment = {"PYTHONPATH": odd.parent, "PYTHONIOENCODING": "utf-8"}
+    status, out, err = run("--flavour", flavour, odd, python=COMMAND, cwd=ROOT, env=environment)
+    assert (status, err) == (0, "")
+    assert f"{odd.parent}/\\udcff\\n." in out
 
 
 # As drjit ends where a library of the system is missing.
@@ -130,13 +115,13 @@ except ImportError:
         ("--render", "mitsuba", BROKEN, "Mitsuba cannot run: libatomic.so.1: cannot open shared"),
     ],
 )
-def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
-    missing, path = f"raise ModuleNotFoundError('No module named {module}')", str(tmp_path)
-    (tmp_path / f"{module}.py").write_text(stub or missing)
-    done = run_python(*COMMAND, option, str(ONE_SPHERE), "-o", f"{path}/", PYTHONPATH=path)
-    assert done.returncode == 1
-    assert told(done.stderr).startswith(message)
-    assert told(done.stderr).count("\n") == 1
+def test_what_is_not_installed_is_told(small, option, module, stub, message):
+    missing = f"raise ModuleNotFoundError('No module named {module}')"
+    small.with_name(f"{module}.py").write_text(stub or missing)
+    path = {"PYTHONPATH": small.parent}
+    status, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
+    assert (status, told(err).count("\n")) == (1, 1)
+    assert told(err).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -154,13 +139,13 @@ def test_what_is_not_installed_is_told(tmp_path, option, module, stub, message):
 def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
     output = ["-o", str(small.with_name(named))] if named else []
     assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small), *output]) == 0
-    assert names(small.parent) == {"small.xml", *written.split()}
+    assert {*names(small.parent)} == {"small.xml", *written.split()}
     png, exr = (small.with_name(name) for name in written.split())
     shown = np.asarray(Image.open(png, formats=["PNG"]))
     radiance = np.array(mi.Bitmap(str(exr)))
     # Stock flavours are in square pixels.
     assert radiance.shape == shown.shape == (30 if flavour == "exact" else 40, 40, 3)
-    np.testing.assert_array_equal(shown, codes(radiance))
+    np.testing.assert_array_equal(shown, np.round(255 * radiance.clip(0, 1) ** (1 / 2.2)))
     use()
 
 
@@ -186,7 +171,7 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, 
         assert main(["--flavour", flavour, str(small)]) == 1
         error = capsys.readouterr().err
         assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
-    assert names(small.parent) == {"small.xml"}
+    assert {*names(small.parent)} == {"small.xml"}
 
 
 def test_what_is_no_number_is_told():
@@ -197,10 +182,10 @@ def test_what_is_no_number_is_told():
 def test_without_a_usable_library_the_scalar_variant_is_left(small):
     fake, output = small.with_name("libLLVM.so"), str(small.with_name("x.png"))
     fake.write_text("not a library")
-    command = *COMMAND, "--render", str(small), "-o", output
-    done = run_python(*command, DRJIT_LIBLLVM_PATH=str(fake))
-    assert done.returncode == 0, done.stderr
-    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in done.stdout
+    environment = {"DRJIT_LIBLLVM_PATH": fake}
+    status, out, err = run("--render", small, "-o", output, python=COMMAND, env=environment)
+    assert status == 0, err
+    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
     assert np.asarray(Image.open(output)).max() > 100
 
 
@@ -231,19 +216,19 @@ def test_the_probe_runs_once_a_process_and_scalar_can_always_be_asked_for():
 
 def test_asking_for_a_variant_that_does_not_work_says_why():
     code = f"from converters.variant import use; use({LLVM!r})"
-    child = run_python("-c", code, DRJIT_LIBLLVM_PATH="/nonexistent")
-    assert child.returncode == 1
-    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in child.stderr
+    status, _, err = run(python=("-c", code), env={"DRJIT_LIBLLVM_PATH": "/nonexistent"})
+    assert status == 1
+    assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in err
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
-def test_variants_without_rgb_are_refused(variant, capsys):
-    scene = str(ONE_SPHERE)
-    assert check.main(["--variant", variant, scene]) == 2
-    assert main(["--render", "--variant", variant, scene]) == 1
+def test_variants_without_rgb_are_refused(small, variant, capsys):
+    options = "--variant", variant, str(small), "-o", f"{small.parent}/made/"
+    assert (main(["--render", *options]), check.main(options), report.main(options)) == (1, 2, 2)
     wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
-    first, second = capsys.readouterr().err.splitlines()
-    assert first == second
+    first, *others = capsys.readouterr().err.splitlines()
+    assert others == [first, first]
     assert first.startswith(wrong)
     assert SCALAR in first
     assert "spectral" not in first.removeprefix(wrong)
+    assert names(small.parent) == ["small.xml"]

@@ -1,7 +1,5 @@
 """The picture comparison: its figures, what it reads, and its command."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import json
@@ -10,8 +8,6 @@ import random
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +16,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
+from running import run, started
 from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
@@ -30,7 +27,6 @@ from reference.handins.results import Result
 from reference.handins.workers import shared
 from tracer import load_scene, render, to_codes
 
-ROOT = Path(__file__).resolve().parents[2]
 Compare = Callable[..., tuple[int, list[str], str]]
 SCENE = SCENES / "one-sphere.xml"
 RIGHT = render(load_scene(SCENE))
@@ -56,11 +52,6 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
         return status, told.out.splitlines(), told.err
 
     return call
-
-
-def command(*arguments: str | Path) -> subprocess.Popen[str]:
-    line, pipe = [sys.executable, *map(str, arguments)], subprocess.PIPE
-    return subprocess.Popen(line, stdout=pipe, stderr=pipe, text=True, cwd=ROOT)
 
 
 def test_figures_by_hand() -> None:
@@ -210,8 +201,8 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     found = json.loads("".join(told))
     assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
-    assert [*out.rglob("*.png")] == [out / "cy" / "one-sphere.compare.png"]
-    assert found[3]["comparison"] == str(out / "cy" / "one-sphere.compare.png")
+    assert [*out.rglob("*.png")] == [out / "cy" / "one-sphere.png.compare.png"]
+    assert found[3]["comparison"] == str(out / "cy" / "one-sphere.png.compare.png")
     x, y = found[3]["worst"]
     size = np.abs(CODES[:, ::-1].astype(int) - CODES).max(axis=2)
     assert (found[3]["differing"], size[y, x]) == ((size > 0).sum(), size.max())
@@ -240,7 +231,7 @@ def test_a_worker_that_dies_takes_one_result_with_it(monkeypatch: pytest.MonkeyP
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """Whatever they are at: they hold their ends of its pipes for as long as they live."""
     script = "import time; from reference.handins.workers import shared"
-    process = command("-c", f"{script}; [*shared(time.sleep, [600] * 8, str)]")
+    process = started(python=("-c", f"{script}; [*shared(time.sleep, [600] * 8, str)]"))
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(children.read_text(encoding="ascii").split()) < 3:  # two, and a tracker of resources
         assert process.poll() is None
@@ -254,9 +245,8 @@ def test_pipes_are_neither_read_nor_replaced(tmp_path: Path) -> None:
     pipe, right = tmp_path / "pipe", save(tmp_path / "a.png", CODES)
     os.mkfifo(pipe)
     for arguments, what in (((right, pipe), "read"), ((right, right, "-o", pipe), "written")):
-        process = command("-m", "reference.compare", *arguments)
         told = f"{pipe}: cannot be {what}: not a regular file\n"
-        assert (*process.communicate(timeout=60), process.returncode) == ("", told, 3)
+        assert run(*arguments, python=("-m", "reference.compare")) == (3, "", told)
     assert pipe.is_fifo()
 
 
@@ -270,7 +260,3 @@ def test_too_little_memory_is_told(
     right = save(tmp_path / "a.png", CODES)
     told = f"{right}: cannot be compared: not enough memory; compare a part\n"
     assert compare(right, SCENE) == (3, [], told)
-
-
-def test_a_working_folder_that_is_gone(no_working_folder: str, compare: Compare) -> None:
-    assert compare(SCENE, SCENE, "-o", "a.png") == (2, [], no_working_folder)

@@ -1,7 +1,5 @@
 """Mistakes in another tracer are found, and none is named that was not made."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections import Counter
@@ -86,6 +84,12 @@ def test_few_mistakes_are_found() -> None:
     found = verdicts("non-square-pixels", 20, 1)
     assert found["wrong"] == 0
     assert found["right"] + found["part"] >= 19
+
+
+def test_what_shows_only_beside_another_mistake_is_found() -> None:
+    """Light beyond 1 wraps, and without the other mistake none is."""
+    assert verdict("two-boxes", ("wrapped",)) is None
+    assert verdict("two-boxes", ("wrapped", "intensity-ignored")) == "right"
 
 
 @pytest.mark.slow

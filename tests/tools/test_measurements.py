@@ -3,8 +3,6 @@
 No time is asserted.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

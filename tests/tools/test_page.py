@@ -1,7 +1,5 @@
 """The page of pairs of pictures in a real browser, the system's Chromium."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Iterator

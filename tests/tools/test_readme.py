@@ -1,14 +1,12 @@
 """README, pages and scenes keep their word."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from running import ROOT, run_python
+from running import ROOT, run
 
 from reference import regenerate
 from reference.command import own_scenes
@@ -90,8 +88,9 @@ with open("scene.xml", "rb") as file:
 def test_types_of_documented_usage(checker, tmp_path):
     (tmp_path / "example.py").write_text("\n".join(blocks("python")))
     (tmp_path / "uses.py").write_text(USES)
-    done = run_python("-m", *checker.split(), f"{tmp_path}/example.py", f"{tmp_path}/uses.py")
-    assert done.returncode == 0, done.stdout + done.stderr
+    files = tmp_path / "example.py", tmp_path / "uses.py"
+    status, out, err = run(*files, python=("-m", *checker.split()), cwd=ROOT)
+    assert status == 0, out + err
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -1,7 +1,5 @@
 """The report page: what it holds, and its command."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os
@@ -15,13 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scene_files import overflowing, small_one
 
-from converters.rendering import Rendering
 from reference.check import CheckResult
 from reference.figures import figures, linear
 from reference.report import main, page
-from tracer import load_scene, render
+from tracer import load_scene
 
 WIDTH, HEIGHT = 8, 6
 
@@ -103,12 +99,6 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
     return call
 
 
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered."""
-    return small_one(tmp_path, "16 12")
-
-
 @pytest.mark.parametrize(
     ("encoding", "before", "within", "shown"),
     [
@@ -128,32 +118,6 @@ def test_what_a_scene_shows_is_its_first_comment(tmp_path, report, encoding, bef
     assert "ask somebody" not in html
 
 
-def test_bad_scenes_are_told_and_spare_the_others(small, report):
-    folder, pipe, missing, bad = map(small.with_name, ("folder", "pipe", "missing.xml", "no.xml"))
-    folder.mkdir()
-    os.mkfifo(pipe)
-    bad.write_text("<scene/>")
-    bright = overflowing(small)
-    scenes = (bright, folder, missing, bad, pipe, small)
-    status, error, text = report(small.with_name("report.html"), *scenes)
-    assert status == 1
-    for words in (
-        f"{bright}: Mitsuba's radiance is not finite; keep the colours and lights of the scene",
-        f"{folder}: is a folder; name a scene file in it",
-        f"{missing}: cannot be read: No such file or directory; check the path and its permissions",
-        f"{bad}:1: scene: has no image",
-        f"{pipe}: is not a regular file; save the scene to one",
-    ):
-        assert error.count(words) == 1
-    assert len(error.splitlines()) == 6  # <scene/> has two faults
-    assert text.count('<section class="scene"') == 1
-    assert "The unit sphere, lit from the upper left" in text
-    assert "All agree." not in text
-    assert "<p>1 scene, " in text
-    assert f"Not compared: {folder}: is a folder; name a scene file in it<" in text
-    assert text.count("Not compared: ") == 5
-
-
 def test_what_is_in_the_way(small, report, monkeypatch, capsys):
     """No scene is replaced, and no pipe; where a shell has closed the errors, the page is made."""
     link, pipe = small.with_name("link.xml"), small.with_name("pipe")
@@ -161,7 +125,7 @@ def test_what_is_in_the_way(small, report, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="2"):
         report(link, small)
     assert f"{link}: this would replace an input" in capsys.readouterr().err
-    assert load_scene(small).width == 16
+    assert load_scene(small).width == 40
     os.mkfifo(pipe)
     assert report(pipe, small) == (1, f"{pipe}: cannot be written: not a regular file\n", "")
     assert pipe.is_fifo()
@@ -181,21 +145,3 @@ def test_scenes_of_one_name_are_told_apart(small, report):
     assert re.findall(r' href="#([^"]*)"', text) == ids
     assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small, other)))
     assert text.count("The unit sphere") == text.count("The same again") == 1
-
-
-def test_a_variant_that_cannot_run_is_told_once(small, report):
-    output = small.with_name("report.html")
-    status, error, text = report(output, small, "--variant", "scalar_spectral")
-    wrong = "Mitsuba cannot run: scalar_spectral is not an RGB variant; choose one of "
-    assert error.startswith(wrong)
-    assert (status, error.count("\n"), text) == (2, 1, "")
-
-
-@pytest.mark.parametrize(("ours", "theirs", "status"), [(0.01, 0, 1), (0, 0.01, 3)])
-def test_the_status_is_that_of_the_check(small, report, monkeypatch, ours, theirs, status):
-    image = render(load_scene(small))
-    seen = Rendering(image + theirs, "scalar_rgb", 0.0)
-    monkeypatch.setattr("reference.check.load", lambda *_: lambda: seen)
-    monkeypatch.setattr("reference.check.render", lambda _scene, **_offset: image + ours)
-    output = small.with_name("report.html")
-    assert report(output, small)[0] == status
