@@ -14,9 +14,7 @@ known as well as asked:
 - In a strip, radiance is off by no more than may change across its edge: what one light adds, or
   all that the cell may show.
 - A region of which the sample lies in a strip may be off by the strip's change as a whole.
-- Other edges divide nothing, if there are many.  Whatever side of such an edge a centroid is on,
-  beyond the edge is no more than 5/9 of a convex region (Winternitz's theorem): radiance is off by
-  the edge's change in so much of the cell, and in the strip.
+- A cell with many edges, or with a strip that covers all of it, may show anything.
 
 The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
 that add the least are done; the others are divided.
@@ -45,27 +43,23 @@ from reference.judges.arrays import (
     Floats,
     Ints,
     add_runs,
-    least_sums,
     places,
     segments,
     sums,
 )
 from reference.judges.cells import LARGEST, CellForms, Cells, Shades, first_cells
 from reference.judges.faces import Faces
-from reference.judges.forms import C, Form, R, Z
+from reference.judges.forms import Form, Z, constant
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
 # So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.  So
 # many lines at most divide a cell.
-_AT_ONCE, _MOST_LINES = 48000, 5
+_AT_ONCE, _MOST_LINES = 12000, 5
 
 # Lights that reach all of a face are kept, those that are known best first, as long as what they
 # add together errs by no more than this part of the error.
 _SMOOTH = 0.25
-
-# The part of what is left of a pixel's error that is spent at each size of its cells.
-_SPENT = 0.4
 
 # Cells are no smaller than this part of a pixel across.
 _SMALLEST = 2.0**-10
@@ -122,8 +116,6 @@ class Enclosure(NamedTuple):
     radiance : Form (8, 3, n)
     doubt : (n,)
         By how much more radiance may be off, as the region's sample lies in a strip.
-    loose : (c,)
-        The same anywhere in a cell, for edges that do not divide it.
     most : (3, c)
         No point shows more.
     mean, error : (3, c) and (c,)
@@ -134,18 +126,17 @@ class Enclosure(NamedTuple):
     regions: Regions
     radiance: Form
     doubt: Floats
-    loose: Floats
     most: Floats
     mean: Floats
     error: Floats
 
 
-def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> Enclosure:
-    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`.
+def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
+    """Enclose radiance in cells, but those (c,) that stay `unknown`.
 
-    `shades`: of all lights that are not done; `unknown` (c,): cells that are not asked for.
+    `shades`: of all lights that are not done.
     """
-    unknown, cells, count = unknown | forms.find_intersections(), forms.cells, forms.cells.x.size
+    cells, count, unknown = forms.cells, forms.cells.x.size, unknown.copy()
     each, most = shades.radiance.size, np.zeros((3, count))
     tops = cells.known.bounds()[1]
     add_runs(tops, shades.pair, each)
@@ -154,21 +145,15 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     # The strips of edges, except in black cells.
     lights = cells.done.shape[1]
     keys = shades.pair * lights + shades.light
-    form = Form(np.concatenate([form.m for _, _, form in forms.edges], axis=1))
-    pair, light = (np.concatenate([edges[i] for edges in forms.edges]) for i in (0, 1))
+    pair, light, form = forms.edge_functions()
     shade, cell = places(keys, pair * lights + light), cells.cell[pair]
     jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
     at = np.flatnonzero((jump > 0) & ~unknown[cell])
     lines = strips(cell[at], form[at], jump[at])
-    # Too wide, or too many: then those with the least changes.
-    wide = lines.share > 0.999
-    by = np.lexsort((-lines.jump, wide, lines.cell))
-    wide[by] |= np.arange(by.size) - lines.cell.searchsorted(lines.cell) >= _MOST_LINES
-    loose = sums(lines.cell[wide], lines.jump[wide], count)
-    beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
-    beyond = sums(lines.cell[wide], beyond, count)
-    unknown |= (beyond * min(cells.size, 1) ** 2 > error) | (most.max(axis=0) == 0)
-    lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
+    number = np.bincount(lines.cell, minlength=count)
+    unknown |= (number > _MOST_LINES) | (most.max(axis=0) == 0)
+    unknown[lines.cell[lines.share > 0.999]] = True
+    lines, inside = lines.take(~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
     regions = regions._replace(cell=inside[regions.cell])
@@ -192,9 +177,9 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     mean = np.array([sums(regions.cell, regions.area * m, count) for m in value])
     mean[:, unknown] = most[:, unknown] / 2
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
-    bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
-    bound = np.fmin(np.where(unknown, np.inf, bound), np.maximum(mean, most - mean).max(axis=0))
-    return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
+    bound += sums(lines.cell, lines.share * lines.jump, count)
+    bound[unknown] = most.max(axis=0)[unknown] / 2
+    return Enclosure(lines, regions, Form(radiance), doubt, most, mean, bound)
 
 
 def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
@@ -236,7 +221,7 @@ class _Picture:
 
     def halves(self, cells: Cells) -> list[Cells]:
         """Cells in two parts, if they are many, with all cells of a pixel in one of these."""
-        if cells.cell.size + cells.pair.size + np.count_nonzero(~cells.done) <= _AT_ONCE:
+        if cells.cell.size + cells.rows.shape[1] + np.count_nonzero(~cells.done) <= _AT_ONCE:
             return [cells]
         pixel = self.pixels(cells)
         first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
@@ -261,13 +246,9 @@ class _Picture:
         np.add.at(self.bound, pixel, share * radiance.radius.max(axis=0)[:, None, None])
 
     def refine(self, cells: Cells) -> Cells:
-        """Add what is known of cells; return the parts of the others."""
-        half = cells.size / 2
-        cells = cells.take((cells.x - half < self.width) & (cells.y - half < self.height))
+        """Add what is known of cells; return the others."""
         self.cells += cells.x.size
         forms = CellForms(self.faces, cells)
-        if cells.size == LARGEST:
-            forms = CellForms(self.faces, forms.listed())
         cells = forms.cells
         number = np.bincount(cells.cell, minlength=cells.x.size)
         alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
@@ -277,29 +258,26 @@ class _Picture:
         remain[cells.cell[smooth]] = False
         self.add(cells, cells.cell[smooth], cells.known[smooth])
         if cells.size <= 1:
-            enclosed = enclose(forms, shades, ~remain, self.error)
+            enclosed = enclose(forms, shades, ~remain)
             done = np.flatnonzero(remain & self.accepted(cells, enclosed, remain))
-            m = np.zeros((8, 3, done.size))
-            m[C], m[R] = enclosed.mean[:, done], enclosed.error[done]
-            self.add(cells, done, Form(m))
+            self.add(cells, done, constant(enclosed.mean[:, done], enclosed.error[done]))
             remain[done] = False
-        return cells.take(remain).parts()
+        return cells.take(remain)
 
     def accepted(self, cells: Cells, enclosed: Enclosure, remain: Bools) -> Bools:
-        """Of the cells of a pixel that remain, those that add little to its error, or all."""
-        share, bound = cells.size**2 * remain, self.bound.reshape(-1)
+        """Of the cells of a pixel that remain, those that err no more than it may on average."""
+        share, bound = remain * np.float64(cells.size**2), self.bound.reshape(-1)
         at, place = np.unique(self.pixels(cells), return_inverse=True)
-        part = enclosed.error * share
-        total, left = sums(place, part, at.size), self.error - bound[at]
+        area, left = sums(place, share, at.size), self.error - bound[at]
+        total = sums(place, share * enclosed.error, at.size)
         if self.by_codes:
             mean = np.array([sums(place, channel * share, at.size) for channel in enclosed.mean])
             mean = (mean + self.image.reshape(3, -1)[:, at]).T[None]
             off = (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
-        budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
-        done = (least_sums(place, part) <= budget[place]) | (part == 0)
-        done |= (np.bincount(place) >= _MOST_CELLS)[place] | (cells.size <= _SMALLEST)
-        return np.asarray(done)
+        most = np.where(total <= left, np.inf, left / area)
+        most[np.bincount(place) >= _MOST_CELLS] = np.inf
+        return np.asarray((enclosed.error <= most[place]) | (cells.size <= _SMALLEST))
 
 
 @np.errstate(all="ignore")
@@ -333,17 +311,17 @@ def certify(
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
     todo = [first_cells(picture.faces, scene.width, scene.height)]
-    everything = todo[0].x.size * todo[0].size ** 2
+    everything = todo[0].area
     while todo:
         cells = todo.pop()
-        parts = picture.halves(cells)
-        if len(parts) > 1:
-            todo += parts
+        halves = picture.halves(cells)
+        if len(halves) > 1:
+            todo += halves
             continue
-        area, cells = cells.x.size * cells.size**2, picture.refine(cells)
-        progress((area - cells.x.size * cells.size**2) / everything)
-        if cells.x.size:
-            todo.append(cells)
+        remain = picture.refine(cells.parts(scene.width, scene.height))
+        progress((cells.area - remain.area) / everything)
+        if remain.x.size:
+            todo.append(remain)
     image, bound = (m[..., : scene.height, : scene.width] for m in (picture.image, picture.bound))
     image = image.transpose(1, 2, 0).copy()
     bound = bound[:, :, None] + _ROUNDING * image.max(initial=0)

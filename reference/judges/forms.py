@@ -163,6 +163,13 @@ def _power(z: Floats, s: Floats | float) -> Floats:
     return power
 
 
+def constant(value: Floats, radius: Floats | float = 0.0) -> Form:
+    """Quantities (..., n) that are the same in all of a cell, or differ by no more than that."""
+    m = np.zeros((8, *value.shape))
+    m[C], m[R] = value, radius
+    return Form(m)
+
+
 def difference(form: Form, other: Form) -> Form:
     """The difference of quantities of two surfaces, each with a Z of its own."""
     m = form.m - other.m
