@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from reference.judges.arrays import Bools, Floats, Ints, add_runs, least_sums, segments
+from reference.judges.arrays import Bools, Floats, Ints, add_runs, segments
 from reference.judges.faces import Faces
 from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, constant, difference
 
@@ -294,41 +294,35 @@ class CellForms:
     def _find_terminators(self) -> None:
         done = self.cells.done.copy()
         pair, light = np.nonzero(~done)
-        up, dark = self._heights(pair, light), np.zeros(pair.size, np.bool_)
-        ball = ~self.faces.flat[self.cells.face[pair]]
-        self._settle(pair, light, dark, [(np.arange(pair.size), *up, ball)])
+        dark = np.zeros(pair.size, np.bool_)
+        self._settle(pair, light, dark, [(np.arange(pair.size), *self._heights(pair, light), True)])
         done[pair[dark], light[dark]] = True
-        self._up, self.cells = (pair, light, *up), self.cells._replace(done=done)
+        self.cells = self.cells._replace(done=done)
 
     def _patches(self) -> tuple[Floats, Floats]:
         """Boxes around what pairs see, in the scene's axes: middles and half sizes (3, n)."""
         faces, cells, frame = self.faces, self.cells, self.faces.frame
+        rays, half = self._rays(cells.cell), np.array([self._hx, self._hy])
+        middle = frame.axes.T @ rays[:, 0]
+        half = (np.abs(frame.axes[:2].T) @ half)[:, None]
+        a, b, eye = middle - half, middle + half, frame.eye[:, None]
         least, most = self.inverse.bounds()
         near, far = 1 / most, np.where(least > 0, 1 / least, np.inf)
         low, high = faces.bounds[:, :, cells.face]
-        for axis, eye in enumerate(frame.eye):
-            along = np.tile(frame.axes[:, axis : axis + 1], cells.cell.size)
-            a, b = self._linear(along, cells.cell).bounds()
-            low[axis] = np.fmax(low[axis], eye + np.fmin(a * near, a * far))
-            high[axis] = np.fmin(high[axis], eye + np.fmax(b * near, b * far))
-        half = np.maximum(0.5 * (high - low), 0)
-        half += faces.prepared.position_error[faces.owner[cells.face]]
-        return 0.5 * (low + high), half
+        low = np.fmax(low, eye + np.fmin(a * near, a * far))
+        high = np.fmin(high, eye + np.fmax(b * near, b * far))
+        error = faces.prepared.position_error[faces.owner[cells.face]]
+        return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
 
     def _find_shadows(self) -> None:
-        if self.cells.size == LARGEST:
-            cells = self.cells
+        cells = self.cells
+        if cells.size == LARGEST:
             rows = self.faces.blockers(*self._patches(), cells.face, ~cells.done.T)
-            self.cells = cells._replace(rows=rows)
-        pair, light, occluder = self.cells.rows
-        cells = self.cells.with_rows(~self.cells.done[pair, light])
+            self.cells = cells = cells._replace(rows=rows)
         pair, light, occluder = cells.rows
-        self.cells, lit = cells, np.zeros(pair.size, dtype=np.bool_)
-        ball = occluder < self.faces.spheres
-        functions = chain(
-            self._cones(np.flatnonzero(ball)), self._boxes(np.flatnonzero(~ball), lit)
-        )
-        shaded = self._settle(pair, light, lit, functions)
+        ball, lit = occluder < self.faces.spheres, np.zeros(pair.size, dtype=np.bool_)
+        cones, boxes = self._cones(np.flatnonzero(ball)), self._boxes(np.flatnonzero(~ball), lit)
+        shaded = self._settle(pair, light, lit, chain(cones, boxes))
         cells.done[pair[shaded], light[shaded]] = True
         self.cells = cells.with_rows(~lit & ~cells.done[pair, light])
 
@@ -382,8 +376,8 @@ class CellForms:
     def _find_intersections(self) -> None:
         """Add edges where surfaces of two pairs may meet.
 
-        Where p is on one surface, it is on a plane if k.d - 1 / t = 0, and on a second sphere if
-        2 (c - c').d + (p' - p) / t = 0, the difference of both equations.
+        Where p is on one surface, it is on a plane if k.p - 1 = 0, and on a second sphere if it is
+        on the plane that is the difference of both equations, p^2 - 2 c.p + power = 0.
         """
         faces, cells = self.faces, self.cells
         by = np.argsort(cells.cell, kind="stable")
@@ -394,12 +388,8 @@ class CellForms:
         apart = (faces.plane[:, f] != faces.plane[:, g]).any(axis=0)
         some = np.flatnonzero((faces.owner[f] != faces.owner[g]) & apart)
         a, f, g = a[some], f[some], g[some]
-        other = np.array([*faces.k[:, g], np.full(a.size, -1.0), np.ones(a.size)])
-        at = np.flatnonzero(~faces.flat[g])
-        f, g = f[at], g[at]
-        other[:3, at] = 2 * (faces.center[:, f] - faces.center[:, g])
-        other[3, at] = faces.power[g] - faces.power[f]
-        other[4, at] = np.abs(faces.power[[f, g]]).sum(axis=0)
+        other, at = faces.surface[:, g], np.flatnonzero(~faces.flat[g])
+        other[:, at] += faces.surface[:, f[at]] * [[-1], [-1], [-1], [-1], [1]]
         meeting = np.arange(a.size), *self._half_space(a, other), True
         self._settle(a, -1, np.zeros(a.size, np.bool_), [meeting])
 
@@ -434,9 +424,8 @@ class CellForms:
         edged[cells.rows[0], cells.rows[1]] = True
         for pair, light, *_ in self.edges:
             edged[pair[light >= 0], light[light >= 0]] = True
-        off = np.fmin(shades.radiance.radius.max(axis=0), 2 * error)
-        off[edged[shades.pair, shades.light]] = 2 * error
-        sure = least_sums(shades.pair, off) <= error - cells.known.radius.max(axis=0)[shades.pair]
+        sure = ~edged[shades.pair, shades.light]
+        sure &= shades.radiance.radius.max(axis=0) <= error / cells.done.shape[1]
         pair, light, radiance = shades.take(sure)
         add_runs(cells.known.m, pair, radiance.m)
         cells.done[pair, light] = True
@@ -449,10 +438,8 @@ class CellForms:
         d^2 - q.d / t; with unit vectors n.h = (n.l + n.v) / |l + v| and |l + v|^2 = 2 + 2 l.v.
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
-        pair, light, u, v = self._up
-        at = np.flatnonzero(~cells.done[pair, light] & wanted[pair])
-        pair, light = pair[at], light[at]
-        up, eyes = self.function(pair, u[at], v[at]), np.full(cells.cell.size, -1)
+        pair, light = np.nonzero(~cells.done & wanted[:, None])
+        up = self.function(pair, *self._heights(pair, light))
         cell, obj, q = cells.cell[pair], faces.owner[cells.face[pair]], faces.lights[light].T
         square, along = self.square[cell], self.inverse[pair] * self._linear(q, cell)
         inverse2 = (self.inverse * self.inverse)[pair]
@@ -462,7 +449,7 @@ class CellForms:
         at = np.flatnonzero(prepared.glossy[obj])
         seen, which = np.unique(pair[at], return_inverse=True)
         near = self.square.power(-0.5)
-        n_dot_v = self.function(seen, *self._heights(seen, eyes[seen])) * near[cells.cell[seen]]
+        n_dot_v = self.function(seen, *self._heights(seen, 0 * seen - 1)) * near[cells.cell[seen]]
         sum2 = (square[at] - along[at]) * (away[at] * near[cell[at]]) * 2.0 + 2.0
         n_dot_h = ((matt[at] + n_dot_v[which]) * sum2.power(-0.5, 1e-300)).unit()
         shiny = n_dot_h.power(prepared.exponent[obj[at]], 0.0, 1.0).unit()

@@ -14,7 +14,9 @@ known as well as asked:
 - In a strip, radiance is off by no more than may change across its edge: what one light adds, or
   all that the cell may show.
 - A region of which the sample lies in a strip may be off by the strip's change as a whole.
-- A cell with many edges, or with a strip that covers all of it, may show anything.
+- Other edges divide nothing, if there are many.  Whatever side of such an edge a centroid is on,
+  beyond the edge is no more than 5/9 of a convex region (Winternitz's theorem): radiance is off by
+  the edge's change in so much of the cell, and in the strip.
 
 The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
 that add the least are done; the others are divided.
@@ -116,6 +118,8 @@ class Enclosure(NamedTuple):
     radiance : Form (8, 3, n)
     doubt : (n,)
         By how much more radiance may be off, as the region's sample lies in a strip.
+    loose : (c,)
+        The same anywhere in a cell, for edges that do not divide it.
     most : (3, c)
         No point shows more.
     mean, error : (3, c) and (c,)
@@ -126,6 +130,7 @@ class Enclosure(NamedTuple):
     regions: Regions
     radiance: Form
     doubt: Floats
+    loose: Floats
     most: Floats
     mean: Floats
     error: Floats
@@ -150,10 +155,15 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
     jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
     at = np.flatnonzero((jump > 0) & ~unknown[cell])
     lines = strips(cell[at], form[at], jump[at])
-    number = np.bincount(lines.cell, minlength=count)
-    unknown |= (number > _MOST_LINES) | (most.max(axis=0) == 0)
-    unknown[lines.cell[lines.share > 0.999]] = True
-    lines, inside = lines.take(~unknown[lines.cell]), np.flatnonzero(~unknown)
+    # Too wide, or too many: then those with the least changes.
+    wide = lines.share > 0.999
+    by = np.lexsort((-lines.jump, wide, lines.cell))
+    wide[by] |= np.arange(by.size) - lines.cell.searchsorted(lines.cell) >= _MOST_LINES
+    loose = sums(lines.cell[wide], lines.jump[wide], count)
+    beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
+    beyond = sums(lines.cell[wide], beyond, count)
+    unknown |= beyond >= most.max(axis=0)
+    lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
     regions = regions._replace(cell=inside[regions.cell])
@@ -162,7 +172,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
     which, line = segments(np.diff(first)[regions.cell], first[regions.cell])
     z = lines.a[line] * x[which] + lines.b[line] * y[which] + lines.c[line]
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
-    doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
+    doubt[regions.area < NO_AREA] = np.inf
     pairs, lit = _sampled(forms, regions.cell, x, y)
     radiance = cells.known[pairs].m
     radiance[..., pairs < 0] = 0
@@ -170,16 +180,14 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
     of = places(keys, pairs[region] * lights + light)
     add_runs(radiance, region, shades.radiance[of].m)
     value = (radiance[:Z] * regions.mean[:, None]).sum(axis=0)
-    off = Form(radiance).radius + doubt
-    unsure = np.flatnonzero(doubt)  # still no less than nothing, and no more than all
-    worst = np.maximum(value[:, unsure], most[:, regions.cell[unsure]] - value[:, unsure])
-    off[:, unsure] = np.minimum(off[:, unsure], worst)
+    worst = np.maximum(value, most[:, regions.cell] - value)
+    off = np.minimum(Form(radiance).radius + doubt, worst)
     mean = np.array([sums(regions.cell, regions.area * m, count) for m in value])
     mean[:, unknown] = most[:, unknown] / 2
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
-    bound += sums(lines.cell, lines.share * lines.jump, count)
+    bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
     bound[unknown] = most.max(axis=0)[unknown] / 2
-    return Enclosure(lines, regions, Form(radiance), doubt, most, mean, bound)
+    return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
 
 
 def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:

@@ -54,6 +54,8 @@ class Faces:
         The same numbers for rectangles in one plane: the first in the file is seen.
     k, w : (3, f) and (f,)
         See the module.
+    surface : (5, f)
+        Half-spaces, beyond planes; of spheres, all of the equation that two do not share.
     height : (5, m + 1, f)
         Half-spaces that tell the heights of lights and the eye over the face.
     rim : (5, 4, f)
@@ -132,7 +134,9 @@ class Faces:
         for k in range(3):
             within[:, k, k] = place[k]
         self.bounds = joined(ends, within)
-        self.k = joined(c / power, axes[:, :, None, None] / corner)
+        self.k = joined(c / power, k := axes[:, :, None, None] / corner)
+        sphere = np.array([*(-2 * c), power, np.abs(power)])
+        self.surface = joined(sphere, np.array([*k, 0 * corner - 1, 0 * corner + 1]))
         self.w = joined(1 / power, 0 * corner)
         self.height = joined(over_balls, over_sides)
         self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
