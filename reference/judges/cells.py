@@ -426,10 +426,10 @@ class CellForms:
             edged[pair[light >= 0], light[light >= 0]] = True
         sure = ~edged[shades.pair, shades.light]
         sure &= shades.radiance.radius.max(axis=0) <= error / cells.done.shape[1]
-        pair, light, radiance = shades.take(sure)
-        add_runs(cells.known.m, pair, radiance.m)
-        cells.done[pair, light] = True
-        return shades.take(~sure)
+        kept, left = shades.take(sure), shades.take(~sure)
+        add_runs(cells.known.m, kept.pair, kept.radiance.m)
+        cells.done[kept.pair, kept.light] = True
+        return left
 
     def _shade(self, wanted: Bools) -> Shades:
         """What lights add to pairs.

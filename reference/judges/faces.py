@@ -134,9 +134,10 @@ class Faces:
         for k in range(3):
             within[:, k, k] = place[k]
         self.bounds = joined(ends, within)
-        self.k = joined(c / power, k := axes[:, :, None, None] / corner)
+        sides_k = axes[:, :, None, None] / corner
+        self.k = joined(c / power, sides_k)
         sphere = np.array([*(-2 * c), power, np.abs(power)])
-        self.surface = joined(sphere, np.array([*k, 0 * corner - 1, 0 * corner + 1]))
+        self.surface = joined(sphere, np.array([*sides_k, 0 * corner - 1, 0 * corner + 1]))
         self.w = joined(1 / power, 0 * corner)
         self.height = joined(over_balls, over_sides)
         self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
