@@ -29,9 +29,6 @@ from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, constant, 
 LARGEST = 8
 """Pixels across cells for which what may shade them is listed; no larger ones are filled."""
 
-# Edge functions are loose if what is not known of them is more than this part of their slope.
-_LOOSE = 0.02
-
 
 class Cells(NamedTuple):
     """Cells (c,) of one size; pairs (p,) of one and a face; rows (q,) of what may shade these.
@@ -407,8 +404,7 @@ class CellForms:
             a = np.abs(form.m)
             return np.asarray(a[XX:].sum(axis=0) / np.maximum(a[X], a[Y]))
 
-        a = np.abs(form.m)
-        at = np.flatnonzero(a[Z] + a[R] > _LOOSE * np.maximum(a[X], a[Y]))
+        at = np.flatnonzero(form.m[Z])
         u, v = u[at], v[at]
         other = u * u - self.s2[pair[at]] * v * v
         better = width(other) < width(form[at])

@@ -136,10 +136,10 @@ class Enclosure(NamedTuple):
     error: Floats
 
 
-def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
-    """Enclose radiance in cells, but those (c,) that stay `unknown`.
+def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> Enclosure:
+    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`.
 
-    `shades`: of all lights that are not done.
+    `shades`: of all lights that are not done; `unknown` (c,): cells that are not asked for.
     """
     cells, count, unknown = forms.cells, forms.cells.x.size, unknown.copy()
     each, most = shades.radiance.size, np.zeros((3, count))
@@ -162,7 +162,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools) -> Enclosure:
     loose = sums(lines.cell[wide], lines.jump[wide], count)
     beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
     beyond = sums(lines.cell[wide], beyond, count)
-    unknown |= beyond >= most.max(axis=0)
+    unknown |= (beyond >= most.max(axis=0)) | (beyond * cells.size**2 > error)
     lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
@@ -266,7 +266,7 @@ class _Picture:
         remain[cells.cell[smooth]] = False
         self.add(cells, cells.cell[smooth], cells.known[smooth])
         if cells.size <= 1:
-            enclosed = enclose(forms, shades, ~remain)
+            enclosed = enclose(forms, shades, ~remain, self.error)
             done = np.flatnonzero(remain & self.accepted(cells, enclosed, remain))
             self.add(cells, done, constant(enclosed.mean[:, done], enclosed.error[done]))
             remain[done] = False

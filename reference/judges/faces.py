@@ -105,7 +105,7 @@ class Faces:
         """List spheres, then sides of boxes, of which corners are `low` and `high` (3, boxes)."""
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
         c, r, power, c_scene = self.center, self.radius, self.power, prepared.spheres.center
-        points = np.append(prepared.lights, self.frame.eye[None], axis=0).T
+        points = np.append(prepared.lights, self.frame.eye[None], axis=0)[:, :, None, None]
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, size = power - c_q.sum(axis=0), np.abs(power) + np.abs(c_q).sum(axis=0)
@@ -116,8 +116,7 @@ class Faces:
         inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
         wide = low < high
         seen = (corner * inward > 0) & (wide[[1, 2, 0]] & wide[[2, 0, 1]])[:, None]
-        above = np.sign(corner)[:, :, None] * (place[:, :, None] - points[:, None, :, None])
-        above = above.transpose(2, 0, 1, 3)
+        above = np.sign(corner) * (place - points)
         over_sides = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
         sides = np.empty((5, *corner.shape))  # the half-spaces that share a box
         sides[:3] = axes[:, :, None, None] * [[1], [-1]]
@@ -128,24 +127,20 @@ class Faces:
         def joined(balls: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
             return np.append(balls, boxes.reshape(*balls.shape[:-1], -1), axis=-1)
 
-        ends = np.array([c_scene - r, c_scene + r])
         within = np.empty((2, 3, *corner.shape))
         within[:] = place.swapaxes(0, 1)[:, :, None, None]
         for k in range(3):
             within[:, k, k] = place[k]
-        self.bounds = joined(ends, within)
-        sides_k = axes[:, :, None, None] / corner
-        self.k = joined(c / power, sides_k)
-        sphere = np.array([*(-2 * c), power, np.abs(power)])
-        self.surface = joined(sphere, np.array([*sides_k, 0 * corner - 1, 0 * corner + 1]))
+        self.bounds = joined(np.array([c_scene - r, c_scene + r]), within)
+        self.surface = joined(np.array([*(-2 * c), power, np.abs(power)]), sides)
+        self.k = joined(c / power, axes[:, :, None, None] / corner)
         self.w = joined(1 / power, 0 * corner)
         self.height = joined(over_balls, over_sides)
         self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
         self.plane = joined(np.array([np.full(n, 3), np.arange(n)]), plane)
-        number = np.arange(self.count)
-        self.owner = joined(number[:n], np.broadcast_to(number[n:], corner.shape))
+        self.owner = joined(np.arange(n), np.broadcast_to(np.arange(n, self.count), corner.shape))
         self.flat = self.owner >= n
-        self.seen = joined(self.flat[:n] | True, seen) & ~prepared.repeated[self.owner]
+        self.seen = joined(np.ones(n, np.bool_), seen) & ~prepared.repeated[self.owner]
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
         """Find shadows of boxes, of which corners are `low` and `high` (3, boxes).
