@@ -289,12 +289,10 @@ class CellForms:
         return self._half_space(pair, self.faces.height[:, light, self.cells.face[pair]])
 
     def _find_terminators(self) -> None:
-        done = self.cells.done.copy()
-        pair, light = np.nonzero(~done)
+        pair, light = np.nonzero(~self.cells.done)
         dark = np.zeros(pair.size, np.bool_)
         self._settle(pair, light, dark, [(np.arange(pair.size), *self._heights(pair, light), True)])
-        done[pair[dark], light[dark]] = True
-        self.cells = self.cells._replace(done=done)
+        self.cells.done[pair[dark], light[dark]] = True
 
     def _patches(self) -> tuple[Floats, Floats]:
         """Boxes around what pairs see, in the scene's axes: middles and half sizes (3, n)."""
@@ -414,7 +412,8 @@ class CellForms:
     def settle(self, wanted: Bools, error: float) -> Shades:
         """Shade `wanted` (p,) pairs; add to what is known of them the lights that reach all.
 
-        Left are lights that may not, or the radiance of which is not known within an error.
+        Left are lights that may not, or the radiance of which errs by more than their part of an
+        error.
         """
         shades, cells, edged = self._shade(wanted), self.cells, np.zeros_like(self.cells.done)
         edged[cells.rows[0], cells.rows[1]] = True

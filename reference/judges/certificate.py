@@ -19,7 +19,7 @@ known as well as asked:
   the edge's change in so much of the cell, and in the strip.
 
 The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
-that add the least are done; the others are divided.
+that err no more than what is left of the pixel may on average are done; the others are divided.
 
 Single samples of the tracer are trusted as to what they see, not as to radiance.  A sample that
 sees what its cell rules out proves an error in one of them, and raises one.
@@ -40,15 +40,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    add_runs,
-    places,
-    segments,
-    sums,
-)
+from reference.judges.arrays import Bools, Floats, Ints, add_runs, places, segments, sums
 from reference.judges.cells import LARGEST, CellForms, Cells, Shades, first_cells
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, Z, constant
@@ -59,8 +51,8 @@ from tracer import Scene, to_codes
 # many lines at most divide a cell.
 _AT_ONCE, _MOST_LINES = 12000, 5
 
-# Lights that reach all of a face are kept, those that are known best first, as long as what they
-# add together errs by no more than this part of the error.
+# Lights that reach all of a face are kept if each errs by no more than an even share of this part
+# of the error.
 _SMOOTH = 0.25
 
 # Cells are no smaller than this part of a pixel across.
@@ -200,22 +192,18 @@ def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, 
     RuntimeError
         If what is seen contradicts a cell: the certificate or the tracer is wrong.
     """
-    cells, half, pairs = forms.cells, forms.cells.size / 2, np.full(cell.size, -1)
-    keys = cells.cell * forms.faces.owner.size + cells.face
-    by = keys.argsort()
-
-    def asked(face: Ints) -> Bools:
-        seen = np.flatnonzero(face >= 0)
-        pairs[seen] = found = places(keys[by], cell[seen] * forms.faces.owner.size + face[seen])
-        if (found < 0).any():
-            wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
-            raise RuntimeError(wrong)
-        pairs[seen] = by[found]
-        lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
-        lit[:, seen] = ~cells.done[pairs[seen]].T
-        return lit
-
-    return pairs, forms.faces.trace(cells.x[cell] + half * x, cells.y[cell] + half * y, asked)
+    cells, faces, half = forms.cells, forms.faces, forms.cells.size / 2
+    hits, at, face = faces.see(cells.x[cell] + half * x, cells.y[cell] + half * y)
+    keys = cells.cell * faces.owner.size + cells.face
+    by, pairs = keys.argsort(), np.full(cell.size, -1)
+    found = places(keys[by], cell[at] * faces.owner.size + face)
+    if (found < 0).any():
+        wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
+        raise RuntimeError(wrong)
+    pairs[at] = found = by[found]
+    lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
+    lit[:, at] = faces.lit(hits, ~cells.done[found].T)
+    return pairs, lit
 
 
 class _Picture:

@@ -20,7 +20,6 @@ rectangle it has n = 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
 from tracer.geometry.camera import camera_frame
 from tracer.geometry.silhouette import silhouette_planes
+from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
 from tracer.trace.occlusion import occlusion
 from tracer.trace.samples import Scattered
@@ -179,20 +179,18 @@ class Faces:
         # In several octants the grid may find the same.
         return np.array(np.unravel_index(np.unique(np.concatenate(found)), shape))
 
-    def trace(self, x: Floats, y: Floats, asked: Callable[[Ints], Bools]) -> Bools:
-        """Whether lights reach what is seen at points of the picture (lights, n).
-
-        `asked`: is given the faces (n,) seen, or -1, and returns which lights count (lights, n).
-        """
+    def see(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
+        """Hits (n,) of samples at points of the picture; of each, which point, and the face."""
         samples, order = Scattered.of(x, y)
-        hits = nearest_hits(self.prepared, samples)
-        at, face = order[hits.sample], np.full(x.size, -1)
+        hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
+        face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            obj, n = group.obj, self.count - self.spheres
-            high = (group.sign > 0) ^ self.prepared.eye_inside[obj]
-            side = obj + group.shape.flat * n * (2 * group.face + high)
-            face[at[group.part]] = group.repeat_runs(side)
-        lit = asked(face)
-        reached = lit[:, at] & (light_geometry(hits).n_dot_l > 0)
-        lit[:, at] = reached & ~occlusion(hits, reached)
-        return lit & (face >= 0)
+            high = (group.sign > 0) ^ self.prepared.eye_inside[group.obj]
+            side = group.obj + group.shape.flat * n * (2 * group.face + high)
+            face[group.part] = group.repeat_runs(side)
+        return hits, order[hits.sample], face
+
+    def lit(self, hits: Hits, asked: Bools) -> Bools:
+        """Whether lights reach hits (lights, n), of those that are asked about."""
+        reached = asked & (light_geometry(hits).n_dot_l > 0)
+        return reached & ~occlusion(hits, reached)
