@@ -19,16 +19,16 @@ import argparse
 import io
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from PIL import Image
 from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
-from reference.handins.reading import read_picture
+from reference.handins.reading import UNREADABLE, read_picture, reason
 from reference.judges.certificate import Certificate, certify
 from tracer import SceneFileError, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name
@@ -39,17 +39,12 @@ from tracer.messages import printable
 # With `--codes`, pixels whose codes stay open lie within this of where the next code begins.
 _ERROR, _ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
 
-_FAILURES = (MemoryError, OSError, RuntimeError, SyntaxError, ValueError)
-
 
 def _error(text: str) -> Fraction:
     """Type of an argument that is a positive number or fraction."""
-    try:
-        error = Fraction(text)
-        if error > 0 and float(error) > 0:
+    with suppress(OverflowError, ValueError, ZeroDivisionError):
+        if float(error := Fraction(text)) > 0:
             return error
-    except (OverflowError, ValueError, ZeroDivisionError):
-        pass
     raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {text!r}")
 
 
@@ -101,13 +96,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     used = parser("reference.certify", __doc__)
     add = used.add_argument
     add("scene", type=file_name, metavar="SCENE.xml")
-    text = (
-        f"how near each pixel's mean is to be (default: {_ERROR}; {_ERROR_OF_CODES} with --codes)"
-    )
+    text = f"how near each pixel's mean is to be ({_ERROR}, or {_ERROR_OF_CODES} with --codes)"
     add("--error", type=_error, metavar="E", help=text)
     text = "be content with a pixel as soon as its 8-bit code is the only one possible"
     add("--codes", action="store_true", help=text)
-    text = "the picture to write (default: SCENE.xml.certified.png)"
+    text = "the picture to write (SCENE.xml.certified.png)"
     add("-o", "--output", type=file_name, metavar="OUT.png", help=text)
     text = "count this picture's codes that are certainly wrong"
     add("--judge", type=Path, metavar="PICTURE.png", help=text)
@@ -130,9 +123,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise ValueError(f"its size is {size}, the scene's {width} x {height}")
         where, what = given.scene, "certified"
         hidden = None if sys.stderr is None else not sys.stderr.isatty()
-        with tqdm(total=100, unit="%", leave=False, disable=hidden, file=sys.stderr) as bar:
-            more = {"codes": given.codes, "progress": lambda part: bar.update(100 * part)}
-            made = certify(scene, float(error), **more)
+        with tqdm(total=100, unit="%", leave=False, disable=hidden) as bar:
+            report = lambda part: bar.update(100 * part)  # noqa: E731
+            made = certify(scene, float(error), codes=given.codes, progress=report)
         lines, seconds = _report(made, error, given.codes), perf_counter() - start
         if given.judge:
             wrong, verdict = judgement(made, judged)
@@ -149,10 +142,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SceneFileError as failure:
         print_line(sys.stderr, str(failure))
         return 3
-    except (*_FAILURES, Image.DecompressionBombError) as failure:
-        reason = getattr(failure, "strerror", None) or str(failure)
-        if isinstance(failure, MemoryError):
-            reason = "not enough memory; make the image smaller"
-        print_line(sys.stderr, printable(f"{where}: cannot be {what}: {reason}"))
+    except (*UNREADABLE, RuntimeError) as failure:
+        why = reason(failure, "make the image smaller")
+        print_line(sys.stderr, printable(f"{where}: cannot be {what}: {why}"))
         return 3
     return 1 if wrong else 0

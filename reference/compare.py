@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 
-from PIL import UnidentifiedImageError
 from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
@@ -41,6 +40,7 @@ from reference.handins.reading import (
     hand_ins,
     match,
     read_picture,
+    reason,
 )
 from reference.handins.results import MISSING, Result, csv_of, json_of, text_of
 from reference.handins.workers import shared
@@ -194,10 +194,6 @@ def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | 
     except SceneFileError as fault:
         return result._replace(error=str(fault)), None
     except UNREADABLE as fault:
-        reason = getattr(fault, "strerror", None) or fault
-        if isinstance(fault, MemoryError):
-            reason = "not enough memory; compare a part"
-        elif isinstance(fault, UnidentifiedImageError):
-            reason = "not a picture in a format that is known"
-        return _failed(hand_in, f"{where}: cannot be {what}: {reason}")
+        why = reason(fault, "compare a part")
+        return _failed(hand_in, f"{where}: cannot be {what}: {why}")
     return result, pair

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, JpegImagePlugin
+from PIL import Image, JpegImagePlugin, UnidentifiedImageError
 
 Codes: TypeAlias = NDArray[np.uint8]
 
@@ -21,6 +21,15 @@ _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
 UNREADABLE = (MemoryError, OSError, SyntaxError, ValueError, Image.DecompressionBombError)
 """What reading may raise; Pillow's errors in a PNG are SyntaxErrors."""
+
+
+def reason(fault: BaseException, remedy: str) -> str:
+    """Why something is unreadable; `remedy` is what to do where memory is short."""
+    if isinstance(fault, MemoryError):
+        return f"not enough memory; {remedy}"
+    if isinstance(fault, UnidentifiedImageError):
+        return "not a picture in a format that is known"
+    return getattr(fault, "strerror", None) or str(fault)
 
 
 class Picture(NamedTuple):

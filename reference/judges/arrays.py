@@ -24,16 +24,6 @@ def add_runs(total: Floats, index: Ints, values: Floats) -> None:
     total[..., index[first]] += np.add.reduceat(values, first, axis=-1)
 
 
-def least_sums(group: Ints, values: Floats) -> Floats:
-    """Sums (n,) of each value and all of its group that are less."""
-    by = np.lexsort((values, group))
-    total, ordered = values[by].cumsum(), group[by]
-    first = ordered.searchsorted(ordered)
-    result = np.empty(values.size)
-    result[by] = total - (total[first] - values[by[first]])
-    return result
-
-
 def segments(counts: Ints, start: Ints) -> tuple[Ints, Ints]:
     """For each i, counts[i] pairs of i and a number: start[i], start[i] + 1, ..."""
     which = np.arange(counts.size).repeat(counts)

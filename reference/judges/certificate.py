@@ -19,7 +19,7 @@ known as well as asked:
   the edge's change in so much of the cell, and in the strip.
 
 The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
-that add the least are done; the others are divided.
+that err no more than what is left of the pixel may on average are done; the others are divided.
 
 Single samples of the tracer are trusted as to what they see, not as to radiance.  A sample that
 sees what its cell rules out proves an error in one of them, and raises one.
@@ -40,32 +40,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    add_runs,
-    least_sums,
-    places,
-    segments,
-    sums,
-)
+from reference.judges.arrays import Bools, Floats, Ints, add_runs, places, segments, sums
 from reference.judges.cells import LARGEST, CellForms, Cells, Shades, first_cells
 from reference.judges.faces import Faces
-from reference.judges.forms import C, Form, R, Z
+from reference.judges.forms import Form, Z, constant
 from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
 # So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.  So
 # many lines at most divide a cell.
-_AT_ONCE, _MOST_LINES = 48000, 5
+_AT_ONCE, _MOST_LINES = 12000, 5
 
-# Lights that reach all of a face are kept, those that are known best first, as long as what they
-# add together errs by no more than this part of the error.
+# Lights that reach all of a face are kept if each errs by no more than an even share of this part
+# of the error.
 _SMOOTH = 0.25
-
-# The part of what is left of a pixel's error that is spent at each size of its cells.
-_SPENT = 0.4
 
 # Cells are no smaller than this part of a pixel across.
 _SMALLEST = 2.0**-10
@@ -145,7 +133,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
 
     `shades`: of all lights that are not done; `unknown` (c,): cells that are not asked for.
     """
-    unknown, cells, count = unknown | forms.find_intersections(), forms.cells, forms.cells.x.size
+    cells, count, unknown = forms.cells, forms.cells.x.size, unknown.copy()
     each, most = shades.radiance.size, np.zeros((3, count))
     tops = cells.known.bounds()[1]
     add_runs(tops, shades.pair, each)
@@ -154,8 +142,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     # The strips of edges, except in black cells.
     lights = cells.done.shape[1]
     keys = shades.pair * lights + shades.light
-    form = Form(np.concatenate([form.m for _, _, form in forms.edges], axis=1))
-    pair, light = (np.concatenate([edges[i] for edges in forms.edges]) for i in (0, 1))
+    pair, light, form = forms.edge_functions()
     shade, cell = places(keys, pair * lights + light), cells.cell[pair]
     jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
     at = np.flatnonzero((jump > 0) & ~unknown[cell])
@@ -167,7 +154,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     loose = sums(lines.cell[wide], lines.jump[wide], count)
     beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
     beyond = sums(lines.cell[wide], beyond, count)
-    unknown |= (beyond * min(cells.size, 1) ** 2 > error) | (most.max(axis=0) == 0)
+    unknown |= (beyond >= most.max(axis=0)) | (beyond * cells.size**2 > error)
     lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
@@ -177,7 +164,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     which, line = segments(np.diff(first)[regions.cell], first[regions.cell])
     z = lines.a[line] * x[which] + lines.b[line] * y[which] + lines.c[line]
     doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
-    doubt = np.where(regions.area > NO_AREA, doubt, np.inf)
+    doubt[regions.area < NO_AREA] = np.inf
     pairs, lit = _sampled(forms, regions.cell, x, y)
     radiance = cells.known[pairs].m
     radiance[..., pairs < 0] = 0
@@ -185,15 +172,13 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     of = places(keys, pairs[region] * lights + light)
     add_runs(radiance, region, shades.radiance[of].m)
     value = (radiance[:Z] * regions.mean[:, None]).sum(axis=0)
-    off = Form(radiance).radius + doubt
-    unsure = np.flatnonzero(doubt)  # still no less than nothing, and no more than all
-    worst = np.maximum(value[:, unsure], most[:, regions.cell[unsure]] - value[:, unsure])
-    off[:, unsure] = np.minimum(off[:, unsure], worst)
+    worst = np.maximum(value, most[:, regions.cell] - value)
+    off = np.minimum(Form(radiance).radius + doubt, worst)
     mean = np.array([sums(regions.cell, regions.area * m, count) for m in value])
     mean[:, unknown] = most[:, unknown] / 2
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
     bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
-    bound = np.fmin(np.where(unknown, np.inf, bound), np.maximum(mean, most - mean).max(axis=0))
+    bound[unknown] = most.max(axis=0)[unknown] / 2
     return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
 
 
@@ -207,22 +192,18 @@ def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, 
     RuntimeError
         If what is seen contradicts a cell: the certificate or the tracer is wrong.
     """
-    cells, half, pairs = forms.cells, forms.cells.size / 2, np.full(cell.size, -1)
-    keys = cells.cell * forms.faces.owner.size + cells.face
-    by = keys.argsort()
-
-    def asked(face: Ints) -> Bools:
-        seen = np.flatnonzero(face >= 0)
-        pairs[seen] = found = places(keys[by], cell[seen] * forms.faces.owner.size + face[seen])
-        if (found < 0).any():
-            wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
-            raise RuntimeError(wrong)
-        pairs[seen] = by[found]
-        lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
-        lit[:, seen] = ~cells.done[pairs[seen]].T
-        return lit
-
-    return pairs, forms.faces.trace(cells.x[cell] + half * x, cells.y[cell] + half * y, asked)
+    cells, faces, half = forms.cells, forms.faces, forms.cells.size / 2
+    hits, at, face = faces.see(cells.x[cell] + half * x, cells.y[cell] + half * y)
+    keys = cells.cell * faces.owner.size + cells.face
+    by, pairs = keys.argsort(), np.full(cell.size, -1)
+    found = places(keys[by], cell[at] * faces.owner.size + face)
+    if (found < 0).any():
+        wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
+        raise RuntimeError(wrong)
+    pairs[at] = found = by[found]
+    lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
+    lit[:, at] = faces.lit(hits, ~cells.done[found].T)
+    return pairs, lit
 
 
 class _Picture:
@@ -236,7 +217,7 @@ class _Picture:
 
     def halves(self, cells: Cells) -> list[Cells]:
         """Cells in two parts, if they are many, with all cells of a pixel in one of these."""
-        if cells.cell.size + cells.pair.size + np.count_nonzero(~cells.done) <= _AT_ONCE:
+        if cells.cell.size + cells.rows.shape[1] + np.count_nonzero(~cells.done) <= _AT_ONCE:
             return [cells]
         pixel = self.pixels(cells)
         first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
@@ -261,13 +242,9 @@ class _Picture:
         np.add.at(self.bound, pixel, share * radiance.radius.max(axis=0)[:, None, None])
 
     def refine(self, cells: Cells) -> Cells:
-        """Add what is known of cells; return the parts of the others."""
-        half = cells.size / 2
-        cells = cells.take((cells.x - half < self.width) & (cells.y - half < self.height))
+        """Add what is known of cells; return the others."""
         self.cells += cells.x.size
         forms = CellForms(self.faces, cells)
-        if cells.size == LARGEST:
-            forms = CellForms(self.faces, forms.listed())
         cells = forms.cells
         number = np.bincount(cells.cell, minlength=cells.x.size)
         alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
@@ -279,27 +256,24 @@ class _Picture:
         if cells.size <= 1:
             enclosed = enclose(forms, shades, ~remain, self.error)
             done = np.flatnonzero(remain & self.accepted(cells, enclosed, remain))
-            m = np.zeros((8, 3, done.size))
-            m[C], m[R] = enclosed.mean[:, done], enclosed.error[done]
-            self.add(cells, done, Form(m))
+            self.add(cells, done, constant(enclosed.mean[:, done], enclosed.error[done]))
             remain[done] = False
-        return cells.take(remain).parts()
+        return cells.take(remain)
 
     def accepted(self, cells: Cells, enclosed: Enclosure, remain: Bools) -> Bools:
-        """Of the cells of a pixel that remain, those that add little to its error, or all."""
-        share, bound = cells.size**2 * remain, self.bound.reshape(-1)
+        """Of the cells of a pixel that remain, those that err no more than it may on average."""
+        share, bound = remain * np.float64(cells.size**2), self.bound.reshape(-1)
         at, place = np.unique(self.pixels(cells), return_inverse=True)
-        part = enclosed.error * share
-        total, left = sums(place, part, at.size), self.error - bound[at]
+        area, left = sums(place, share, at.size), self.error - bound[at]
+        total = sums(place, share * enclosed.error, at.size)
         if self.by_codes:
             mean = np.array([sums(place, channel * share, at.size) for channel in enclosed.mean])
             mean = (mean + self.image.reshape(3, -1)[:, at]).T[None]
             off = (bound[at] + total)[None, :, None]
             left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
-        budget = np.where(total <= left, np.inf, left * np.minimum(_SPENT, 0.5 * left / total))
-        done = (least_sums(place, part) <= budget[place]) | (part == 0)
-        done |= (np.bincount(place) >= _MOST_CELLS)[place] | (cells.size <= _SMALLEST)
-        return np.asarray(done)
+        most = np.where(total <= left, np.inf, left / area)
+        most[np.bincount(place) >= _MOST_CELLS] = np.inf
+        return np.asarray((enclosed.error <= most[place]) | (cells.size <= _SMALLEST))
 
 
 @np.errstate(all="ignore")
@@ -333,17 +307,17 @@ def certify(
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
     todo = [first_cells(picture.faces, scene.width, scene.height)]
-    everything = todo[0].x.size * todo[0].size ** 2
+    everything = todo[0].area
     while todo:
         cells = todo.pop()
-        parts = picture.halves(cells)
-        if len(parts) > 1:
-            todo += parts
+        halves = picture.halves(cells)
+        if len(halves) > 1:
+            todo += halves
             continue
-        area, cells = cells.x.size * cells.size**2, picture.refine(cells)
-        progress((area - cells.x.size * cells.size**2) / everything)
-        if cells.x.size:
-            todo.append(cells)
+        remain = picture.refine(cells.parts(scene.width, scene.height))
+        progress((cells.area - remain.area) / everything)
+        if remain.x.size:
+            todo.append(remain)
     image, bound = (m[..., : scene.height, : scene.width] for m in (picture.image, picture.bound))
     image = image.transpose(1, 2, 0).copy()
     bound = bound[:, :, None] + _ROUNDING * image.max(initial=0)

@@ -11,16 +11,15 @@ near hit from outside and the far one from inside, so that
 
 For a plane e.p = l it is k.d with k = e / l.
 
-The height of a point q over the tangent plane, divided by t, is a.d + b / t.  With the normal
-g (t d - c) / r, where g = 1 outside and -1 inside, and t^2 d^2 = 2 t c.d - p, it has
-a = g (q - c) / r and b = g (p - c.q) / r.  For a plane that faces the eye, a = 0 and
-b = -sign(l) (e.q - l).
+A *half-space* n.p + b >= 0 is five numbers: n, b, and the size of the terms that b is a sum of.
+Of the point t d, n.d + b / t tells whether it is inside.  Such is, too, the height of a point q
+over the tangent plane, divided by t.  With the normal g (t d - c) / r, where g = 1 outside and -1
+inside, and t^2 d^2 = 2 t c.d - p, it has n = g (q - c) / r and b = g (p - c.q) / r.  Over a
+rectangle it has n = 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
 from tracer.geometry.camera import camera_frame
 from tracer.geometry.silhouette import silhouette_planes
+from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
 from tracer.trace.occlusion import occlusion
 from tracer.trace.samples import Scattered
@@ -46,37 +46,42 @@ class Faces:
     Attributes
     ----------
     lights : (m, 3)
+    center, radius, power : (3, spheres) and (spheres,)
+    owner, flat, seen : (f,)
+        The object that a face is of, whether it is a rectangle, and whether it may be seen at all.
+        After the spheres come, of all boxes, the low sides along x, the high ones, along y, ...
+    plane : (2, f)
+        The same numbers for rectangles in one plane: the first in the file is seen.
+    k, w : (3, f) and (f,)
+        See the module.
+    surface : (5, f)
+        Half-spaces, beyond planes; of spheres, all of the equation that two do not share.
+    height : (5, m + 1, f)
+        Half-spaces that tell the heights of lights and the eye over the face.
+    rim : (5, 4, f)
+        Half-spaces that share a rectangle.
+    bounds : (2, 3, f)
+        Lower and upper corners of bounding boxes, in the scene's axes.
     dead : (m, f)
         Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
-        eye, or inside another, or behind the face's plane.
-    center, radius, power : (3, spheres) and (spheres,)
-    owner, flat, order : (f,)
-        The object that a face is of, whether it is a rectangle, and the object's place in the file.
-    plane : (f,)
-        The same number for rectangles in one plane: the first in the file is seen.
-    k, w, a, b, b_size : (3, f), (f,), (3, m + 1, f) and (m + 1, f)
-        See the module; b is a sum of terms of this size.  The last point q is the eye.
-    rim : (4, 3, f)
-        A rectangle is seen where rim.d >= 0 for all four.
-    low, high : (3, f)
-        Bounding boxes in the scene's axes.
+        eye, or inside another.
     to_center : (3, m, spheres)
         From lights.
-    normal, offset, offset_size, edge : (9, 3, m, boxes) and (9, m, boxes)
-        A box keeps a light from p if normal.p + offset >= 0 for its three planes towards the light
-        and six through the light and its silhouette; whether that is an edge of its shadow.
-    edge_on : (m, boxes)
-        Whether the light is in the plane of a flat box, which then shades nothing.
+    shadow : (5, 9, m, boxes)
+        Half-spaces that share what a box keeps a light from: behind its three planes towards the
+        light, and beside the six through the light and its silhouette.
+    edge : (9, m, boxes)
+        Whether the shadow may end there.  What crosses a plane towards the light is in the box,
+        unless the light is on the plane.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.frame = frame = camera_frame(scene.camera, scene.width, scene.height)
         self.prepared = prepared = PreparedScene(scene, frame)
-        balls, boxes = prepared.spheres, prepared.boxes
-        self.spheres, self.count, self.lights = balls.count, prepared.repeated.size, prepared.local
+        balls, boxes, inside = prepared.spheres, prepared.boxes, prepared.eye_inside
+        self.spheres, self.count, self.lights = balls.count, inside.size, prepared.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
         low, high = (m - frame.eye[:, None] for m in (boxes.min_pt, boxes.max_pt))
-        inside = prepared.eye_inside
         on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or on.any():
             raise ValueError("the eye is on a surface; move it off")
@@ -85,119 +90,107 @@ class Faces:
         if np.abs(self.lights).max(initial=0) > _FARTHEST * sizes[sizes > 0].min(initial=np.inf):
             wrong = f"a light is more than {_FARTHEST:g} times as far as an object is large"
             raise ValueError(f"{wrong}; move it nearer")
-        self._add_faces(low, high, np.where(inside[self.spheres :], 1, -1))
+        self._add_faces(low, high)
+        self.to_center = self.center[:, None] - self.lights.T[:, :, None]
         self._add_shadows(low, high)
+        # A light on a box's face is not beyond it.
         side, (x, y, z) = prepared.side.copy(), prepared.lights.T[:, :, None]
         some = np.arange(self.spheres, self.count)
-        # A light on a box's face is not beyond it.
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
         dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
         # It reaches nothing, though, of that box itself, if the eye is inside.
-        dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
-        self.dead = dead | (self.flat & (self.b[:-1] <= 0))
-        self.may_block = ~inside & ~prepared.repeated
-        own = self.owner
-        self.order, self.glossy = prepared.surfaces.file_index[own], prepared.glossy[own]
-        self.diffuse, self.specular = prepared.diffuse[:, own], prepared.specular[:, own]
-        self.exponent, self.error = prepared.exponent[own], prepared.position_error[own]
+        self.dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
 
-    def _add_faces(self, low: Floats, high: Floats, inward: Ints) -> None:
-        """List spheres, then rectangles that face the eye; `inward` (boxes,): 1 around the eye."""
+    def _add_faces(self, low: Floats, high: Floats) -> None:
+        """List spheres, then sides of boxes, of which corners are `low` and `high` (3, boxes)."""
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
-        c, r, power = self.center, self.radius, self.power
+        c, r, power, c_scene = self.center, self.radius, self.power, prepared.spheres.center
+        points = np.append(prepared.lights, self.frame.eye[None], axis=0)[:, :, None, None]
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
-        b, b_size = g * (power - c_q.sum(axis=0)) / r, (np.abs(power) + np.abs(c_q).sum(axis=0)) / r
-        a, rim = g * (q - c[:, None]) / r, np.zeros((4, 3, n))
-        zero, number = np.zeros(n), np.arange(n)
-        faces: list[tuple[NDArray[Any], ...]] = [
-            (c / power, 1 / power, a, b, b_size, rim, number, zero + 3, zero, number + 1, zero)
-        ]
-        points = np.append(prepared.lights, self.frame.eye[None], axis=0)
-        for axis, far in np.ndindex(3, 2):
-            corner, i, j = (high if far else low)[axis], (axis + 1) % 3, (axis + 2) % 3
-            facing = np.sign(corner) == np.where(far, inward, -inward)
-            at = np.flatnonzero(facing & (low[i] < high[i]) & (low[j] < high[j]))
-            level, e, zero = corner[at], axes[:, axis], np.zeros(at.size)
-            s = np.sign(level)
-            # On the plane, e_q.p >= end where e_q.d |l| >= sign(l) end e.d.
-            rim = np.array(
-                [
-                    side * (np.outer(axes[:, q], np.abs(level)) - np.outer(e, end[q, at] * s))
-                    for q in (i, j)
-                    for end, side in ((low, 1), (high, -1))
-                ]
-            )
-            place = (prepared.boxes.max_pt if far else prepared.boxes.min_pt)[axis, at]
-            height = -s * (points[:, axis, None] - place)
-            numbers = at + n, zero + axis, s, zero, place
-            a = np.zeros((3, len(points), at.size))
-            faces.append((e[:, None] / level, zero, a, height, np.abs(height), rim, *numbers))
-        joined = [np.concatenate(m, axis=-1) for m in zip(*faces, strict=True)]
-        self.k, self.w, self.a, self.b, self.b_size, self.rim, *rest = joined
-        owner, axis_of, sign, alone, place = rest
-        self.owner, axis_of = owner.astype(np.intp), axis_of.astype(np.intp)
-        self.flat = axis_of < 3
-        keys = np.array([axis_of, alone, place])
-        self.plane: Ints = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
-        self._number = np.zeros((self.count, 4, 2), dtype=np.intp)
-        self._number[self.owner, axis_of, (sign > 0).astype(int)] = np.arange(self.owner.size)
-        center, at = prepared.spheres.center, np.flatnonzero(self.flat)
-        ends = (center - r, prepared.boxes.min_pt), (center + r, prepared.boxes.max_pt)
-        self.low, self.high = (np.concatenate(m, axis=1)[:, self.owner] for m in ends)
-        self.low[axis_of[at], at] = self.high[axis_of[at], at] = place[at]
+        b, size = power - c_q.sum(axis=0), np.abs(power) + np.abs(c_q).sum(axis=0)
+        over_balls = np.array([*(g * (q - c[:, None])), g * b, size]) / r
+        # Of boxes by axis, side and number.
+        corner = np.stack([low, high], axis=1)
+        place = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
+        inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
+        wide = low < high
+        seen = (corner * inward > 0) & (wide[[1, 2, 0]] & wide[[2, 0, 1]])[:, None]
+        above = np.sign(corner) * (place - points)
+        over_sides = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
+        sides = np.empty((5, *corner.shape))  # the half-spaces that share a box
+        sides[:3] = axes[:, :, None, None] * [[1], [-1]]
+        sides[3:] = corner * [[-1], [1]], np.abs(corner)
+        rim = sides[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
+        plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], place.shape), place])
+
+        def joined(balls: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
+            return np.append(balls, boxes.reshape(*balls.shape[:-1], -1), axis=-1)
+
+        within = np.empty((2, 3, *corner.shape))
+        within[:] = place.swapaxes(0, 1)[:, :, None, None]
+        for k in range(3):
+            within[:, k, k] = place[k]
+        self.bounds = joined(np.array([c_scene - r, c_scene + r]), within)
+        self.surface = joined(np.array([*(-2 * c), power, np.abs(power)]), sides)
+        self.k = joined(c / power, axes[:, :, None, None] / corner)
+        self.w = joined(1 / power, 0 * corner)
+        self.height = joined(over_balls, over_sides)
+        self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
+        self.plane = joined(np.array([np.full(n, 3), np.arange(n)]), plane)
+        self.owner = joined(np.arange(n), np.broadcast_to(np.arange(n, self.count), corner.shape))
+        self.flat = self.owner >= n
+        self.seen = joined(np.ones(n, np.bool_), seen) & ~prepared.repeated[self.owner]
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
-        """Prepare bounds of shadows; `low`, `high` (3, boxes): corners as seen from the eye."""
-        frame = self.frame
-        self.to_center = self.center[:, None] - self.lights.T[:, :, None]
-        lights, corners = (self.prepared.lights - frame.eye).T[:, :, None], (low, high)
-        low, high = low[:, None] - lights, high[:, None] - lights
-        side = np.where(low >= 0, 1.0, np.where(high <= 0, -1.0, 0.0))
-        near = side[:, None] * frame.axes.T[:, :, None, None]
-        offsets = [*(-side * np.where(side > 0, corners[0][:, None], corners[1][:, None]))]
-        sizes = [np.abs(offset) for offset in offsets]
-        made = silhouette_planes(low.reshape(3, -1), high.reshape(3, -1))
-        planes = np.array(made).reshape(3, 6, *side.shape[1:])
-        for k, turn in product(range(3), (1, -1)):
-            # A plane holds an edge of the box along axis k: its normal is (.., y, -x) for the edge
-            # at x, y as seen from the light.  From the eye, nothing cancels however far the light.
-            i, j, plane = (k + 1) % 3, (k + 2) % 3, planes[:, 2 * k + (turn < 0)]
-            x = np.where(-turn * plane[j] == low[i], corners[0][i], corners[1][i])
-            y = np.where(turn * plane[i] == low[j], corners[0][j], corners[1][j])
-            offsets.append(-(plane[i] * x + plane[j] * y))
-            sizes.append(np.abs(plane[i] * x) + np.abs(plane[j] * y))
-        cone = np.array(frame.vector_to_camera((planes[0], planes[1], planes[2])))
-        self.normal = np.append(near, cone.swapaxes(0, 1), axis=0)
-        self.offset, self.offset_size = np.array(offsets), np.array(sizes)
-        # What crosses a plane towards the light is in the box, unless the light is on the plane.
-        on_plane = (low == 0) | (high == 0)
-        self.edge = np.append(on_plane, np.ones(cone.shape[1:], dtype=np.bool_), axis=0)
-        self.edge_on = np.any((low == 0) & (high == 0), axis=0)
+        """Find shadows of boxes, of which corners are `low` and `high` (3, boxes).
 
-    def candidates(self, middle: Floats, half: Floats, face: Ints, asked: Bools) -> Iterator[Ints]:
-        """Lights, boxes and occluders (3, m) that may come between lights and boxes around faces.
-
-        `middle`, `half` (3, n), `face` (n,); `asked` (lights, n): which lights.  In several octants
-        the light grid may find the same.
+        Each half-space touches its box: there, of all corners, n.p is least.  From the eye, nothing
+        cancels in that, however far the light.
         """
-        grid = self.prepared.grid
-        if grid is not None and asked.any():
-            for rows in grid.query(middle, half[:, None], self.owner[face], asked):
-                yield rows[:, self.may_block[rows[2]]]
+        lights = (self.prepared.lights - self.frame.eye).T[:, :, None]
+        low, high, a, b = low[:, None], high[:, None], low[:, None] - lights, high[:, None] - lights
+        cone = np.array(silhouette_planes(a.reshape(3, -1), b.reshape(3, -1)))
+        edge_on, on = (a == 0) & (b == 0), (a == 0) | (b == 0)
+        side = np.where(edge_on, 0, np.where(a >= 0, 1, np.where(b <= 0, -1, 0)))
+        near = np.eye(3)[:, :, None, None] * side
+        n = np.append(near, cone.reshape(3, 6, *a.shape[1:]), axis=1)
+        ends = np.array([n * low[:, None], n * high[:, None]])
+        offset, size = -ends.min(axis=0).sum(axis=0), np.abs(ends).max(axis=0).sum(axis=0)
+        offset[:3] -= edge_on  # a flat box shades nothing from a light in its plane
+        u, v, w = self.frame.vector_to_camera((n[0], n[1], n[2]))
+        self.shadow = np.array([u, v, w, offset, size])
+        self.edge = np.append(
+            on, np.ones(cone.shape[1:], np.bool_).reshape(6, *on.shape[1:]), axis=0
+        )
 
-    def trace(self, x: Floats, y: Floats, asked: Callable[[Ints], Bools]) -> Bools:
-        """Whether lights reach what is seen at points of the picture (lights, n).
+    def blockers(self, middle: Floats, half: Floats, face: Ints, asked: Bools) -> Ints:
+        """Boxes, lights and occluders (3, q) that may come between boxes around faces and lights.
 
-        `asked`: is given the faces (n,) seen, or -1, and returns which lights count (lights, n).
+        `middle`, `half` (3, n), `face` (n,); `asked` (lights, n): which lights.
         """
+        prepared, found = self.prepared, [np.zeros(0, dtype=np.intp)]
+        may_block, shape = ~prepared.eye_inside & ~prepared.repeated, (*asked.T.shape, self.count)
+        if prepared.grid is not None and asked.any():
+            owner = self.owner[face]
+            for light, box, obj in prepared.grid.query(middle, half[:, None], owner, asked):
+                rows = np.ravel_multi_index((box, light, obj), shape)
+                found.append(rows[may_block[obj]])
+        # In several octants the grid may find the same.
+        return np.array(np.unravel_index(np.unique(np.concatenate(found)), shape))
+
+    def see(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
+        """Hits (n,) of samples at points of the picture; of each, which point, and the face."""
         samples, order = Scattered.of(x, y)
-        hits = nearest_hits(self.prepared, samples)
-        at, face = order[hits.sample], np.full(x.size, -1)
+        hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
+        face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            below = np.broadcast_to(group.sign < 0, group.obj.shape).astype(np.intp)
-            face[at[group.part]] = group.repeat_runs(self._number[group.obj, group.face, below])
-        lit = asked(face)
-        reached = lit[:, at] & (light_geometry(hits).n_dot_l > 0)
-        lit[:, at] = reached & ~occlusion(hits, reached)
-        return lit & (face >= 0)
+            high = (group.sign > 0) ^ self.prepared.eye_inside[group.obj]
+            side = group.obj + group.shape.flat * n * (2 * group.face + high)
+            face[group.part] = group.repeat_runs(side)
+        return hits, order[hits.sample], face
+
+    def lit(self, hits: Hits, asked: Bools) -> Bools:
+        """Whether lights reach hits (lights, n), of those that are asked about."""
+        reached = asked & (light_geometry(hits).n_dot_l > 0)
+        return reached & ~occlusion(hits, reached)

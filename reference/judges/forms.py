@@ -124,11 +124,10 @@ class Form:
         slope = np.where(b > a, (f_b - f_a) / (b - a), 0)
         z = (slope / t) ** (1 / (t - 1))
         z = np.clip(np.where(np.isfinite(z), z, 0.5 * (a + b)), a, b)
-        heights = np.array([f_a - slope * a, f_b - slope * b, z**t - slope * z])
-        level = (heights[0] + heights[1]) / 6 + heights[2] * (2 / 3)
+        chord, tangent = f_a - slope * a, z**t - slope * z
         line = self[at] * slope
-        line.m[C] += level
-        line.m[R] += np.abs(heights - level).max(axis=0)
+        line.m[C] += (chord + 2 * tangent) / 3
+        line.m[R] += np.abs(chord - tangent) * (2 / 3)
         line.m[R] += ROUNDING * (np.maximum(f_a, f_b) + np.abs(slope) * b)
         better = ~(result.m[R, at] < line.m[R])
         result.m[:, at[better]] = line.m[:, better]
@@ -161,6 +160,13 @@ def _power(z: Floats, s: Floats | float) -> Floats:
         return np.sqrt(z) if s > 0 else 1 / np.sqrt(z)
     power: Floats = z**s
     return power
+
+
+def constant(value: Floats, radius: Floats | float = 0.0) -> Form:
+    """Quantities (..., n) that are the same in all of a cell, or differ by no more than that."""
+    m = np.zeros((8, *value.shape))
+    m[C], m[R] = value, radius
+    return Form(m)
 
 
 def difference(form: Form, other: Form) -> Form:
