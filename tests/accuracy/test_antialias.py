@@ -232,6 +232,27 @@ def test_crowded_pixels_are_divided_as_well(monkeypatch):
     np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
 
 
+def test_unresolved_pixels_that_look_alike_are_sampled(monkeypatch):
+    real, back, bead = antialias.classify, wall(9, -1), red(ball((0.125, 0.06, -1), 0.03))
+
+    def unresolved(*cells):
+        found = real(*cells)
+        lines, everywhere = found.lines.take(slice(0)), np.ones_like(found.unresolved)
+        return found._replace(lines=lines, unresolved=everywhere)
+
+    # The second holds a bead that five samples in its pixel miss: it is split after all.
+    scenes = from_afar(back), from_afar(back, bead)
+    means = [true_means(scene) for scene in scenes]
+    monkeypatch.setattr(antialias, "classify", unresolved)
+    counts = noted(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
+    for scene, mean in zip(scenes, means, strict=True):
+        counts.clear()
+        np.testing.assert_allclose(render(scene, 64), mean, atol=2e-3)
+        # To split all of them would take three times the samples.
+        assert sum(counts) < 1.2 * 16 * 16 * 65
+    assert np.ptp(means[1]) > 0.02
+
+
 def test_ids_are_equal_where_object_face_and_lights_are():
     """What antialiasing takes for one smooth surface."""
     boxes = box((-3, -2, -3), (3, -1, 3)), box((-1, -1, -1), (1, 1, 1))

@@ -184,6 +184,16 @@ def _split(
     error[elsewhere & (error <= cells.tolerance)] = np.nan
     # What was not known of the whole (NaN), the quarters tell.
     error = np.fmax(error, finer)
+    # What stays unresolved may be smooth all the same: it is split again if a lattice disagrees.
+    unresolved = closer.unresolved.reshape(-1, 4).all(axis=1)
+    at = indices(unresolved & (np.bincount(closer.lines.cell // 4, minlength=some.size) == 0))
+    lattice = Lattice.of(per_side, more=1)
+    means, coarse = _sampled(prepared, cells, found.lines.first(_LINES), some[at], lattice)
+    change = np.abs(means - smooth.reshape(3, -1, 4).mean(axis=2)[:, at]).max(axis=0)
+    known = ~coarse & (change <= cells.tolerance)
+    at, means = at[known], means[:, known]
+    closer.unresolved.reshape(-1, 4)[at], error.reshape(-1, 4)[at] = False, 0
     mean = _refined(prepared, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
     quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
+    quartered[:, at] = means
     return quartered
