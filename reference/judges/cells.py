@@ -291,7 +291,9 @@ class CellForms:
     def _find_terminators(self) -> None:
         pair, light = np.nonzero(~self.cells.done)
         dark = np.zeros(pair.size, np.bool_)
-        self._settle(pair, light, dark, [(np.arange(pair.size), *self._heights(pair, light), True)])
+        curved = ~self.faces.flat[self.cells.face[pair]]
+        up = np.arange(pair.size), *self._heights(pair, light), curved
+        self._settle(pair, light, dark, [up])
         self.cells.done[pair[dark], light[dark]] = True
 
     def _patches(self) -> tuple[Floats, Floats]:

@@ -154,7 +154,7 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     loose = sums(lines.cell[wide], lines.jump[wide], count)
     beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
     beyond = sums(lines.cell[wide], beyond, count)
-    unknown |= (beyond >= most.max(axis=0)) | (beyond * cells.size**2 > error)
+    unknown |= (beyond * cells.size**2 > error) | (most.max(axis=0) == 0)
     lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
     place = np.cumsum(~unknown) - 1
     regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
@@ -178,7 +178,8 @@ def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> E
     mean[:, unknown] = most[:, unknown] / 2
     bound = sums(regions.cell, regions.area * off.max(axis=0), count)
     bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
-    bound[unknown] = most.max(axis=0)[unknown] / 2
+    bound[unknown] = np.inf
+    bound = np.fmin(bound, np.maximum(mean, most - mean).max(axis=0))
     return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
 
 

@@ -64,7 +64,7 @@ class Faces:
         Lower and upper corners of bounding boxes, in the scene's axes.
     dead : (m, f)
         Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
-        eye, or inside another.
+        eye, or inside another, or behind the face's plane.
     to_center : (3, m, spheres)
         From lights.
     shadow : (5, 9, m, boxes)
@@ -99,7 +99,8 @@ class Faces:
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
         dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
         # It reaches nothing, though, of that box itself, if the eye is inside.
-        self.dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        self.dead = dead | (self.flat & (self.height[3, :-1] <= 0))
 
     def _add_faces(self, low: Floats, high: Floats) -> None:
         """List spheres, then sides of boxes, of which corners are `low` and `high` (3, boxes)."""

@@ -45,14 +45,33 @@ class Strips(NamedTuple):
 def strips(cell: Ints, form: Form, jump: Floats) -> Strips:
     """Enclose the zeros of edge functions (n,), where radiance may `jump`, between parallel lines.
 
-    As X^2 is in 1/2 +- 1/2 and X Y in 0 +- 1, what is not linear is known within `half`.
+    At the foot of the cell's middle on the zero, let n run along the gradient, of length g, and t
+    across it.  A quadratic is v + g n (1 + e) + h t^2 / 2, with |e| <= k, where k bounds
+    (f_tn t + f_nn n / 2) / g in the cell.  With T = max |t|, h t^2 / 2 is h T^2 / 6, give or take
+    |h| T^2 / 3; that and the form's radius make d.  With w = v + h T^2 / 6, the function is zero
+    only where |w + g n| <= d + (|w| + d) k / (1 - k).
     """
     m = form.m
-    middle = m[C] + 0.5 * (m[XX] + m[YY])
-    half = 0.5 * (np.abs(m[XX]) + np.abs(m[YY])) + np.abs(m[XY]) + form.radius
-    down = (m[X] < 0) | ((m[X] == 0) & (m[Y] < 0))
-    scale = np.where(down, -1, 1) / (np.abs(m[X]) + np.abs(m[Y]))
-    line, flat = np.array([m[X], m[Y], middle]) * scale, ~np.isfinite(scale)
+    steep = m[X] ** 2 + m[Y] ** 2
+    bend = 2 * (m[X] ** 2 * m[XX] + m[X] * m[Y] * m[XY] + m[Y] ** 2 * m[YY]) / steep
+    step = -2 * m[C] / (steep + np.sqrt(np.abs(steep * (steep - 2 * m[C] * bend))))
+    most = 1 / np.maximum(np.abs(m[X]), np.abs(m[Y]))  # the foot stays in the cell
+    step = np.where(steep > 0, np.clip(step, -most, most), 0)
+    x, y = step * m[X], step * m[Y]
+    v = m[C] + m[X] * x + m[Y] * y + m[XX] * x * x + m[XY] * x * y + m[YY] * y * y
+    a, b = m[X] + 2 * m[XX] * x + m[XY] * y, m[Y] + m[XY] * x + 2 * m[YY] * y
+    g = np.hypot(a, b)
+    p, q = a / g, b / g  # n is along (p, q), t along (-q, p)
+    f_tt = 2 * (m[XX] * q * q - m[XY] * p * q + m[YY] * p * p)
+    f_tn = 2 * (m[YY] - m[XX]) * p * q + m[XY] * (p * p - q * q)
+    f_nn = 2 * (m[XX] * p * p + m[XY] * p * q + m[YY] * q * q)
+    side = np.abs(p) + np.abs(q)
+    t, n = side + np.abs(p * y - q * x), side + np.abs(p * x + q * y)
+    k = (np.abs(f_tn) * t + 0.5 * np.abs(f_nn) * n) / g
+    w, d = v + f_tt * t * t / 6, np.abs(f_tt) * t * t / 3 + form.radius
+    half = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
+    scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
+    line, flat = np.array([a, b, w - a * x - b * y]) * scale, ~np.isfinite(scale)
     line[:, flat], half = [[1], [0], [0]], np.where(flat, np.inf, half * np.abs(scale))
     near = np.flatnonzero(~(np.abs(line[2]) - half >= 1))
     by = near[np.argsort(cell[near], kind="stable")]
