@@ -57,7 +57,6 @@ def _cell(result: Result, pair: Pair | None, link: int | None) -> Cell:
 
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
     """The page as HTML; `pairs` by the names of pictures, `folder` holds all of these."""
-    scenes = sorted({Path(result.right).stem for result in results if result.right})
     cells: dict[str, dict[str, list[Cell]]] = {}
     links = {name: k for k, name in enumerate(pairs)}
     for result in results:
@@ -65,6 +64,7 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
             name, scene = result.picture, Path(result.right).stem
             student = cells.setdefault(student_of(name, folder, scene.lower()), {})
             student.setdefault(scene, []).append(_cell(result, pairs.get(name), links.get(name)))
+    scenes = sorted(set().union(*cells.values()))  # handed in by anybody
     nothing = [Cell("nothing", good=False)]
     nobodys = [str(result.right) for result in results if not result.picture]
     faults = [f"Nobody has handed in {', '.join(nobodys)}."] if nobodys else []
@@ -72,7 +72,7 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
             for student, of in sorted(cells.items())]  # fmt: skip
     return pages.page(
         title=f"Hand-ins in {folder}",
-        lead=f"{len(cells)} students, {len(scenes)} scenes.",
+        lead=f"{len(cells)} students, {len(scenes) + len(nobodys)} scenes.",
         verdict=f"{count_of(results)}.",
         good=all(result.agrees for result in results),
         overview="By student and by scene",

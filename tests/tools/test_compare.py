@@ -198,6 +198,8 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
         "agrees",
         "mirrored",
     ]
+    assert re.findall("<th .*?>([^<]+)", page.read_text()) == ["student", "one-sphere", "two-boxes"]
+    assert f"Nobody has handed in {right}/room.xml." in page.read_text()
     found = json.loads("".join(told))
     assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
