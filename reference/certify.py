@@ -124,8 +124,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         where, what = given.scene, "certified"
         hidden = None if sys.stderr is None else not sys.stderr.isatty()
         with tqdm(total=100, unit="%", leave=False, disable=hidden) as bar:
-            report = lambda part: bar.update(100 * part)  # noqa: E731
-            made = certify(scene, float(error), codes=given.codes, progress=report)
+            made = certify(
+                scene, float(error), codes=given.codes, progress=lambda part: bar.update(100 * part)
+            )
         lines, seconds = _report(made, error, given.codes), perf_counter() - start
         if given.judge:
             wrong, verdict = judgement(made, judged)

@@ -5,7 +5,8 @@ cells see one smooth surface: there that sample, with a correction for curvature
 grid of samples.  Other pixels are split into quarters, and these in turn, and so on (Whitted 1980).
 A cell that straight lines divide gets samples on a lattice once few enough are asked for; those
 between the same lines stand for their exact area together.  Where these do not see the same, there
-is an edge that was not found: the cell is split as well, or in the end gets a finer lattice.
+is an edge that was not found: the cell is split as well, or in the end gets a finer lattice.  A
+cell of which no quarter can be resolved gets samples, too, and is split on if these disagree.
 
 In pictures full of edges no cells are classified, and all pixels have the lattice.
 """
@@ -130,7 +131,7 @@ def _refined(
         mean[:, some], _ = _sampled(prepared, cells, lines, some, lattice)
         return mean
     for part in _chunks(prepared, some, 4):
-        mean[:, part] = _split(prepared, cells, found, error, per_side, part)
+        mean[:, part] = _split(prepared, cells, found._replace(lines=lines), error, per_side, part)
     return mean
 
 
@@ -188,9 +189,9 @@ def _split(
     unresolved = closer.unresolved.reshape(-1, 4).all(axis=1)
     at = indices(unresolved & (np.bincount(closer.lines.cell // 4, minlength=some.size) == 0))
     lattice = Lattice.of(per_side, more=1)
-    means, coarse = _sampled(prepared, cells, found.lines.first(_LINES), some[at], lattice)
-    change = np.abs(means - smooth.reshape(3, -1, 4).mean(axis=2)[:, at]).max(axis=0)
-    known = ~coarse & (change <= cells.tolerance)
+    means, coarse = _sampled(prepared, cells, found.lines, some[at], lattice)
+    expected = smooth.reshape(3, -1, 4).take(at, axis=1).mean(axis=2)
+    known = ~coarse & (np.abs(means - expected).max(axis=0) <= cells.tolerance)
     at, means = at[known], means[:, known]
     closer.unresolved.reshape(-1, 4)[at], error.reshape(-1, 4)[at] = False, 0
     mean = _refined(prepared, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
