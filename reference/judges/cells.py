@@ -289,11 +289,10 @@ class CellForms:
         return self._half_space(pair, self.faces.height[:, light, self.cells.face[pair]])
 
     def _find_terminators(self) -> None:
-        pair, light = np.nonzero(~self.cells.done)
+        curved = ~self.faces.flat[self.cells.face]  # what is behind a plane is dead
+        pair, light = np.nonzero(~self.cells.done & curved[:, None])
         dark = np.zeros(pair.size, np.bool_)
-        curved = ~self.faces.flat[self.cells.face[pair]]
-        up = np.arange(pair.size), *self._heights(pair, light), curved
-        self._settle(pair, light, dark, [up])
+        self._settle(pair, light, dark, [(np.arange(pair.size), *self._heights(pair, light), True)])
         self.cells.done[pair[dark], light[dark]] = True
 
     def _patches(self) -> tuple[Floats, Floats]:
