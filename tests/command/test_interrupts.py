@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, SCENE, run, started, wait_until
+from running import INTERRUPTS, SCENE, run, started, told, wait_until
 
 from tracer import write_png
 
@@ -75,7 +75,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
         with suppress(ProcessLookupError):
             send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
-    assert err == "", moment
+    assert told(err) == "", moment
     wait_until(lambda: not left_running())
     if process.returncode != 130:  # it was done: then its whole result is there
         assert process.returncode in (0, 1, 3)
