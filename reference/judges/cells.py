@@ -440,7 +440,7 @@ class CellForms:
         square, along = self.square[cell], self.inverse[pair] * self._linear(q, cell)
         inverse2 = (self.inverse * self.inverse)[pair]
         away = (square - along * 2.0 + inverse2 * (q * q).sum(axis=0)).power(-0.5, 1e-300)
-        matt, power = (up * away).unit(), prepared.intensities[light].T
+        matt, power = (up * away).unit(), faces.given.intensity[light].T
         radiance = matt.m[:, None] * (power * prepared.diffuse[:, obj])
         at = np.flatnonzero(prepared.glossy[obj])
         seen, which = np.unique(pair[at], return_inverse=True)

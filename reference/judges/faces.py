@@ -45,7 +45,9 @@ class Faces:
 
     Attributes
     ----------
+    given : Lights
     lights : (m, 3)
+        Their positions in the camera's axes.
     center, radius, power : (3, spheres) and (spheres,)
     owner, flat, seen : (f,)
         The object that a face is of, whether it is a rectangle, and whether it may be seen at all.
@@ -78,8 +80,9 @@ class Faces:
     def __init__(self, scene: Scene) -> None:
         self.frame = frame = camera_frame(scene.camera, scene.width, scene.height)
         self.prepared = prepared = PreparedScene(scene, frame)
+        self.given = given = prepared.lights()
         balls, boxes, inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.spheres, self.count, self.lights = balls.count, inside.size, prepared.local
+        self.spheres, self.count, self.lights = balls.count, inside.size, given.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
         low, high = (m - frame.eye[:, None] for m in (boxes.min_pt, boxes.max_pt))
         on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
@@ -94,19 +97,19 @@ class Faces:
         self.to_center = self.center[:, None] - self.lights.T[:, :, None]
         self._add_shadows(low, high)
         # A light on a box's face is not beyond it.
-        side, (x, y, z) = prepared.side.copy(), prepared.lights.T[:, :, None]
+        side, (x, y, z) = given.side.copy(), given.position.T[:, :, None]
         some = np.arange(self.spheres, self.count)
         side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
         dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
         # It reaches nothing, though, of that box itself, if the eye is inside.
-        dead = dead | (inside & (prepared.side >= 0))[:, self.owner]
+        dead = dead | (inside & (given.side >= 0))[:, self.owner]
         self.dead = dead | (self.flat & (self.height[3, :-1] <= 0))
 
     def _add_faces(self, low: Floats, high: Floats) -> None:
         """List spheres, then sides of boxes, of which corners are `low` and `high` (3, boxes)."""
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
         c, r, power, c_scene = self.center, self.radius, self.power, prepared.spheres.center
-        points = np.append(prepared.lights, self.frame.eye[None], axis=0)[:, :, None, None]
+        points = np.append(self.given.position, self.frame.eye[None], axis=0)[:, :, None, None]
         q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, size = power - c_q.sum(axis=0), np.abs(power) + np.abs(c_q).sum(axis=0)
@@ -149,7 +152,7 @@ class Faces:
         Each half-space touches its box: there, of all corners, n.p is least.  From the eye, nothing
         cancels in that, however far the light.
         """
-        lights = (self.prepared.lights - self.frame.eye).T[:, :, None]
+        lights = (self.given.position - self.frame.eye).T[:, :, None]
         low, high, a, b = low[:, None], high[:, None], low[:, None] - lights, high[:, None] - lights
         cone = np.array(silhouette_planes(a.reshape(3, -1), b.reshape(3, -1)))
         edge_on, on = (a == 0) & (b == 0), (a == 0) | (b == 0)
@@ -170,11 +173,11 @@ class Faces:
 
         `middle`, `half` (3, n), `face` (n,); `asked` (lights, n): which lights.
         """
-        prepared, found = self.prepared, [np.zeros(0, dtype=np.intp)]
+        prepared, grid, found = self.prepared, self.given.grid, [np.zeros(0, dtype=np.intp)]
         may_block, shape = ~prepared.eye_inside & ~prepared.repeated, (*asked.T.shape, self.count)
-        if prepared.grid is not None and asked.any():
+        if grid is not None and asked.any():
             owner = self.owner[face]
-            for light, box, obj in prepared.grid.query(middle, half[:, None], owner, asked):
+            for light, box, obj in grid.query(middle, half[:, None], owner, asked):
                 rows = np.ravel_multi_index((box, light, obj), shape)
                 found.append(rows[may_block[obj]])
         # In several octants the grid may find the same.
@@ -193,5 +196,5 @@ class Faces:
 
     def lit(self, hits: Hits, asked: Bools) -> Bools:
         """Whether lights reach hits (lights, n), of those that are asked about."""
-        reached = asked & (light_geometry(hits).n_dot_l > 0)
-        return reached & ~occlusion(hits, reached)
+        reached = asked & (light_geometry(hits, self.given).n_dot_l > 0)
+        return reached & ~occlusion(hits, self.given, reached)

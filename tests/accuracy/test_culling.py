@@ -26,7 +26,7 @@ from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 from tracer.world import light_grid, prepared_scene
 from tracer.world.light_grid import LightGrid
-from tracer.world.prepared_scene import PreparedScene, Shape
+from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
 
 def brute_force(scene: Scene) -> Floats:
@@ -51,10 +51,10 @@ def _all_rows(
 
 
 @np.errstate(all="ignore")
-def _all_occluders(hits: Hits, frontlit: Bools) -> Bools:
+def _all_occluders(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """See `occlusion`: every object may come between."""
     blocked, own, prepared = np.zeros_like(frontlit), hits.hit_object, hits.prepared
-    for light, lit, dark in zip(prepared.lights, frontlit, blocked, strict=True):
+    for light, lit, dark in zip(lights.position, frontlit, blocked, strict=True):
         for shape in prepared.shapes:
             for obj in range(shape.first, shape.first + shape.count):
                 at = np.flatnonzero(lit & ~dark & (own != obj))
@@ -300,7 +300,7 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
     prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
     sizes = [
         {len(m) for m in (part.grid.light[0], part.side)}
-        for part in chain([prepared], prepared.by_lights)
+        for part in chain([prepared.lights()], prepared.light_batches)
     ]
     assert sizes == [{9}, {4}, {4}, {1}]
 

@@ -17,11 +17,12 @@ from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, fit
 from tracer.antialias.edges import Apexes, CellSurfaces, footprints_of, pieces, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
+from tracer.geometry.camera import CameraFrame
 from tracer.trace.lighting import Shading, light_geometry, narrow_highlights
 from tracer.trace.occlusion import shadow_edges
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import nearest_and_hidden
-from tracer.world.prepared_scene import PreparedScene
+from tracer.world.prepared_scene import Lights, PreparedScene
 
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
@@ -103,14 +104,14 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
     lines, curved = fit_lines(chain(*seen), cells.tolerance)
     unresolved[curved], crowded = True, np.zeros_like(unresolved)
     shading, found = Shading(hits, with_ids=True), [lines]
-    for some in hits.by_lights:
-        geometry = light_geometry(some)
+    for lights in prepared.light_batches:
+        geometry = light_geometry(hits, lights)
         facing = geometry.n_dot_l > 0
         # Cells that see so much of a surface are split anyway: shadows' edges are not sought.
         wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
-        blocked, edges, many = shadow_edges(some, facing, np.where(wide, 0, footprint))
+        blocked, edges, many = shadow_edges(hits, lights, facing, np.where(wide, 0, footprint))
         shading.add(geometry, facing & ~blocked)
-        apexes = _apexes(some.prepared)
+        apexes = _apexes(prepared.frame, lights)
         lit = (
             surfaces.shadows(apexes, *edges),
             surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2),
@@ -137,12 +138,12 @@ def _outlines(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
         yield from silhouettes(prepared, apexes, np.zeros_like(cell), cell, obj, d)
 
 
-def _apexes(prepared: PreparedScene) -> Apexes:
+def _apexes(frame: CameraFrame, lights: Lights) -> Apexes:
     """The lights; suns are taken nearer, as in their grids."""
-    if prepared.grid is None:
-        return prepared.lights, prepared.local
-    lights = prepared.grid.light[:, :, 0]
-    return lights.T, np.column_stack(prepared.frame.to_camera(lights.T))
+    if lights.grid is None:
+        return lights.position, lights.local
+    position = lights.grid.light[:, :, 0].T
+    return position, np.column_stack(frame.to_camera(position))
 
 
 def curvature(radiance: Floats, ids: Ints, width: int) -> tuple[Floats, Floats]:

@@ -81,7 +81,7 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     found = classify(prepared, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
     inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    most = _LINES if len(prepared.lights) > _CROWDED else _CROWDED
+    most = _LINES if prepared.light_count > _CROWDED else _CROWDED
     crowded = found.crowded | (np.bincount(found.lines.cell, minlength=inside.size) > most)
     split, some = inside & ~crowded, indices(inside & crowded)
     lines = found.lines.take(indices(split[found.lines.cell]))

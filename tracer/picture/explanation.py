@@ -19,7 +19,7 @@ from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
 from tracer.trace.radiance import radiance_at
 from tracer.trace.visibility import nearest_hits
-from tracer.world.prepared_scene import PreparedScene
+from tracer.world.prepared_scene import Lights, PreparedScene
 
 __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
 
@@ -217,15 +217,17 @@ def _parts(
     scene: Scene, prepared: PreparedScene, hits: Hits, hit: FirstHits
 ) -> Iterator[LightPart]:
     """Each light's part at the one point that is hit, if any is."""
-    geometry, own = light_geometry(hits), hits.hit_object
+    own = hits.hit_object
     for number, light in enumerate(scene.lights if hits.groups else ()):
-        cosine = geometry.n_dot_l[number] / np.sqrt(geometry.length2[number])
-        occluders = _occluders(prepared, hits, number) if cosine > 0 else own
+        lights = prepared.lights(slice(number, number + 1))
+        geometry = light_geometry(hits, lights)
+        cosine = geometry.n_dot_l[0] / np.sqrt(geometry.length2[0])
+        occluders = _occluders(hits, lights) if cosine > 0 else own
         diffuse, specular = np.zeros((2, 3, 1))
         if not occluders.size:
-            strength = prepared.intensities[number][:, None]
+            strength = lights.intensity.T
             diffuse = strength * prepared.diffuse[:, own] * cosine
-            power = geometry.highlight(number, hits.groups[0], np.zeros(1, dtype=np.intp))
+            power = geometry.highlight(0, hits.groups[0], np.zeros(1, dtype=np.intp))
             specular = strength * prepared.specular[:, own] * power
         towards = unit(np.subtract(light.position, hit.point[0]))
         half = unit(towards + unit(prepared.frame.eye - hit.point[0]))
@@ -241,14 +243,14 @@ def _parts(
         )
 
 
-def _occluders(prepared: PreparedScene, hits: Hits, light: int) -> Ints:
-    """All objects, spheres first, that keep a light from the one point that is hit."""
+def _occluders(hits: Hits, lights: Lights) -> Ints:
+    """All objects, spheres first, that keep the one light from the one point that is hit."""
     found = []
-    for shape in prepared.shapes:
+    for shape in hits.prepared.shapes:
         others = np.setdiff1d(np.arange(shape.first, shape.first + shape.count), hits.hit_object)
         point = hits.points(np.zeros_like(others))
-        end = take3(prepared.lights.T, np.full_like(others, light))
-        side = prepared.side[light, others]
-        blocks = shape.occludes(prepared.frame.eye, others, point, end, side)
+        end = take3(lights.position.T, np.zeros_like(others))
+        side = lights.side[0, others]
+        blocks = shape.occludes(hits.prepared.frame.eye, others, point, end, side)
         found.append(others[blocks])
     return np.concatenate(found)

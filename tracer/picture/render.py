@@ -148,7 +148,7 @@ def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None
         processes = processors() if job.seconds >= _WORTH_A_POOL else 1
     count = min(_integer(processes, "processes"), processors(), len(job.tiles))
     if count > 1:
-        _ = [part.grid for part in job.prepared.by_lights]  # forks have them
+        _ = [*job.prepared.light_batches]  # forks have them
     pool = worker_pool(count - 1, _begin_job, job)
     waiting, first = dict[int, Tile](), 0
     try:

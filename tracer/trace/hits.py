@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,11 +99,6 @@ class Hits(NamedTuple):
     column: Ints
     scattered: bool
     density: float
-
-    @property
-    def by_lights(self) -> Iterator[Hits]:
-        """The same hits, some lights at a time: see `PreparedScene.by_lights`."""
-        return (self._replace(prepared=part) for part in self.prepared.by_lights)
 
     @property
     def hit_object(self) -> Ints:

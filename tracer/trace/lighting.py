@@ -16,6 +16,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scaled, take3
 from tracer.geometry.rounding import INSIDE
 from tracer.trace.hits import Hits, ShapeHits
+from tracer.world.prepared_scene import Lights
 
 # On the bell exp(-x^2): the most that x may change over what one sample stands for, the x where
 # the bell is as good as zero, and the x where it underflows.
@@ -36,7 +37,7 @@ class LightGeometry(NamedTuple):
 
     Attributes
     ----------
-    hits : Hits
+    hits, lights
     n_dot_l : (lights, n)
         n . l, with the unit normal n and the vector l to the light, not of unit length; minus
         infinity where the object is seen from inside and the light is not inside it.
@@ -45,12 +46,13 @@ class LightGeometry(NamedTuple):
     """
 
     hits: Hits
+    lights: Lights
     n_dot_l: Floats
     length2: Floats
 
     def highlight(self, number: int, group: ShapeHits, at: Ints) -> Floats:
         """(n.h)^exponent of a light at some points of a group."""
-        p, light = take3(self.hits.p[:, group.part], at), self.hits.prepared.local[number].tolist()
+        p, light = take3(self.hits.p[:, group.part], at), self.lights.local[number].tolist()
         to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
         length = np.sqrt(self.length2[number, group.part][at])
         distance = np.sqrt(dot(p, p))
@@ -98,7 +100,7 @@ class Shading:
             for number, reached in enumerate(lit[:, group.part]):
                 if not reached.any():
                     continue
-                intensity = geometry.hits.prepared.intensities[number]
+                intensity = geometry.lights.intensity[number]
                 n_dot_l, length2 = (
                     m[number, group.part] for m in (geometry.n_dot_l, geometry.length2)
                 )
@@ -132,17 +134,16 @@ def _add(sums: dict[int, Floats], index: int, intensity: Floats, weight: Floats)
         channel += strength * weight
 
 
-def light_geometry(hits: Hits) -> LightGeometry:
+def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     """The light that comes in at all hits."""
-    prepared = hits.prepared
-    result = LightGeometry(hits, *np.empty((2, len(prepared.local), hits.p.shape[1])))
-    for number, light in enumerate(prepared.local.tolist()):
-        kept_out = prepared.eye_inside & (prepared.side[number] != INSIDE)
+    result = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.p.shape[1])))
+    for number, light in enumerate(lights.local.tolist()):
+        kept_out = hits.prepared.eye_inside & (lights.side[number] != INSIDE)
         for group in hits.groups:
             n_dot_l, length2 = (m[number, group.part] for m in (result.n_dot_l, result.length2))
             p = hits.p[:, group.part]
             to_light = light[0] - p[0], light[1] - p[1], light[2] - p[2]
-            group.height_of(prepared.lights[number], to_light, n_dot_l)
+            group.height_of(lights.position[number], to_light, n_dot_l)
             dot(to_light, to_light, length2)
             # Seen from inside, an object keeps out all light that is not inside as well.
             if kept_out[group.obj].any():

@@ -28,7 +28,7 @@ from tracer.arrays import (
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
 from tracer.world.light_grid import LightGrid
-from tracer.world.prepared_scene import PreparedScene, Shape
+from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
 # So many packets ask at a time, for each light; and so many edges of shadows are found before those
 # found twice are left out.
@@ -67,22 +67,22 @@ class Packets(NamedTuple):
         return np.array([light, inner, occluder])
 
 
-def occlusion(hits: Hits, frontlit: Bools) -> Bools:
+def occlusion(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """Whether other objects than their own keep lights from points.
 
     `frontlit` and the answer: (lights, n).  Where a point does not face a light, the answer has no
     meaning.
     """
     blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, shape, pairs in _candidates(hits, frontlit):
-        block = _blocks(hits, shape, pairs)
+    for umbra, shape, pairs in _candidates(hits, lights, frontlit):
+        block = _blocks(hits, lights, shape, pairs)
         put_2d(blocked, pairs[0, block], pairs[1, block], True)
         put_2d(blocked, umbra[0], umbra[1], True)
     return blocked
 
 
 def shadow_edges(
-    hits: Hits, frontlit: Bools, footprint: Floats
+    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
 ) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
     """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
 
@@ -95,21 +95,21 @@ def shadow_edges(
     blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
     objects = hits.prepared.position_error.size
     found, more, waiting = np.zeros(0, dtype=np.intp), list[Ints](), 0
-    for dark, shape, pairs in _candidates(hits, frontlit, footprint):
+    for dark, shape, pairs in _candidates(hits, lights, frontlit, footprint):
         put_2d(umbra, dark[0], dark[1], True)
         reach = footprint[pairs[1]]
-        blocks_grown = _blocks(hits, shape, pairs, reach)
+        blocks_grown = _blocks(hits, lights, shape, pairs, reach)
         # An object grown by more than its distance holds the light.  It may then hold all of a
         # segment, and block nothing, where the object itself blocks it.
-        distance = shape.signed_distance(pairs[2], take3(hits.prepared.lights.T, pairs[0]))
+        distance = shape.signed_distance(pairs[2], take3(lights.position.T, pairs[0]))
         near = indices(blocks_grown | (distance <= reach))
         pairs = pairs.take(near, axis=1)
         reach, blocks_grown, distance = reach[near], blocks_grown[near], distance[near]
-        itself = _blocks(hits, shape, pairs)
+        itself = _blocks(hits, lights, shape, pairs)
         # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
         # nothing.  Nor does that of a sphere with the light on its surface.
-        shrunk = itself & _blocks(hits, shape, pairs, -reach)
-        shrunk &= take_2d(hits.prepared.side, pairs[0], pairs[2]) != ON
+        shrunk = itself & _blocks(hits, lights, shape, pairs, -reach)
+        shrunk &= take_2d(lights.side, pairs[0], pairs[2]) != ON
         put_2d(blocked, pairs[0, itself], pairs[1, itself], True)
         put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
         edge = ~shrunk & (blocks_grown | (np.abs(distance) <= reach))
@@ -142,16 +142,18 @@ def _few_around(edges: list[Ints], objects: int) -> tuple[Ints, Ints]:
     return found[~many.repeat(count)], pair[begin[many]]
 
 
-def _blocks(hits: Hits, shape: Shape, pairs: Ints, offset: Floats | None = None) -> Bools:
+def _blocks(
+    hits: Hits, lights: Lights, shape: Shape, pairs: Ints, offset: Floats | None = None
+) -> Bools:
     """The exact test of pairs; `offset` (m,): see `Spheres.occludes`."""
     light, point, occluder = pairs
-    eye, end = hits.prepared.frame.eye, take3(hits.prepared.lights.T, light)
-    side = take_2d(hits.prepared.side, light, occluder)
+    eye, end = hits.prepared.frame.eye, take3(lights.position.T, light)
+    side = take_2d(lights.side, light, occluder)
     return shape.occludes(eye, occluder, hits.points(point), end, side, offset)
 
 
 def _candidates(
-    hits: Hits, frontlit: Bools, footprint: Floats | None = None
+    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
 ) -> Iterator[tuple[Ints, Shape, Ints]]:
     """Find all that may keep lights from points, some at a time.
 
@@ -159,12 +161,11 @@ def _candidates(
     and occluders (3, m) to be tested.  With a `footprint` (n,) all are as for anything on a point's
     own object within this distance of it.
     """
-    prepared = hits.prepared
-    if prepared.grid is None or not frontlit.any():
+    if lights.grid is None or not frontlit.any():
         return
     levels, lit = _packets_of(hits, frontlit, footprint)
     rows = levels[-1]
-    for shape, pairs in _found(prepared, prepared.grid, levels[0], lit[0]):
+    for shape, pairs in _found(hits.prepared, lights.grid, levels[0], lit[0]):
         umbra = []
         for depth, packets in enumerate(levels):
             if depth:
@@ -172,7 +173,7 @@ def _candidates(
                 pairs = pairs.take(indices(take_2d(lit[depth], pairs[0], pairs[1])), axis=1)
             light, packet, occluder = pairs
             middle, radius = take3(packets.middle, packet), packets.radius[packet]
-            end = take3(prepared.lights.T, light)
+            end = take3(lights.position.T, light)
             meets, cuts = shape.capsules(occluder, middle, end, radius)
             dark = pairs.take(indices(cuts), axis=1)
             for level, table in zip(levels[depth:], lit[depth:], strict=True):

@@ -29,9 +29,9 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
 
 def _shading(hits: Hits, *, with_ids: bool) -> Shading:
     shading = Shading(hits, with_ids=with_ids)
-    for some in hits.by_lights:
-        geometry = light_geometry(some)
+    for lights in hits.prepared.light_batches:
+        geometry = light_geometry(hits, lights)
         lit = geometry.n_dot_l > 0
-        lit &= ~occlusion(some, lit)
+        lit &= ~occlusion(hits, lights, lit)
         shading.add(geometry, lit)
     return shading

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from copy import copy
-from functools import cached_property
 from math import sqrt
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Ints, Triple, changes
+from tracer.arrays import Bools, Floats, Sides, changes
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.sphere import Spheres
@@ -28,6 +25,32 @@ _PAIRS, _LIGHTS, _LIT_PAIRS, _KEPT_BYTES = 3 << 18, 4, 1 << 18, 1 << 26
 # Pixels across a packet, as a part of the side of the square of pixels that each object has if all
 # share the picture evenly.
 _PART = 0.75
+
+
+class Lights(NamedTuple):
+    """Some lights of a scene, prepared for its surfaces.
+
+    Attributes
+    ----------
+    position, local, intensity : (lights, 3)
+        In the scene's axes, and in the camera's as seen from the eye; linear RGB.
+    side : (lights, n)
+        The side of each object that each light is on: see `Spheres.side`.
+    grid : LightGrid
+        Lists of objects by direction from each light; None if nothing can be shaded.
+    """
+
+    position: Floats
+    local: Floats
+    intensity: Floats
+    side: Sides
+    grid: LightGrid | None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that they take."""
+        arrays = [self.side, *(self.grid or ())]
+        return sum(m.nbytes for m in arrays if isinstance(m, np.ndarray))
 
 
 class PreparedScene:
@@ -49,8 +72,7 @@ class PreparedScene:
         How many objects at most lie behind a sample, on average over any row.
     window : (slice, slice)
         Rows and columns of the picture outside of which nothing is seen.
-    lights, local, intensities : (lights, 3)
-        Positions in the scene's axes, and in the camera's seen from the eye; linear RGB.
+    light_count : int
     diffuse, specular : (3, n)
     exponent : (n,)
     glossy : (n,)
@@ -72,9 +94,7 @@ class PreparedScene:
         self.curvature = np.append(1 / spheres.radius, np.zeros(boxes.count))
         self.depth_complexity = self.bounds.depth_complexity(frame)
         self.window = self.bounds.window(frame)
-        self.lights = np.array([light.position for light in scene.lights]).reshape(-1, 3)
-        self.local = np.column_stack(frame.to_camera(self.lights))
-        self.intensities = np.array([light.intensity for light in scene.lights]).reshape(-1, 3)
+        self._lights, self.light_count = scene.lights, len(scene.lights)
         colors = [
             (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
             for s in surfaces.shaders
@@ -87,7 +107,7 @@ class PreparedScene:
         # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
         pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
         self.packet_pixels = _PART * sqrt(pixels / max(size.size, 1))
-        self._kept, self._kept_bytes = list[PreparedScene](), 0
+        self._kept = list[Lights]()
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
@@ -100,41 +120,36 @@ class PreparedScene:
         return max(1, min(samples, int(_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
-    def by_lights(self) -> Iterator[PreparedScene]:
-        """The scene with some of its lights at a time, as many as memory allows."""
+    def light_batches(self) -> Iterator[Lights]:
+        """All lights, as many at a time as memory allows."""
         step = max(1, min(_LIGHTS, _LIT_PAIRS // max(self.curvature.size, 1)))
-        for number, start in enumerate(range(0, len(self.lights), step)):
+        for number, start in enumerate(range(0, self.light_count, step)):
             if number < len(self._kept):
                 yield self._kept[number]
                 continue
-            some, part = slice(start, start + step), copy(self)
-            part.lights, part.local = self.lights[some], self.local[some]
-            part.intensities, part._kept = self.intensities[some], []  # not itself: a cycle
-            for name in ("grid", "side"):
-                vars(part).pop(name, None)
-            yield part
+            batch = self.lights(slice(start, start + step))
             # Preparing the others again takes less time than most of what they are prepared for.
-            if number == len(self._kept) and self._kept_bytes < _KEPT_BYTES:
-                self._kept.append(part)
-                arrays = [part.side, *(part.grid or ())]
-                self._kept_bytes += sum(m.nbytes for m in arrays if isinstance(m, np.ndarray))
+            if sum(kept.nbytes for kept in self._kept) < _KEPT_BYTES:
+                self._kept.append(batch)
+            yield batch
 
-    @cached_property
-    def grid(self) -> LightGrid | None:
-        """Lists of objects by direction from each light; None if nothing can be shaded."""
+    def lights(self, part: slice = slice(None)) -> Lights:
+        """Prepare some of the lights, or all."""
+        lights = self._lights[part]
+        position = np.array([light.position for light in lights]).reshape(-1, 3)
+        x, y, z = position.T[:, :, None]
+        sides = [
+            shape.side(shape.first + np.arange(shape.count), (x, y, z))
+            for shape in (self.spheres, self.boxes)
+        ]
         lit = self.bounds.in_picture(self.frame)
-        return light_grid(self.lights, self.surfaces, self.position_error, lit, ~self.repeated)
-
-    @cached_property
-    def side(self) -> NDArray[np.int8]:
-        """Where each light is to each object (lights, n): see `Spheres.side`."""
-        both = [shape.side(*self._to_lights(shape)) for shape in (self.spheres, self.boxes)]
-        return np.concatenate(both, axis=1)
-
-    def _to_lights(self, shape: Shape) -> tuple[Ints, Triple]:
-        """All objects of a shape, a column each, and all lights, a row each."""
-        x, y, z = self.lights.T[:, :, None]
-        return shape.first + np.arange(shape.count), (x, y, z)
+        return Lights(
+            position=position,
+            local=np.column_stack(self.frame.to_camera(position)),
+            intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
+            side=np.concatenate(sides, axis=1),
+            grid=light_grid(position, self.surfaces, self.position_error, lit, ~self.repeated),
+        )
 
 
 def _repeated(surfaces: Surfaces) -> Bools:
