@@ -27,6 +27,13 @@ from tracer.world.prepared_scene import Lights, PreparedScene
 # Cells with a larger footprint than this, as a part of the distance to a light, are split.
 _WIDE = 0.1
 
+MOST_LINES = 4
+"""Of the lines in a cell, this many divide it into regions; the others are left to its samples."""
+
+# A cell with more lines than this is crowded: to split it would cost more than it gains.  With more
+# lights than this no one of them matters much: more than `MOST_LINES` are enough.
+_CROWDED = 24
+
 
 class Cells(NamedTuple):
     """Squares of the picture: pixels, or parts of them.
@@ -35,6 +42,8 @@ class Cells(NamedTuple):
     ----------
     size : float
         Width of a cell, in pixels.
+    per_side : int
+        Samples along a cell's side in the grid that is asked for.
     tolerance : float
         By how much a cell's mean may be off, in radiance.
     x, y : (n,)
@@ -44,6 +53,7 @@ class Cells(NamedTuple):
     """
 
     size: float
+    per_side: int
     tolerance: float
     x: Floats
     y: Floats
@@ -63,7 +73,8 @@ class Cells(NamedTuple):
         cell = rank[self.cell]
         kept = indices(cell >= 0)
         quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
-        return Cells(self.size / 2, self.tolerance, x, y, quarters, self.obj[kept].repeat(4))
+        half, per_side, obj = self.size / 2, (self.per_side + 1) // 2, self.obj[kept].repeat(4)
+        return Cells(half, per_side, self.tolerance, x, y, quarters, obj)
 
 
 class Classification(NamedTuple):
@@ -71,18 +82,20 @@ class Classification(NamedTuple):
 
     Attributes
     ----------
+    cells : Cells
     radiance : (3, n)
         Of the sample in each cell's middle.
     id : (n,)
         Of object, face and lights there, see `Shading`; -1 where nothing is seen.
     lines : Lines
-        What divides the cells, sorted and distinct.
+        What divides the cells, sorted and distinct: the first `MOST_LINES` of each.
     unresolved : (n,)
         Whether a cell may hold more than straight lines.
     crowded : (n,)
         Whether it may hold more edges than were worth finding.
     """
 
+    cells: Cells
     radiance: Floats
     id: Ints
     lines: Lines
@@ -126,7 +139,9 @@ def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints
     radiance[:, cell] = shading.at_samples(np.zeros((3, samples.size)))
     ids[hit_cell] = shading.ids
     lines = Lines.joined(found).distinct()
-    return Classification(radiance, ids, lines, unresolved, crowded)
+    most = MOST_LINES if prepared.light_count > _CROWDED else _CROWDED
+    crowded |= np.bincount(lines.cell, minlength=cell.size) > most
+    return Classification(cells, radiance, ids, lines.first(MOST_LINES), unresolved, crowded)
 
 
 def _outlines(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify, curvature, extrapolated
-from tracer.antialias.edge_functions import Lines
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import mixed, stratified
@@ -47,13 +46,6 @@ _IN_PIXELS, _IN_PARTS, _IN_CELLS, _FINER = 5, 13, 25, 5
 # everywhere cost less than classification.
 _SUPERSAMPLE = 0.006
 
-# Of the lines in a cell, this many divide it into regions; the others are left to its samples.
-_LINES = 4
-
-# A pixel with more lines than this is sampled and not split, which would cost more than it gains.
-# With more lights than this no one of them matters much: more than `_LINES` are enough.
-_CROWDED = 24
-
 
 def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     """Whether samples everywhere cost less than classification, in a view full of silhouettes.
@@ -77,61 +69,52 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     pixel = (row - top) * width + column - left
     every = np.arange(centres.size)
     # The finer the grid that is asked for, the less a mean may be off.
-    pixels = Cells(1.0, _CURVATURE / per_side**1.5, *centres.at(every), pixel, obj)
+    tolerance = _CURVATURE / per_side**1.5
+    pixels = Cells(1.0, per_side, tolerance, *centres.at(every), pixel, obj)
     found = classify(prepared, pixels, centres, every)
     smooth, error = curvature(found.radiance, found.id, width)
     inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    most = _LINES if prepared.light_count > _CROWDED else _CROWDED
-    crowded = found.crowded | (np.bincount(found.lines.cell, minlength=inside.size) > most)
-    split, some = inside & ~crowded, indices(inside & crowded)
+    split, crowded = inside & ~found.crowded, indices(inside & found.crowded)
     lines = found.lines.take(indices(split[found.lines.cell]))
     rest = found._replace(lines=lines, unresolved=found.unresolved & split)
-    mean = _refined(prepared, pixels, rest, smooth, np.where(split, error, 0), per_side)
-    lattice = Lattice.of(per_side, more=1)
-    mean[:, some], _ = _sampled(prepared, pixels, found.lines.first(_LINES), some, lattice)
+    mean = _refined(prepared, rest, smooth, np.where(split, error, 0))
+    mean[:, crowded], _ = _sampled(prepared, found, crowded, Lattice.of(per_side, more=1))
     # A few points have weights less than zero.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
 def _refined(
-    prepared: PreparedScene,
-    cells: Cells,
-    found: Classification,
-    smooth: Floats,
-    error: Floats,
-    per_side: int,
+    prepared: PreparedScene, found: Classification, smooth: Floats, error: Floats
 ) -> Floats:
     """Mean radiance (3, n) of cells.
 
     Parameters
     ----------
-    prepared, cells, found
+    prepared, found
     smooth : (3, n)
         The mean of a cell that sees one smooth surface.
     error : (n,)
         By how much it may be off; NaN if only the cell's parts can tell.
-    per_side : int
-        Samples along a cell's side in the grid asked for.
     """
-    lines = found.lines.first(_LINES)
+    cells, mean = found.cells, smooth.copy()
+    last, whole = cells.per_side <= _LAST, cells.size == 1
     divided = np.zeros(error.size, dtype=np.bool_)
-    divided[lines.cell] = True
-    last, whole, mean = per_side <= _LAST, cells.size == 1, smooth
+    divided[found.lines.cell] = True
     rest = divided | found.unresolved | ~(error <= cells.tolerance)
-    if per_side <= 2 * _LAST:
+    if cells.per_side <= 2 * _LAST:
         straight = divided & ~(found.unresolved | (error > cells.tolerance))
         some = indices(rest if last and not whole else straight)
         lattice = Lattice(1, _IN_CELLS if not last else _IN_PIXELS if whole else _IN_PARTS)
-        means, coarse = _sampled(prepared, cells, lines, some, lattice)
+        means, coarse = _sampled(prepared, found, some, lattice)
         some = some[~coarse]
         mean[:, some], rest[some] = means[:, ~coarse], False
     some = indices(rest)
     if last:
-        lattice = Lattice.of(per_side if whole else _FINER)
-        mean[:, some], _ = _sampled(prepared, cells, lines, some, lattice)
+        lattice = Lattice.of(cells.per_side if whole else _FINER)
+        mean[:, some], _ = _sampled(prepared, found, some, lattice)
         return mean
     for part in _chunks(prepared, some, 4):
-        mean[:, part] = _split(prepared, cells, found._replace(lines=lines), error, per_side, part)
+        mean[:, part] = _split(prepared, found, error, part)
     return mean
 
 
@@ -143,12 +126,10 @@ def _chunks(prepared: PreparedScene, some: Ints, samples: int) -> Iterator[Ints]
 
 
 def _sampled(
-    prepared: PreparedScene, cells: Cells, lines: Lines, some: Ints, lattice: Lattice
+    prepared: PreparedScene, found: Classification, some: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
-    """Mean radiance (3, n) of some cells by a lattice of samples, and where that is too coarse.
-
-    `lines`: of all cells, sorted.
-    """
+    """Mean radiance (3, n) of some cells by a lattice of samples, and where that is too coarse."""
+    cells, lines = found.cells, found.lines
     means, coarse = np.empty((3, some.size)), np.zeros(some.size, dtype=np.bool_)
     for part in _chunks(prepared, np.arange(some.size), lattice.size):
         rank = np.full(cells.x.size, -1)
@@ -165,16 +146,9 @@ def _sampled(
     return means, coarse
 
 
-def _split(
-    prepared: PreparedScene,
-    cells: Cells,
-    found: Classification,
-    error: Floats,
-    per_side: int,
-    some: Ints,
-) -> Floats:
+def _split(prepared: PreparedScene, found: Classification, error: Floats, some: Ints) -> Floats:
     """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
-    quarters, inside = cells.quarters(some), some.repeat(4)
+    quarters, inside, tolerance = found.cells.quarters(some), some.repeat(4), found.cells.tolerance
     closer = classify(prepared, quarters, *Scattered.of(quarters.x, quarters.y))
     smooth, finer = extrapolated(found.radiance[:, some], found.id[some], closer)
     # The error falls as the square of the size; or next to an edge, towards which light may fall
@@ -182,19 +156,20 @@ def _split(
     error = error[inside] / np.where(np.isnan(finer), 2, 4)
     # What the whole says of one surface does not hold for a quarter that sees another one.
     elsewhere = (closer.id != found.id[inside]) & (closer.id >= 0)
-    error[elsewhere & (error <= cells.tolerance)] = np.nan
+    error[elsewhere & (error <= tolerance)] = np.nan
     # What was not known of the whole (NaN), the quarters tell.
     error = np.fmax(error, finer)
     # What stays unresolved may be smooth all the same: it is split again if a lattice disagrees.
     unresolved = closer.unresolved.reshape(-1, 4).all(axis=1)
     at = indices(unresolved & (np.bincount(closer.lines.cell // 4, minlength=some.size) == 0))
-    lattice = Lattice.of(per_side, more=1)
-    means, coarse = _sampled(prepared, cells, found.lines, some[at], lattice)
+    lattice = Lattice.of(found.cells.per_side, more=1)
+    means, coarse = _sampled(prepared, found, some[at], lattice)
     expected = smooth.reshape(3, -1, 4).take(at, axis=1).mean(axis=2)
-    known = ~coarse & (np.abs(means - expected).max(axis=0) <= cells.tolerance)
-    at, means = at[known], means[:, known]
-    closer.unresolved.reshape(-1, 4)[at], error.reshape(-1, 4)[at] = False, 0
-    mean = _refined(prepared, quarters, closer, smooth, error, max((per_side + 1) // 2, _LAST))
+    agree = ~coarse & (np.abs(means - expected).max(axis=0) <= tolerance)
+    known = np.zeros(some.size, dtype=np.bool_)
+    known[at[agree]] = True
+    closer = closer._replace(unresolved=closer.unresolved & ~known.repeat(4))
+    mean = _refined(prepared, closer, smooth, np.where(known.repeat(4), 0, error))
     quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
-    quartered[:, at] = means
+    quartered[:, known] = means[:, agree]
     return quartered
