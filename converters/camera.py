@@ -1,6 +1,6 @@
-"""The camera as the scene file describes it, and what it sees: shares no code with the tracer.
+"""The camera as the scene file describes it, and the part of the scene that it sees.
 
-The tracer's own camera is judged by pictures that are made with this one.
+The tracer's own camera is judged by pictures that are made with this one: they share no code.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer import Camera, Scene, Surfaces
+from tracer import Camera, Scene, Surfaces, first_hits
 
 __all__ = ["Floats", "Window", "bounds", "visible_points", "window_of"]
 
@@ -69,40 +69,15 @@ def bounds(surfaces: Surfaces) -> Floats:
     return np.array([low.min(axis=0), high.max(axis=0)]) if len(low) else np.zeros((2, 3))
 
 
-@np.errstate(all="ignore")
 def visible_points(scene: Scene) -> Floats:
-    """Points (n, 3) that rays spread evenly over the picture hit: a dozen or more if they can."""
-    window = window_of(scene.camera)
-    points = np.zeros((0, 3))
+    """Points (n, 3) that rays spread evenly over the picture hit: a dozen or more if they can.
+
+    They tell how large a scene is and where, which changes no picture.
+    """
     for grid in _GRIDS:
-        places = (np.arange(grid) + 0.5) / grid
-        points = np.concatenate([_hit_in_row(scene.surfaces, window, places, y) for y in places])
+        y, x = (np.indices((grid, grid)).reshape(2, -1) + 0.5) / grid
+        found = first_hits(scene, x * scene.width, y * scene.height)
+        points: Floats = found.point[found.surface >= 0]
         if len(points) >= _GRIDS[0]:
             break
-    return points
-
-
-def _hit_in_row(surfaces: Surfaces, window: Window, x: Floats, y: float) -> Floats:
-    """Points (n, 3) that the rays through a row of the window hit first."""
-    d = window.points(x, y)
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    # These rays lie in one plane; what it misses, none of them meets.
-    normal = _unit(np.cross(window.axes[0], d[0]))
-    center, low, high = (
-        points - window.eye for points in (surfaces.center, surfaces.min_pt, surfaces.max_pt)
-    )
-    balls = np.abs(center @ normal) <= surfaces.radius * 1.001
-    boxes = np.abs((low + high) @ normal) <= (high - low) @ np.abs(normal) * 1.001
-    center, radius = center[balls], surfaces.radius[balls]
-    distance = np.linalg.norm(center, axis=1)
-    outside = (distance - radius) * (distance + radius)
-    middle = d @ center.T
-    root = np.sqrt(middle**2 - outside)  # no number where the ray misses
-    spheres = np.where(outside > 0, middle - root, middle + root)
-    a, b = low[boxes] / d[:, None], high[boxes] / d[:, None]
-    enters, leaves = np.minimum(a, b).max(axis=2), np.maximum(a, b).min(axis=2)
-    slabs = np.where(enters <= leaves, np.where(enters > 0, enters, leaves), np.nan)
-    t = np.concatenate([spheres, slabs], axis=1)
-    t = np.where(t > 0, t, np.inf).min(axis=1, initial=np.inf)
-    points: Floats = window.eye + (t[:, None] * d)[np.isfinite(t)]
     return points
