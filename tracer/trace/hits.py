@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints, Triple, dot, repeat_runs, take3
+from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
 
@@ -71,7 +72,7 @@ class Hits(NamedTuple):
 
     Attributes
     ----------
-    prepared : PreparedScene
+    prepared, samples
     p : (3, n)
         Points seen from the eye, in the camera's axes.
     groups : list of ShapeHits
@@ -81,24 +82,15 @@ class Hits(NamedTuple):
         Where each run of points begins, through all groups, and the end of the last.
     obj : (runs,)
         The object that each run sees.
-    row, column : (runs,)
-        Where each begins, in rows and columns of samples; of scattered ones, of pixels.
-    scattered : bool
-        Whether the samples are.
-    density : float
-        Samples across a pixel, see `Rows.density`.
     """
 
     prepared: PreparedScene
+    samples: Samples
     p: Floats
     groups: list[ShapeHits]
     sample: Ints
     first: Ints
     obj: Ints
-    row: Ints
-    column: Ints
-    scattered: bool
-    density: float
 
     @property
     def hit_object(self) -> Ints:

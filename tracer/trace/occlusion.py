@@ -27,6 +27,7 @@ from tracer.arrays import (
 )
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
+from tracer.trace.samples import Scattered
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
@@ -218,8 +219,8 @@ def _packets_of(
     lit : list of (lights, m) tables
         For each level, whether a light may reach any point of each packet.
     """
-    prepared = hits.prepared
-    across = prepared.packet_pixels * hits.density
+    prepared, samples = hits.prepared, hits.samples
+    across = prepared.packet_pixels * samples.density
     longest, count = int(min(max(across, 1), _MOST_POINTS)), np.diff(hits.first)
     run, skip = segment_indices(-(-count // longest))
     skip *= longest
@@ -234,13 +235,11 @@ def _packets_of(
     side = int(min(across, _MOST_SIDE))
     if side < _LEAST_SIDE:
         return [rows], [lit]
-    square, column = obj, hits.column[run]
-    if not hits.scattered:
-        column += skip
-    for at in (hits.row[run] // side, column // side):
-        square = square * (at.max() + 1) + at
+    square = obj
+    for at in samples.grid_position(hits.sample.take(start)):
+        square = square * (at.max() // side + 1) + at // side
     order = square.argsort(kind="stable")
-    layer = prepared.frame.layer(hits.p[2].take(start), side / hits.density)
+    layer = prepared.frame.layer(hits.p[2].take(start), side / samples.density)
     rows, lit = Packets._make(m.take(order, axis=-1) for m in rows), lit.take(order, axis=1)
     start, length = run_lengths(square[order], layer[order])
     return [_squares(rows, start, length), rows], [np.logical_or.reduceat(lit, start, axis=1), lit]
@@ -248,7 +247,7 @@ def _packets_of(
 
 def _balls(hits: Hits, start: Ints, length: Ints) -> tuple[Floats, Floats]:
     """Bounding spheres, middles and radii, of `length` points from `start` on."""
-    if hits.scattered or hits.prepared.spheres.eye_inside.any():
+    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.eye_inside.any():
         a, b = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
     else:
         # Points of a row lie on a line, or on an arc that is seen from outside, of less than half a

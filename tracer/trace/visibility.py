@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tracer.arrays import Bools, Floats, Ints, changes, indices, ranges, repeat_runs
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
-from tracer.trace.samples import Samples, Scattered
+from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
 # Pixels along each side of the squares at whose borders runs of scattered samples end.
@@ -142,16 +142,5 @@ def _hits(prepared: PreparedScene, samples: Samples, candidates: list[_Candidate
         groups.append(ShapeHits(part.shape, slice(start, end), part.sample, counts, obj, *surface))
     first = np.concatenate([none, [0], *(group.counts for group in groups)]).cumsum()
     sample = np.concatenate([none, *(group.sample for group in groups)])
-    row, column = samples.grid_position(sample.take(first[:-1]))
-    return Hits(
-        prepared=prepared,
-        p=p,
-        groups=groups,
-        sample=sample,
-        first=first,
-        obj=np.concatenate([none, *(group.obj for group in groups)]),
-        row=row,
-        column=column,
-        scattered=isinstance(samples, Scattered),
-        density=samples.density,
-    )
+    obj = np.concatenate([none, *(group.obj for group in groups)])
+    return Hits(prepared, samples, p, groups, sample, first, obj)
