@@ -50,7 +50,7 @@ def test_the_picture_stays_the_same(kind, samples, monkeypatch):
         if not untied(kind, scene):
             continue
         # Elsewhere exact ties go to the first: all have one shader.  Of edges in one place any may
-        # be found first; the cells of a large band are split and sampled some at a time.
+        # be found first; the cells of a large tile are split and sampled some at a time.
         surfaces = [replace(surface, shader=shader) for surface in scene.surfaces]
         image = render(replace(scene, surfaces=surfaces), samples)
         order = rng.permutation(len(surfaces)).tolist()

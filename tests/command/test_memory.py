@@ -18,7 +18,7 @@ from tracer.world.prepared_scene import PreparedScene
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
 @pytest.mark.parametrize("samples", [1, 4])
 def test_a_second_picture_needs_no_fresh_pages(samples):
-    # Smooth and bright all over, and as large as a few bands of split pixels.
+    # Smooth and bright all over, and as large as a few tiles of split pixels.
     ball = Sphere(center=(0, -6, -2), radius=6.5, shader=Phong(specular=(0.5, 0.5, 0.5)))
     floor = Box(min_pt=(-50, -1, -50), max_pt=(50, 0, 50))
     camera = Camera(view_point=(0, 2, 6), view_dir=(0, -0.6, -1), view_width=0.4, view_height=0.2)

@@ -1,1 +1,1 @@
-"""Pictures in bands, worked on by several processes, and PNG files."""
+"""Pictures in tiles, drawn by any processes, and PNG files."""

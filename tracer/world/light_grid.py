@@ -82,7 +82,7 @@ class LightGrid(NamedTuple):
     origin, size : (2, fields)
         Octahedral coordinates of each field's corner, and its extent.
     first : (4 * fields * side**2 + 1,)
-        Where the four lists of each cell begin in `listed`: see `_LISTS`.
+        Where the four lists of each cell begin in `listed`: see `_LIST`.
     listed : (m,)
         Parts of objects, each in one octant of one light.
     obj : (parts,)
