@@ -28,8 +28,8 @@ import numpy as np
 from tqdm import tqdm
 
 from reference.command import parser, spare_inputs
-from reference.handins.reading import UNREADABLE, read_picture, reason
 from reference.judges.certificate import Certificate, certify
+from reference.pictures import UNREADABLE, read_picture, reason
 from tracer import SceneFileError, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name
 from tracer.command.process import print_line, print_result

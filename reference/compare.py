@@ -32,18 +32,11 @@ from reference.command import parser, spare_inputs
 from reference.figures import figures, linear, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
-from reference.handins.page import Pair
-from reference.handins.reading import (
-    UNREADABLE,
-    HandIn,
-    empty_folders,
-    hand_ins,
-    match,
-    read_picture,
-    reason,
-)
+from reference.handins.folders import HandIn, empty_folders, hand_ins, match
 from reference.handins.results import MISSING, Result, csv_of, json_of, text_of
 from reference.handins.workers import shared
+from reference.page import Pair
+from reference.pictures import UNREADABLE, read_picture, reason
 from tracer import SceneFileError, load_scene
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.process import print_line, print_result

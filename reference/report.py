@@ -27,12 +27,12 @@ from tqdm import tqdm
 
 from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
+from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, own_scenes, parser, spare_inputs
 from reference.figures import amplified
-from reference.handins import page as pages
-from reference.handins.page import TEMPLATE, Cell, Pair
 from reference.measured.measurements import measured_on
+from reference.page import TEMPLATE, Cell, Pair
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.process import FAILED, MISUSED, print_line

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from reference import page as pages
 from reference.figures import Floats, amplified
-from reference.handins import page as pages
-from reference.handins.page import Cell, Pair, png
-from reference.handins.reading import Codes
 from reference.handins.results import Result, count_of
+from reference.page import Cell, Pair, png
+from reference.pictures import Codes
 
 _LEGEND = (
     "The difference is shown amplified, in linear light: orange where the hand-in is brighter, blue"

@@ -12,8 +12,8 @@ import numpy as np
 
 from reference.handins.formulas import Array, Formulas
 from reference.handins.mistakes import OF_PICTURE
-from reference.handins.reading import Codes, Picture
 from reference.handins.search import Drawings, Finding, Search
+from reference.pictures import Codes, Picture
 from tracer import Scene, SurfaceRef
 
 AGREEING = ("identical", "rounding", "format")

@@ -11,7 +11,7 @@ import numpy as np
 from reference.figures import linear
 from reference.handins.formulas import Array, Formulas, parameters
 from reference.handins.mistakes import RIGHT, mistakes_of, offset
-from reference.handins.reading import Codes
+from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from reference.handins import mistakes
 from reference.handins.drawing import PER_PIXEL, Drawing, given, join
 from reference.handins.formulas import Array, Formulas, parameters
-from reference.handins.reading import Codes
+from reference.pictures import Codes
 from tracer import Scene
 
 # A picture drawn may differ in so many pixels: of all, of those in which the right one differs, and

@@ -22,9 +22,9 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import main
 from reference.figures import figures, write_comparison
-from reference.handins.reading import Codes, read_picture
 from reference.handins.results import Result
 from reference.handins.workers import shared
+from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
 
 Compare = Callable[..., tuple[int, list[str], str]]

@@ -18,8 +18,8 @@ from reference.handins.diagnosis import Solution
 from reference.handins.drawing import draw
 from reference.handins.formulas import parameters
 from reference.handins.mistakes import RIGHT, mistakes_of
-from reference.handins.reading import Codes, Picture, read_picture
 from reference.handins.workers import shared
+from reference.pictures import Codes, Picture, read_picture
 from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render, to_codes
 
 NAMES = ["four-spheres", "room", "highlights", "touching", "non-square-pixels", "two-boxes"]

@@ -15,9 +15,9 @@ from PIL import Image
 
 from reference.command import HERE
 from reference.figures import Floats
-from reference.handins.reading import Codes
+from reference.pictures import Codes
 
-TEMPLATE = HERE / "handins" / "page.html"
+TEMPLATE = HERE / "page.html"
 # Longer side of a thumbnail in pixels.
 _THUMBNAIL = 96
 
