@@ -50,7 +50,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 @pytest.fixture
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     """No picture is so full of outlines that it is made of lattices."""
-    monkeypatch.setattr(antialias, "_SUPERSAMPLE", math.inf)
+    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
 
 
 @pytest.fixture

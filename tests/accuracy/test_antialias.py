@@ -153,7 +153,7 @@ def test_pictures_full_of_outlines_are_lattices():
 
 @pytest.mark.parametrize("supersample", [-1.0, math.inf])
 def test_an_offset_of_whole_pixels_moves_the_picture(supersample, monkeypatch):
-    monkeypatch.setattr(antialias, "_SUPERSAMPLE", supersample)
+    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", supersample)
     scene = crowd(30, width=48, height=27)
     image, moved = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05
@@ -163,7 +163,7 @@ def test_an_offset_of_whole_pixels_moves_the_picture(supersample, monkeypatch):
 
 @pytest.mark.parametrize("slope", [0, 1 / 2, 2 / 3, 3 / 4, 1 / 3, 3 / 2])
 def test_lattices_of_edges_in_their_own_directions(slope, monkeypatch):
-    monkeypatch.setattr(antialias, "_SUPERSAMPLE", -1.0)
+    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", -1.0)
     rng = np.random.default_rng(0)
     middles, halves = rng.uniform((-1.2, -1, -4.5), (1.2, 1, -3.5), (60, 3)), (0.02, 0.15)
     boxes = [

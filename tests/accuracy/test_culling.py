@@ -363,10 +363,10 @@ def test_candidates_are_found_some_at_a_time(monkeypatch):
     # not for all pairs at once.
     scene = balls_under((0.1, 3, 0.2), 300, 0.1, Sphere(center=(0, -1e6, 0), radius=1e6 - 1))
     whole = render(scene, 16)
-    visited = sizes_found(monkeypatch, light_grid, "_cells")
+    visited = sizes_found(monkeypatch, light_grid, "_overlapped_cells")
     sizes = sizes_found(monkeypatch, LightGrid, "query")
-    monkeypatch.setattr(light_grid, "_PAIRS_AT_ONCE", 1000)
-    monkeypatch.setattr(light_grid, "_CELLS_AT_ONCE", 1000)
+    monkeypatch.setattr(light_grid, "_PAIRS_PER_BATCH", 1000)
+    monkeypatch.setattr(light_grid, "_CELLS_PER_BATCH", 1000)
     np.testing.assert_array_equal(render(scene, 16), whole)
     for some in (sizes, visited):
         assert 100 < max(some) <= 1000 < sum(some)

@@ -57,7 +57,7 @@ def test_the_picture_stays_the_same(kind, samples, monkeypatch):
         shuffled = replace(scene, surfaces=[surfaces[i] for i in order])
         assert np.array_equal(render(shuffled, samples), image)
         with monkeypatch.context() as parts:
-            for tile, chunk in ((25, 200), (100, antialias._SAMPLES_AT_ONCE)):
-                parts.setattr(render_module, "_TILE_SAMPLES", tile)
-                parts.setattr(antialias, "_SAMPLES_AT_ONCE", chunk)
+            for tile, chunk in ((25, 200), (100, antialias._SAMPLES_PER_BATCH)):
+                parts.setattr(render_module, "_MAX_TILE_SAMPLES", tile)
+                parts.setattr(antialias, "_SAMPLES_PER_BATCH", chunk)
                 assert np.array_equal(render(shuffled, samples), image)

@@ -72,8 +72,8 @@ needs_two = pytest.mark.skipif(parallel.processors() < 2, reason="there is one p
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures have many tiles."""
-    monkeypatch.setattr(render_module, "_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render_module, "_LEAST_SAMPLES", 1000)
+    monkeypatch.setattr(render_module, "_MAX_TILE_SAMPLES", 1000)
+    monkeypatch.setattr(render_module, "_MIN_TILE_SAMPLES", 1000)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks, and of what Dask imports
@@ -149,7 +149,7 @@ def test_an_executor_has_work_for_all_processors_and_no_more(processors, small_t
 @pytest.mark.parametrize("processors", [2, 16])
 def test_all_processors_have_tiles(processors, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: processors)
-    monkeypatch.setattr(render_module, "_LEAST_SAMPLES", 1000)
+    monkeypatch.setattr(render_module, "_MIN_TILE_SAMPLES", 1000)
     monkeypatch.setattr(render_module, "worker_pool", lambda *_: None)
     assert len(tiles_of(picture(), processes=processors)) >= 4 * processors
 

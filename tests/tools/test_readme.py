@@ -48,7 +48,7 @@ def test_its_speeds_are_those_of_the_benchmark():
 def test_the_examples_do_as_they_say(tmp_path, monkeypatch):
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     monkeypatch.chdir(tmp_path)
-    space: dict[str, object] = {}
+    space: dict[str, object] = {"__name__": "__main__"}
     for block in blocks("python"):
         exec(block, space)
     assert Path("four-spheres.png").exists()

@@ -1,8 +1,25 @@
-"""Classify cells: can the centre sample stand for the whole cell?
+"""Classify cells of the picture: can the sample at the centre stand for the whole cell?
 
-A cell is a square of the picture: a pixel, or a part of one.  Besides what the sample in its middle
-sees, `classify` finds the straight lines that edges draw across the cell, and which objects may
-keep lights from any part of it.  A cell that may hold more than such lines is *unresolved*.
+`classify` traces one sample through the centre of each cell, and finds the edges that may cross the
+cell: silhouettes, creases, intersections of surfaces, shadow edges and terminators.  Silhouettes
+are computed from the objects themselves, not from differences between samples.  So an object is
+found even if it lies between the samples.
+
+cell
+    A pixel, or a square part of a pixel.
+center sample
+    The sample whose ray passes through the centre of a cell.
+footprint
+    The radius, on a surface, of the part that a cell sees around the hit of its center sample.
+id
+    An integer that two samples share if they see the same face of the same object, and the same
+    lights reach both; -1 for the background.
+smooth
+    A cell is smooth if no edge crosses it.  Its mean radiance follows from center samples alone.
+unresolved
+    A cell is unresolved if it may contain something other than straight edges.
+crowded
+    A cell is crowded if finding all its edges would cost more than a lattice of samples.
 """
 
 from __future__ import annotations
@@ -24,177 +41,347 @@ from tracer.trace.samples import Samples
 from tracer.trace.visibility import nearest_and_hidden
 from tracer.world.prepared_scene import Lights, PreparedScene
 
-# Cells with a larger footprint than this, as a part of the distance to a light, are split.
-_WIDE = 0.1
+# Shadow edges are searched for if the footprint of a cell is at most this fraction of its distance
+# from the light.
+_MAX_FOOTPRINT = 0.1
 
-MOST_LINES = 4
-"""Of the lines in a cell, this many divide it into regions; the others are left to its samples."""
+MAX_LINES = 4
+"""Maximum number of lines that divide a cell into regions.  A cell may have more lines; samples
+must then show whether they matter."""
 
-# A cell with more lines than this is crowded: to split it would cost more than it gains.  With more
-# lights than this no one of them matters much: more than `MOST_LINES` are enough.
-_CROWDED = 24
+# A cell with more lines than `_MAX_LINES_FOUND` is crowded.  In a scene with more than
+# `_MANY_LIGHTS` lights, where each light contributes little, the limit is `MAX_LINES`.
+_MAX_LINES_FOUND, _MANY_LIGHTS = 24, 24
 
 
 class Cells(NamedTuple):
-    """Squares of the picture: pixels, or parts of them.
+    """Square cells of the picture (pixels, or parts of pixels), all of the same width.
 
     Attributes
     ----------
-    size : float
-        Width of a cell, in pixels.
-    per_side : int
-        Samples along a cell's side in the grid that is asked for.
+    width : float
+        Width of each cell, in pixels.
+    samples_per_side : int
+        The result should be as accurate as a grid with this many samples along each side of a cell.
     tolerance : float
-        By how much a cell's mean may be off, in radiance.
-    x, y : (n,)
-        Their middles, in pixels.
-    cell, obj : (m,)
-        Pairs of a cell and an object whose silhouette may cross it.
+        Maximum error of the mean radiance of a cell.
+    center_x, center_y : (n,) float arrays
+        Centres of the cells, in pixels from the upper left corner of the picture.
+    pair_cell, pair_object : (m,) int arrays
+        Pairs of a cell and an object, as indices: the object's silhouette may cross the cell.
     """
 
-    size: float
-    per_side: int
+    width: float
+    samples_per_side: int
     tolerance: float
-    x: Floats
-    y: Floats
-    cell: Ints
-    obj: Ints
+    center_x: Floats
+    center_y: Floats
+    pair_cell: Ints
+    pair_object: Ints
 
-    def at(self, cell: Ints, point: Points2D) -> tuple[Floats, Floats]:
-        """One point, x + iy from -1/2 to 1/2, in each of some cells."""
-        return self.x[cell] + self.size * point.real, self.y[cell] + self.size * point.imag
+    def positions(self, cell: Ints, point: Points2D) -> tuple[Floats, Floats]:
+        """Convert points from coordinates within cells to coordinates of the picture.
+
+        Parameters
+        ----------
+        cell : (k,) int array
+            Index of the cell of each point.
+        point : (k,) complex array
+            Points x + iy relative to the centres of their cells, in widths of a cell: x and y are
+            between -1/2 and 1/2.
+
+        Returns
+        -------
+        x, y : (k,) float arrays
+            The same points in pixels from the upper left corner of the picture.
+        """
+        x = self.center_x[cell] + self.width * point.real
+        return x, self.center_y[cell] + self.width * point.imag
 
     def quarters(self, index: Ints) -> Cells:
-        """Quarters of some cells, four after four."""
+        """Divide cells into quarters of half their width.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Indices of the cells to divide.
+
+        Returns
+        -------
+        quarters : Cells
+            The 4 k quarters: the four of the first cell, then the four of the second cell, and so
+            on.  Each quarter is paired with all objects with which its cell is paired.
+        """
         count = index.size
-        x, y = self.at(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
-        rank = np.full(self.x.size, -1)
-        rank[index] = np.arange(count)
-        cell = rank[self.cell]
-        kept = indices(cell >= 0)
-        quarters = (4 * cell[kept, None] + np.arange(4)).ravel()
-        half, per_side, obj = self.size / 2, (self.per_side + 1) // 2, self.obj[kept].repeat(4)
-        return Cells(half, per_side, self.tolerance, x, y, quarters, obj)
+        x, y = self.positions(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
+        position = np.full(self.center_x.size, -1)  # of each cell in `index`
+        position[index] = np.arange(count)
+        pair_position = position[self.pair_cell]
+        kept = indices(pair_position >= 0)
+        pair_quarter = (4 * pair_position[kept, None] + np.arange(4)).ravel()
+        return Cells(
+            width=self.width / 2,
+            samples_per_side=(self.samples_per_side + 1) // 2,
+            tolerance=self.tolerance,
+            center_x=x,
+            center_y=y,
+            pair_cell=pair_quarter,
+            pair_object=self.pair_object[kept].repeat(4),
+        )
 
 
 class Classification(NamedTuple):
-    """What is known of n cells.
+    """Properties of n cells (pixels, or square parts of pixels).
 
     Attributes
     ----------
     cells : Cells
-    radiance : (3, n)
-        Of the sample in each cell's middle.
-    id : (n,)
-        Of object, face and lights there, see `Shading`; -1 where nothing is seen.
+        The cells.
+    radiance : (3, n) float array
+        Linear RGB radiance of the sample at the centre of each cell.
+    center_id : (n,) int array
+        Id of this sample.  Two samples have the same id if they see the same face of the same
+        object, and the same lights reach both; -1 for the background.
     lines : Lines
-        What divides the cells, sorted and distinct: the first `MOST_LINES` of each.
-    unresolved : (n,)
-        Whether a cell may hold more than straight lines.
-    crowded : (n,)
-        Whether it may hold more edges than were worth finding.
+        Straight lines that divide the cells, at most `MAX_LINES` for each cell, sorted by cell.
+    unresolved : (n,) bool array
+        Whether the cell may contain something other than straight edges.
+    crowded : (n,) bool array
+        Whether finding all edges in the cell would cost more than a lattice of samples.
     """
 
     cells: Cells
     radiance: Floats
-    id: Ints
+    center_id: Ints
     lines: Lines
     unresolved: Bools
     crowded: Bools
 
 
-def classify(prepared: PreparedScene, cells: Cells, samples: Samples, cell: Ints) -> Classification:
-    """Classify cells by the samples in their middles.
+def classify(
+    prepared: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
+) -> Classification:
+    """Decide which cells are smooth, which are crossed by straight edges, and which by other edges.
 
-    `cell` (n,): the cell of each sample.
+    A cell is a pixel or a square part of a pixel.  One sample is traced through its centre.  Its
+    edges are silhouettes, creases, intersections of surfaces, shadow edges and terminators.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    cells : Cells
+        The n cells.
+    samples : Rows or Scattered
+        The n samples through the centres of the cells, in any order.
+    sample_cell : (n,) int array
+        Index of the cell of each sample.
+
+    Returns
+    -------
+    classification : Classification
+        Its fields `radiance` (3, n) and `center_id` (n,) describe the sample of each cell; `lines`
+        contains straight lines along the edges; `unresolved` (n,) is True for cells with other
+        edges; and `crowded` (n,) is True for cells with too many edges.  A cell is smooth if it has
+        no lines and is not unresolved.
     """
-    radiance, ids = np.empty((3, cell.size)), np.full(cell.size, -1)
-    unresolved = np.zeros(cell.size, dtype=np.bool_)
-    hits, hidden = nearest_and_hidden(prepared, samples)
-    hit_cell, footprint = cell[hits.sample], footprints_of(hits, cells.size)
-    surfaces = CellSurfaces(hits, InverseDepth.of(hits), hit_cell, footprint, cells.size)
-    seen = _outlines(prepared, cells), surfaces.intersections(hidden), surfaces.creases()
-    lines, curved = fit_lines(chain(*seen), cells.tolerance)
-    unresolved[curved], crowded = True, np.zeros_like(unresolved)
-    shading, found = Shading(hits, with_ids=True), [lines]
+    count = sample_cell.size
+    radiance, center_id = np.empty((3, count)), np.full(count, -1)
+    unresolved, crowded = np.zeros((2, count), dtype=np.bool_)
+    hits, hidden_hits = nearest_and_hidden(prepared, samples)
+    hit_cell, footprint = sample_cell[hits.sample], footprints_of(hits, cells.width)
+    surfaces = CellSurfaces(hits, InverseDepth.of(hits), hit_cell, footprint, cells.width)
+    outlines = _visible_silhouettes(prepared, cells)
+    edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
+    lines, curved_cell = fit_lines(edges, cells.tolerance)
+    unresolved[curved_cell] = True
+    shading, all_lines = Shading(hits, with_ids=True), [lines]
     for lights in prepared.light_batches:
-        geometry = light_geometry(hits, lights)
-        facing = geometry.n_dot_l > 0
-        # Cells that see so much of a surface are split anyway: shadows' edges are not sought.
-        wide = np.any(geometry.length2 < (footprint / _WIDE) ** 2, axis=0)
-        blocked, edges, many = shadow_edges(hits, lights, facing, np.where(wide, 0, footprint))
-        shading.add(geometry, facing & ~blocked)
-        apexes = _apexes(prepared.frame, lights)
-        lit = (
-            surfaces.shadows(apexes, *edges),
-            surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2),
+        lines, unresolved_cell, crowded_cell = _add_lights(
+            shading, surfaces, lights, cells.tolerance
         )
-        lines, curved = fit_lines(chain(*lit), cells.tolerance)
-        found.append(lines)
-        for split in (hit_cell[wide | many], curved):
-            unresolved[split] = True
-        crowded[hit_cell[many]] = True
-        for narrow in narrow_highlights(geometry, facing, footprint):
-            unresolved[hit_cell[narrow]] = True
-    radiance[:, cell] = shading.at_samples(np.zeros((3, samples.size)))
-    ids[hit_cell] = shading.ids
-    lines = Lines.joined(found).distinct()
-    most = MOST_LINES if prepared.light_count > _CROWDED else _CROWDED
-    crowded |= np.bincount(lines.cell, minlength=cell.size) > most
-    return Classification(cells, radiance, ids, lines.first(MOST_LINES), unresolved, crowded)
+        all_lines.append(lines)
+        unresolved[unresolved_cell] = True
+        crowded[crowded_cell] = True
+    radiance[:, sample_cell] = shading.at_samples(np.zeros((3, samples.size)))
+    center_id[hit_cell] = shading.ids
+    lines = Lines.joined(all_lines).distinct()
+    max_lines = MAX_LINES if prepared.light_count > _MANY_LIGHTS else _MAX_LINES_FOUND
+    crowded |= np.bincount(lines.cell, minlength=count) > max_lines
+    lines = lines.first(MAX_LINES)
+    return Classification(cells, radiance, center_id, lines, unresolved, crowded)
 
 
-def _outlines(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Silhouettes that the eye sees."""
-    frame, apexes = prepared.frame, (prepared.frame.eye[None], np.zeros((1, 3)))
-    for pair in pieces(np.arange(cells.cell.size)):
-        cell, obj = cells.cell[pair], cells.obj[pair]
-        d = rays(frame, frame.across(cells.x[cell]), frame.down(cells.y[cell]), cells.size)
-        yield from silhouettes(prepared, apexes, np.zeros_like(cell), cell, obj, d)
+def _add_lights(
+    shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
+) -> tuple[Lines, Ints, Ints]:
+    """Add the light from some lights to the shading, and find the edges that these lights cause.
+
+    The edges are shadow edges and terminators (where a surface turns away from the light).
+
+    Parameters
+    ----------
+    shading : Shading
+        Sum of the light that reaches the hits; this function adds to it.
+    surfaces : CellSurfaces
+        The surfaces that the cells see, each around the hit of the sample through a cell's centre.
+    lights : Lights
+        The lights to add.
+    tolerance : float
+        Maximum error of the mean radiance of a cell.
+
+    Returns
+    -------
+    lines : Lines
+        Straight lines along the edges.
+    unresolved_cell : (k,) int array
+        Indices of cells that may contain something other than straight edges: a curved edge, an
+        edge that was not searched for, too many shadow edges, or a narrow highlight.
+    crowded_cell : (j,) int array
+        Indices of cells with too many shadow edges.
+    """
+    hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
+    geometry = light_geometry(hits, lights)
+    frontlit = geometry.n_dot_l > 0
+    # A cell with a wide footprint will be divided in any case, so its shadow edges are not needed.
+    is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
+    search_radius = np.where(is_wide, 0, footprint)
+    is_blocked, shadows, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
+    shading.add(geometry, frontlit & ~is_blocked)
+    apexes = _light_positions(hits.prepared.frame, lights)
+    terminators = surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2)
+    edges = chain(surfaces.shadows(apexes, *shadows), terminators)
+    lines, curved_cell = fit_lines(edges, tolerance)
+    highlights = narrow_highlights(geometry, frontlit, footprint)
+    narrow_cells = [hit_cell[narrow_hit] for narrow_hit in highlights]
+    unresolved_cell = np.concatenate([hit_cell[is_wide | is_crowded], curved_cell, *narrow_cells])
+    return lines, unresolved_cell, hit_cell[is_crowded]
 
 
-def _apexes(frame: CameraFrame, lights: Lights) -> Apexes:
-    """The lights; suns are taken nearer, as in their grids."""
+def _visible_silhouettes(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+    """Yield, in batches, the silhouettes that may cross each cell, as the eye sees them.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    cells : Cells
+        Pixels or square parts of pixels, with the objects whose silhouettes may cross each.
+
+    Yields
+    ------
+    cell : (k,) int array
+        Index of the cell of each silhouette.
+    values : (6, k) float array
+        Values of the silhouette's edge function at six points of the cell.
+    """
+    frame = prepared.frame
+    # The position of the eye in the scene's axes, and in the camera's axes relative to the eye.
+    eye = frame.eye[None], np.zeros((1, 3))
+    for batch in pieces(np.arange(cells.pair_cell.size)):
+        cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
+        across, down = frame.across(cells.center_x[cell]), frame.down(cells.center_y[cell])
+        ray = rays(frame, across, down, cells.width)
+        yield from silhouettes(prepared, eye, np.zeros_like(cell), cell, object_index, ray)
+
+
+def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
+    """Return the positions of lights, with distant lights moved closer as in the light grid.
+
+    Parameters
+    ----------
+    frame : CameraFrame
+        The camera, to convert positions to its axes.
+    lights : Lights
+        The lights; if they have no light grid, their positions are unchanged.
+
+    Returns
+    -------
+    position, local : (lights, 3) float arrays
+        The positions in the scene's axes; and in the camera's axes, relative to the eye.
+    """
     if lights.grid is None:
         return lights.position, lights.local
     position = lights.grid.light[:, :, 0].T
     return position, np.column_stack(frame.to_camera(position))
 
 
-def curvature(radiance: Floats, ids: Ints, width: int) -> tuple[Floats, Floats]:
-    """Pixels' means (3, n) from the samples at their centres, where smooth, and their error (n,).
+def curvature(radiance: Floats, center_id: Ints, width: int) -> tuple[Floats, Floats]:
+    """Estimate the mean radiance of smooth pixels from samples at the centres of pixels.
 
-    `radiance` (3, n) and `ids` (n,) as in `Classification`, with n = height * width.
+    The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, with the value and the
+    second derivatives at the centre, plus terms of higher order.  Second differences between the
+    pixel and its two neighbours, in the row and in the column, replace the second derivatives.
+    They are added where both neighbours have the same id as the pixel.
 
-    The mean of f over a pixel is f + (f_xx + f_yy) / 24 and terms of higher order.  Derivatives
-    are differences between a pixel and its neighbours, where both of these see the same as it
-    does; where only one does, the difference counts as error; where neither does, that is NaN.
-    Results for pixels on the border are meaningless.
+    Parameters
+    ----------
+    radiance : (3, n) float array
+        Linear RGB radiance of the center samples of a rectangle of pixels, row by row.
+    center_id : (n,) int array
+        Ids of these samples.  Two samples have the same id if they see the same face of the same
+        object, and the same lights reach both.
+    width : int
+        Number of pixels in each row of the rectangle.
+
+    Returns
+    -------
+    mean : (3, n) float array
+        Estimated mean radiance of each pixel, if it is smooth.
+    error : (n,) float array
+        Estimated error of `mean`: the larger of the absolute second differences in the row and in
+        the column, divided by 24, in the colour channel where it is largest.  Where only one of the
+        two neighbours has the pixel's id, the difference to it replaces the second difference.
+        If neither has it, in the row or in the column, the error is NaN, for unknown.
+
+    Notes
+    -----
+    Both results are meaningless for the pixels at the border of the rectangle.
     """
-    total, error = np.zeros(radiance.shape), np.zeros(ids.size)
+    correction, error = np.zeros(radiance.shape), np.zeros(center_id.size)
     for stride in (1, width):
-        middle = slice(stride, -stride)
-        same = ids[stride:] == ids[:-stride]
-        step = (radiance[:, stride:] - radiance[:, :-stride]) * same
-        bend = (step[:, stride:] - step[:, :-stride]) / 24
-        before, after = same[:-stride], same[stride:]
-        change = np.where(before | after, np.abs(bend).max(axis=0), np.nan)
-        error[middle] = np.maximum(error[middle], change)
-        total[:, middle] += bend * (before & after)
-    return radiance + total, error
+        inner = slice(stride, -stride)
+        is_same = center_id[stride:] == center_id[:-stride]
+        difference = (radiance[:, stride:] - radiance[:, :-stride]) * is_same
+        second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
+        same_before, same_after = is_same[:-stride], is_same[stride:]
+        largest = np.abs(second_difference).max(axis=0)
+        line_error = np.where(same_before | same_after, largest, np.nan)
+        error[inner] = np.maximum(error[inner], line_error)
+        correction[:, inner] += second_difference * (same_before & same_after)
+    return radiance + correction, error
 
 
-def extrapolated(radiance: Floats, ids: Ints, quarters: Classification) -> tuple[Floats, Floats]:
-    """`curvature` of quarters of cells, from what the cells' centres and their own see.
+def extrapolated(
+    radiance: Floats, center_id: Ints, quarters: Classification
+) -> tuple[Floats, Floats]:
+    """Estimate the mean radiance of the quarters of cells from samples at their centres.
 
-    `radiance` (3, n), `ids` (n,): of the cells.
+    This is Richardson extrapolation: the difference between the mean of the four quarter samples
+    and the cell's own sample, divided by 3, is added to the sample of each quarter.  It is valid if
+    the five samples have the same id, that is, if they see the same face of the same object, and
+    the same lights reach all of them.
 
-    Where all see the same, the cell's mean is that of its quarters' centres, plus a third of its
-    difference from the cell's centre (Richardson's extrapolation).  Elsewhere the error is NaN.
+    Parameters
+    ----------
+    radiance : (3, n) float array
+        Linear RGB radiance of the sample at the centre of each cell.
+    center_id : (n,) int array
+        Ids of these samples.
+    quarters : Classification
+        Radiance and ids at the centres of the 4 n quarters, in the order of their cells.
+
+    Returns
+    -------
+    mean : (3, 4 n) float array
+        Estimated mean radiance of each quarter, if it is smooth.
+    error : (4 n,) float array
+        Estimated error of `mean`, which is half of the correction; NaN, for unknown, if the five
+        samples do not have the same id.
     """
-    fine = quarters.radiance.reshape(3, -1, 4)
-    alike = (quarters.id.reshape(-1, 4) == ids[:, None]).all(axis=1)
-    bend = np.where(alike, (fine.mean(axis=2) - radiance) / 3, 0)
-    # What this leaves out is of higher order in the cells' size; half of the correction covers it.
-    error = np.where(alike, np.abs(bend).max(axis=0) / 2, np.nan)
-    return quarters.radiance + bend.repeat(4, axis=1), error.repeat(4)
+    quarter_radiance = quarters.radiance.reshape(3, -1, 4)
+    is_same = (quarters.center_id.reshape(-1, 4) == center_id[:, None]).all(axis=1)
+    correction = np.where(is_same, (quarter_radiance.mean(axis=2) - radiance) / 3, 0)
+    # The remaining error is of higher order in the cell's width than the correction.
+    error = np.where(is_same, np.abs(correction).max(axis=0) / 2, np.nan)
+    return quarters.radiance + correction.repeat(4, axis=1), error.repeat(4)

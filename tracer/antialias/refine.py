@@ -1,14 +1,22 @@
-"""Antialiasing: pixels are split where they hold more than one smooth surface.
+"""Antialiasing by adaptive subdivision (Whitted 1980): compute the mean radiance of each pixel.
 
-A *cell* is a pixel or a part of one, classified by the sample in its middle (see `classify`).  Most
-cells see one smooth surface: there that sample, with a correction for curvature, is worth a whole
-grid of samples.  Other pixels are split into quarters, and these in turn, and so on (Whitted 1980).
-A cell that straight lines divide gets samples on a lattice once few enough are asked for; those
-between the same lines stand for their exact area together.  Where these do not see the same, there
-is an edge that was not found: the cell is split as well, or in the end gets a finer lattice.  A
-cell of which no quarter can be resolved gets samples, too, and is split on if these disagree.
+A *cell* is a pixel or a square part of a pixel.  Its *center sample* is traced through its centre.
+`classify` traces the center samples of many cells, and finds the edges that may cross each cell.
+They decide how the mean radiance of the cell is computed:
 
-In pictures full of edges no cells are classified, and all pixels have the lattice.
+1. A *smooth* cell shows one face under the same lights.  Its center sample, corrected for the
+   curvature of the radiance, is as accurate as a grid of samples.
+2. A cell crossed by straight lines only is sampled on a lattice, if few samples are requested in it
+   so that sampling costs less than subdivision.  The lines divide the cell into regions; the
+   samples in a region together represent its exact area.  If the samples in one region see
+   different things, then an edge was missed, and the cell is divided after all.
+3. All other cells are divided into quarters.  The smallest cells are not divided but sampled, a
+   second time on a finer lattice if the first one shows that an edge was missed.  If all quarters
+   of a cell are *unresolved* (they may contain something other than straight edges), then a lattice
+   of samples tests whether the cell is smooth nevertheless.
+4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
+   sampled immediately.  So are all pixels of a picture that is full of edges: see
+   `prefers_supersampling`.
 """
 
 from __future__ import annotations
@@ -26,150 +34,297 @@ from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
-# Samples that are taken at a time in cells that are not smooth.
-_SAMPLES_AT_ONCE = 1 << 16
+# Maximum number of samples that are traced together in cells that are not smooth: it limits memory.
+_SAMPLES_PER_BATCH = 1 << 16
 
-# A cell is split where its correction for curvature may err by more than this, in radiance, over
-# the power 3/2 of the samples along each side: so fast the error of grids falls.
-_CURVATURE = 8e-3
+# Maximum error of the mean radiance of a cell if one sample per pixel is requested.  If n x n are
+# requested, the limit is divided by n^(3/2): the error of a grid of samples decreases as fast.
+_TOLERANCE = 8e-3
 
-# Cells in which the grid asked for has no more samples along each side than this are not split any
-# more, but sampled: classification would cost more than the samples it saves.  Where it has no
-# more than twice as many, they are split only if they may hold more than straight lines.
-_LAST = 3
+# Cells in which at most this many samples along each side are requested are sampled, not divided:
+# to classify their quarters would cost more than it saves.  Up to twice this number, cells that
+# contain nothing but straight lines are sampled, too.
+_MAX_SAMPLED_SIDE = 3
 
-# How many points of the first lattice stand for pixels and for parts of them that are not split,
-# and for cells that might be split; and the grid whose lattice is the second for these parts.
-_IN_PIXELS, _IN_PARTS, _IN_CELLS, _FINER = 5, 13, 25, 5
+# Numbers of samples on the first lattice: in pixels, in parts of pixels that will not be divided,
+# and in cells that may be divided.  The second lattice in a part of a pixel that will not be
+# divided is as accurate as a grid of _FINER_SIDE x _FINER_SIDE samples.
+_PIXEL_SAMPLES, _PART_SAMPLES, _DIVISIBLE_SAMPLES, _FINER_SIDE = 5, 13, 25, 5
 
-# With more pairs of silhouettes in a pixel than this, for each sample that is asked for, samples
-# everywhere cost less than classification.
-_SUPERSAMPLE = 0.006
+# Maximum number of pairs of silhouettes in a pixel, divided by the number of samples per pixel: in
+# pictures with more, samples in all pixels cost less than classification.
+_MAX_SILHOUETTE_PAIRS = 0.006
 
 
 def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
-    """Whether samples everywhere cost less than classification, in a view full of silhouettes.
-
-    Either way they are to be as accurate as per_side x per_side samples in every pixel.
-    """
-    density = prepared.bounds.silhouette_density(prepared.frame)
-    return density > _SUPERSAMPLE * per_side**2
-
-
-def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
-    """Radiance (rows, columns, 3), averaged over each pixel of a rectangle that is not empty.
-
-    Its RMSE is to be no larger than that of per_side x per_side samples in every pixel.
-    """
-    # One pixel more on every side: curvature is found from neighbours.
-    top, height = rows.start - 1, rows.stop + 2 - rows.start
-    left, width = columns.start - 1, columns.stop + 2 - columns.start
-    centres = CENTRES.samples(slice(top, top + height), slice(left, left + width))
-    row, column, obj = silhouette_pixels(prepared, rows, columns)
-    pixel = (row - top) * width + column - left
-    every = np.arange(centres.size)
-    # The finer the grid that is asked for, the less a mean may be off.
-    tolerance = _CURVATURE / per_side**1.5
-    pixels = Cells(1.0, per_side, tolerance, *centres.at(every), pixel, obj)
-    found = classify(prepared, pixels, centres, every)
-    smooth, error = curvature(found.radiance, found.id, width)
-    inside = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    split, crowded = inside & ~found.crowded, indices(inside & found.crowded)
-    lines = found.lines.take(indices(split[found.lines.cell]))
-    rest = found._replace(lines=lines, unresolved=found.unresolved & split)
-    mean = _refined(prepared, rest, smooth, np.where(split, error, 0))
-    mean[:, crowded], _ = _sampled(prepared, found, crowded, Lattice.of(per_side, more=1))
-    # A few points have weights less than zero.
-    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
-
-
-def _refined(
-    prepared: PreparedScene, found: Classification, smooth: Floats, error: Floats
-) -> Floats:
-    """Mean radiance (3, n) of cells.
+    """Decide whether uniform samples in all pixels cost less than finding the edges in the picture.
 
     Parameters
     ----------
-    prepared, found
-    smooth : (3, n)
-        The mean of a cell that sees one smooth surface.
-    error : (n,)
-        By how much it may be off; NaN if only the cell's parts can tell.
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    per_side : int
+        The alternative is per_side x per_side samples in each pixel.
+
+    Returns
+    -------
+    prefers : bool
+        True if the picture is so full of silhouettes that uniform samples cost less.
     """
-    cells, mean = found.cells, smooth.copy()
-    last, whole = cells.per_side <= _LAST, cells.size == 1
-    divided = np.zeros(error.size, dtype=np.bool_)
-    divided[found.lines.cell] = True
-    rest = divided | found.unresolved | ~(error <= cells.tolerance)
-    if cells.per_side <= 2 * _LAST:
-        straight = divided & ~(found.unresolved | (error > cells.tolerance))
-        some = indices(rest if last and not whole else straight)
-        lattice = Lattice(1, _IN_CELLS if not last else _IN_PIXELS if whole else _IN_PARTS)
-        means, coarse = _sampled(prepared, found, some, lattice)
-        some = some[~coarse]
-        mean[:, some], rest[some] = means[:, ~coarse], False
-    some = indices(rest)
-    if last:
-        lattice = Lattice.of(cells.per_side if whole else _FINER)
-        mean[:, some], _ = _sampled(prepared, found, some, lattice)
+    density = prepared.bounds.silhouette_density(prepared.frame)
+    return density > _MAX_SILHOUETTE_PAIRS * per_side**2
+
+
+def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
+    """Compute the mean radiance of each pixel in a rectangle of the picture.
+
+    The error (RMSE) should be at most that of per_side x per_side samples in each pixel.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    rows, columns : slice
+        Rows and columns of the rectangle's pixels; neither is empty.
+    per_side : int
+        Number of samples requested along each side of a pixel.
+
+    Returns
+    -------
+    mean : (rows, columns, 3) float array
+        Mean linear RGB radiance of each pixel.
+    """
+    # One more pixel on every side, because `curvature` needs the neighbours of each pixel.
+    top, height = rows.start - 1, rows.stop + 2 - rows.start
+    first_column, width = columns.start - 1, columns.stop + 2 - columns.start
+    samples = CENTRES.samples(slice(top, top + height), slice(first_column, first_column + width))
+    row, column, object_index = silhouette_pixels(prepared, rows, columns)
+    pixel = (row - top) * width + column - first_column
+    every_pixel = np.arange(samples.size)
+    tolerance = _TOLERANCE / per_side**1.5
+    pixels = Cells(1.0, per_side, tolerance, *samples.at(every_pixel), pixel, object_index)
+    classified = classify(prepared, pixels, samples, every_pixel)
+    smooth_mean, error = curvature(classified.radiance, classified.center_id, width)
+    is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
+    is_refinable, crowded = is_inner & ~classified.crowded, indices(is_inner & classified.crowded)
+    # Pixels at the border, and crowded pixels, are treated as smooth, so that none is divided.
+    lines = classified.lines.take(indices(is_refinable[classified.lines.cell]))
+    unresolved = classified.unresolved & is_refinable
+    refinable = classified._replace(lines=lines, unresolved=unresolved)
+    mean = _mean_of_cells(prepared, refinable, smooth_mean, np.where(is_refinable, error, 0))
+    mean[:, crowded], _ = _mean_of_samples(
+        prepared, classified, crowded, Lattice.of(per_side, more=1)
+    )
+    # Some samples have negative weights, so the mean of a pixel may be less than 0.
+    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
+
+
+def _mean_of_cells(
+    prepared: PreparedScene, classified: Classification, smooth_mean: Floats, error: Floats
+) -> Floats:
+    """Compute the mean radiance of classified cells, with more samples where edges cross them.
+
+    Smooth cells keep `smooth_mean`.  Other cells are sampled on a lattice, or divided into
+    quarters, whichever costs less.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    classified : Classification
+        The n cells (pixels, or square parts of pixels), and the edges that may cross them.
+    smooth_mean : (3, n) float array
+        Mean radiance of each cell, valid if no edge crosses the cell.
+    error : (n,) float array
+        Estimated error of `smooth_mean`; NaN if it is unknown, and only the cell's quarters can
+        show whether the cell is smooth.
+
+    Returns
+    -------
+    mean : (3, n) float array
+        Mean radiance of each cell.
+    """
+    cells, mean = classified.cells, smooth_mean.copy()
+    is_pixel, is_smallest = cells.width == 1, cells.samples_per_side <= _MAX_SAMPLED_SIDE
+    has_lines = np.zeros(error.size, dtype=np.bool_)
+    has_lines[classified.lines.cell] = True
+    is_pending = has_lines | classified.unresolved | ~(error <= cells.tolerance)
+    if cells.samples_per_side <= 2 * _MAX_SAMPLED_SIDE:
+        has_only_lines = has_lines & ~(classified.unresolved | (error > cells.tolerance))
+        index = indices(is_pending if is_smallest and not is_pixel else has_only_lines)
+        smallest_samples = _PIXEL_SAMPLES if is_pixel else _PART_SAMPLES
+        lattice = Lattice(1, smallest_samples if is_smallest else _DIVISIBLE_SAMPLES)
+        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, lattice)
+        index = index[~missed_edge]
+        mean[:, index], is_pending[index] = sampled_mean[:, ~missed_edge], False
+    index = indices(is_pending)
+    if is_smallest:
+        lattice = Lattice.of(cells.samples_per_side if is_pixel else _FINER_SIDE)
+        mean[:, index], _ = _mean_of_samples(prepared, classified, index, lattice)
         return mean
-    for part in _chunks(prepared, some, 4):
-        mean[:, part] = _split(prepared, found, error, part)
+    for batch in _batches(prepared, index, samples_per_cell=4):
+        mean[:, batch] = _mean_of_quarters(prepared, classified, error, batch)
     return mean
 
 
-def _chunks(prepared: PreparedScene, some: Ints, samples: int) -> Iterator[Ints]:
-    """Some cells, with so many samples in each, a few at a time."""
-    step = max(1, prepared.at_once(_SAMPLES_AT_ONCE) // samples)
-    for begin in range(0, some.size, step):
-        yield some[begin : begin + step]
+def _batches(prepared: PreparedScene, index: Ints, samples_per_cell: int) -> Iterator[Ints]:
+    """Divide the indices of cells into batches whose samples fit into memory.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, which limits the number of samples that are traced together.
+    index : (n,) int array
+        Indices of cells that are to be sampled.
+    samples_per_cell : int
+        Number of samples in each cell.
+
+    Yields
+    ------
+    batch : (k,) int array
+        Consecutive elements of `index`.
+    """
+    length = max(1, prepared.at_once(_SAMPLES_PER_BATCH) // samples_per_cell)
+    for start in range(0, index.size, length):
+        yield index[start : start + length]
 
 
-def _sampled(
-    prepared: PreparedScene, found: Classification, some: Ints, lattice: Lattice
+def _mean_of_samples(
+    prepared: PreparedScene, classified: Classification, index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
-    """Mean radiance (3, n) of some cells by a lattice of samples, and where that is too coarse."""
-    cells, lines = found.cells, found.lines
-    means, coarse = np.empty((3, some.size)), np.zeros(some.size, dtype=np.bool_)
-    for part in _chunks(prepared, np.arange(some.size), lattice.size):
-        rank = np.full(cells.x.size, -1)
-        rank[some[part]] = np.arange(part.size)
-        here = lines.take(indices(rank[lines.cell] >= 0))
-        points = stratified(here._replace(cell=rank[here.cell]), part.size, lattice.points())
-        samples, order = Scattered.of(*cells.at(some[part][points.cell], points.point))
-        cell, region = points.cell[order], points.region[order]
-        radiance, ids = radiance_and_ids(prepared, samples)
-        for channel, values in zip(means, radiance, strict=True):
-            channel[part] = np.bincount(cell, points.weight[order] * values, part.size)
-        # What differs between the same lines shows that an edge has not been found.
-        coarse[part[cell[mixed(region, ids)]]] = True
-    return means, coarse
+    """Estimate the mean radiance of cells from a lattice of samples in each.
+
+    The lines of a cell divide it into regions.  The samples in a region together represent its
+    exact area.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    classified : Classification
+        All cells (pixels, or square parts of pixels), and the lines that cross them.
+    index : (m,) int array
+        Indices of the cells to sample.
+    lattice : Lattice
+        The points of the samples in each cell.
+
+    Returns
+    -------
+    mean : (3, m) float array
+        Mean radiance of each indexed cell.
+    missed_edge : (m,) bool array
+        Whether samples in the same region of the cell have different ids: they see different faces
+        or objects, or different lights reach them.  So the cell has another edge.
+    """
+    cells, lines = classified.cells, classified.lines
+    mean, missed_edge = np.empty((3, index.size)), np.zeros(index.size, dtype=np.bool_)
+    for batch in _batches(prepared, np.arange(index.size), lattice.size):
+        position = np.full(cells.center_x.size, -1)  # of each cell in the batch
+        position[index[batch]] = np.arange(batch.size)
+        batch_lines = lines.take(indices(position[lines.cell] >= 0))
+        batch_lines = batch_lines._replace(cell=position[batch_lines.cell])
+        points = stratified(batch_lines, batch.size, lattice.points())
+        x, y = cells.positions(index[batch][points.cell], points.point)
+        samples, order = Scattered.of(x, y)
+        cell, region, weight = points.cell[order], points.region[order], points.weight[order]
+        radiance, sample_id = radiance_and_ids(prepared, samples)
+        for mean_channel, channel in zip(mean, radiance, strict=True):
+            mean_channel[batch] = np.bincount(cell, weight * channel, batch.size)
+        missed_edge[batch[cell[mixed(region, sample_id)]]] = True
+    return mean, missed_edge
 
 
-def _split(prepared: PreparedScene, found: Classification, error: Floats, some: Ints) -> Floats:
-    """Mean radiance (3, m) of some cells, from their quarters; the rest as in `_refined`."""
-    quarters, inside, tolerance = found.cells.quarters(some), some.repeat(4), found.cells.tolerance
-    closer = classify(prepared, quarters, *Scattered.of(quarters.x, quarters.y))
-    smooth, finer = extrapolated(found.radiance[:, some], found.id[some], closer)
-    # The error falls as the square of the size; or next to an edge, towards which light may fall
-    # off as a square root does, more slowly.
-    error = error[inside] / np.where(np.isnan(finer), 2, 4)
-    # What the whole says of one surface does not hold for a quarter that sees another one.
-    elsewhere = (closer.id != found.id[inside]) & (closer.id >= 0)
-    error[elsewhere & (error <= tolerance)] = np.nan
-    # What was not known of the whole (NaN), the quarters tell.
-    error = np.fmax(error, finer)
-    # What stays unresolved may be smooth all the same: it is split again if a lattice disagrees.
-    unresolved = closer.unresolved.reshape(-1, 4).all(axis=1)
-    at = indices(unresolved & (np.bincount(closer.lines.cell // 4, minlength=some.size) == 0))
-    lattice = Lattice.of(found.cells.per_side, more=1)
-    means, coarse = _sampled(prepared, found, some[at], lattice)
-    expected = smooth.reshape(3, -1, 4).take(at, axis=1).mean(axis=2)
-    agree = ~coarse & (np.abs(means - expected).max(axis=0) <= tolerance)
-    known = np.zeros(some.size, dtype=np.bool_)
-    known[at[agree]] = True
-    closer = closer._replace(unresolved=closer.unresolved & ~known.repeat(4))
-    mean = _refined(prepared, closer, smooth, np.where(known.repeat(4), 0, error))
-    quartered: Floats = mean.reshape(3, some.size, 4).mean(axis=2)
-    quartered[:, known] = means[:, agree]
-    return quartered
+def _mean_of_quarters(
+    prepared: PreparedScene, classified: Classification, error: Floats, index: Ints
+) -> Floats:
+    """Compute the mean radiance of cells from the means of their quarters.
+
+    If all quarters of a cell are unresolved (they may contain something other than straight edges),
+    and no line crosses any of them, then the cell may still be smooth.  A lattice of samples tests
+    this: if the mean of the samples agrees with the mean of the quarters' center samples, the cell
+    is smooth, and its quarters are not refined further.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    classified : Classification
+        All cells (pixels, or square parts of pixels), and the edges that may cross them.
+    error : (n,) float array
+        Estimated error of each cell's mean radiance, if the cell is smooth; NaN if unknown.
+    index : (m,) int array
+        Indices of the cells to divide.
+
+    Returns
+    -------
+    mean : (3, m) float array
+        Mean radiance of each indexed cell.
+    """
+    cells, tolerance = classified.cells, classified.cells.tolerance
+    quarters = cells.quarters(index)
+    samples, order = Scattered.of(quarters.center_x, quarters.center_y)
+    classified_quarters = classify(prepared, quarters, samples, order)
+    smooth_mean, own_error = extrapolated(
+        classified.radiance[:, index], classified.center_id[index], classified_quarters
+    )
+    quarter_error = _error_of_quarters(classified, classified_quarters, error, own_error, index)
+    all_unresolved = classified_quarters.unresolved.reshape(-1, 4).all(axis=1)
+    lines_per_cell = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
+    tested = indices(all_unresolved & (lines_per_cell == 0))
+    lattice = Lattice.of(cells.samples_per_side, more=1)
+    sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
+    expected_mean = smooth_mean.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
+    agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
+    is_smooth = np.zeros(index.size, dtype=np.bool_)
+    is_smooth[tested[agrees]] = True
+    is_done = is_smooth.repeat(4)
+    refinable = classified_quarters._replace(unresolved=classified_quarters.unresolved & ~is_done)
+    quarter_mean = _mean_of_cells(
+        prepared, refinable, smooth_mean, np.where(is_done, 0, quarter_error)
+    )
+    mean: Floats = quarter_mean.reshape(3, index.size, 4).mean(axis=2)
+    mean[:, is_smooth] = sampled_mean[:, agrees]
+    return mean
+
+
+def _error_of_quarters(
+    classified: Classification,
+    classified_quarters: Classification,
+    error: Floats,
+    own_error: Floats,
+    index: Ints,
+) -> Floats:
+    """Estimate the error of the mean radiance of each quarter of divided cells.
+
+    The result is the larger of two estimates, or the only one that is known:
+
+    1. The error of the cell, divided by 4, because the error decreases with the square of the
+       width.  If the second estimate is unknown, an edge may be near.  Towards an edge, light may
+       decrease like a square root, so the error of the cell is divided by 2 only.
+    2. The quarter's own error, from `extrapolated`.
+
+    The first estimate counts as unknown if it is small, but the quarter sees another surface, or is
+    reached by other lights, than the centre of the cell.
+
+    Parameters
+    ----------
+    classified, classified_quarters : Classification
+        All cells, and the 4 m quarters of the indexed cells.
+    error : (n,) float array
+        Estimated error of each cell; NaN if unknown.
+    own_error : (4 m,) float array
+        Estimated error of each quarter; NaN if unknown.
+    index : (m,) int array
+        Indices of the cells that were divided.
+
+    Returns
+    -------
+    quarter_error : (4 m,) float array
+        Estimated error of each quarter; NaN if both estimates are unknown.
+    """
+    parent = index.repeat(4)
+    inherited_error = error[parent] / np.where(np.isnan(own_error), 2, 4)
+    quarter_id = classified_quarters.center_id
+    sees_other = (quarter_id != classified.center_id[parent]) & (quarter_id >= 0)
+    inherited_error[sees_other & (inherited_error <= classified.cells.tolerance)] = np.nan
+    return np.fmax(inherited_error, own_error)

@@ -1,8 +1,11 @@
-"""Bounds on rounding, and the sides of a surface.
+"""Bounds on rounding errors, and the test on which side of a surface a point lies.
 
-Numbers are float64 with machine epsilon e = 2.2e-16: each operation errs by at most e / 2 of its
-result.  Bounds that only widen a search are generous, as an exact test follows; those that
-decide what is on a surface are as small as the roundings before them allow.
+Numbers are float64 with machine epsilon e = 2.2e-16, so the relative error of each operation is at
+most e / 2.  There are two kinds of bounds:
+
+1. Bounds that only enlarge a search are generous, because an exact test follows the search.
+2. Bounds that decide whether a point is on a surface are as small as the rounding errors of the
+   point allow, because a larger bound would treat distinct surfaces as one.
 """
 
 from __future__ import annotations
@@ -14,45 +17,81 @@ from tracer.arrays import Floats, Triple, dot, map3
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
+# Sides of a surface: the sign of the height of a point above the surface.
 OUTSIDE, ON, INSIDE = 1, 0, -1
 
 SURFACE_TOLERANCE = 64 * _EPSILON
-"""A point this near to a surface, relative to the lengths it was computed from, is on the surface:
-some twenty roundings, each of at most 2 e, lie between the scene and a hit point."""
+"""A hit counts as on a surface if its distance from the surface is at most this fraction of the
+lengths from which the hit was computed.  About twenty operations, each with an error of at most
+2 e, lead from the scene to a hit."""
 
 LIGHT_TOLERANCE = 8 * _EPSILON
-"""The same of a light, which is given, relative to the surface's size: its height over the surface
-takes a few roundings, and the scene's numbers may have been rounded themselves."""
+"""A light counts as on a surface if its distance from the surface is at most this fraction of the
+surface's coordinates.  The position of a light is given, so only a few operations lead to its
+height above a surface; but the numbers in the scene file may have been rounded themselves."""
 
 UNIT_ROUNDING = 2 * _EPSILON
-"""Two roundings of a length of 1: an eye so near to a sphere, in radii, is on it."""
+"""The eye counts as on a sphere if its distance from the surface is at most this fraction of the
+radius: two rounding errors of a length of 1."""
 
 SQUARE_ROUNDING = 1e-13
-"""A squared distance from a line is the difference of two squares.  This part of the larger is
-more than its rounding (16 e), and than what counts as on a sphere may be off it, 2 * 64 e."""
+"""Bound on the error of the squared distance of a point from a line.  The squared distance is a
+difference of two squares, and the bound is relative to the larger of them.  It is more than the
+rounding error, 16 e, and the tolerance of spheres, 2 * 64 e, together."""
 
 PLANE_ROUNDING = 1e-12
-"""A ray's direction, and the planes that bound boxes, err by less than this part of their size."""
+"""Bound on the errors of ray directions, and of planes that bound boxes, relative to their size."""
 
 NEARLY_ZERO_POWER = 1e-14
-"""|c|^2 - r^2, relative to |c|^2: less is little but rounding, and tangents hold its root, the
-relative error of which is larger still."""
+"""If the power |c|^2 - r^2 of the eye with respect to a sphere is less than this fraction of |c|^2,
+then it consists mostly of rounding errors.  Here c is the vector from the eye to the sphere's
+centre, and r is the radius.  The directions of tangents depend on the square root of the power,
+whose relative error is larger still."""
 
 NEARLY_PARALLEL = 1e-30
-"""Replaces a zero component of a direction, relative to the lengths around it, where a segment
-parallel to two planes may count as one that meets them far away: no quotient is 0 / 0."""
+"""Replaces a zero component of a direction, relative to the lengths around it, to avoid 0 / 0.  It
+is used only in tests that may treat a segment parallel to two planes as one that meets the planes
+far away."""
 
 
 def side_of(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
-    """`OUTSIDE`, `ON` or `INSIDE`, of points so high over a surface."""
+    """Decide on which side of a surface each point lies.
+
+    Parameters
+    ----------
+    height : (n,) float array
+        Signed distance of each point from the surface, positive outside.
+    tolerance : (n,) float array
+        A point counts as on the surface if its distance is at most this.
+
+    Returns
+    -------
+    side : (n,) int8 array
+        `OUTSIDE` (1), `ON` (0) or `INSIDE` (-1) for each point.
+    """
     return (height > tolerance).view(np.int8) - (height < -tolerance).view(np.int8)
 
 
-def hit_tolerance(size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Distances from surfaces within which hits of rays count as on them.
+def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
+    """Return how far from a surface each hit may lie and still count as on the surface.
 
-    Rays err in proportion to their length.  `size`: of the surfaces' coordinates, and so of points
-    near them.
+    A hit is the point where a ray from the eye meets a surface.  Its rounding error increases with
+    its distance from the eye, and with the coordinates of the surface on which it lies.
+
+    Parameters
+    ----------
+    coordinate_size : (n,) float array
+        Magnitude of the surface's coordinates.  Points near the surface have coordinates of about
+        the same magnitude.
+    hit : tuple of three (n,) float arrays
+        x, y and z of the hits, in the scene's axes.
+    eye : (3,) float array
+        Position of the eye, in the scene's axes.
+
+    Returns
+    -------
+    tolerance : (n,) float array
+        Maximum distance from the surface, in the scene's unit of length.
     """
     ray = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
-    return SURFACE_TOLERANCE * (np.sqrt(dot(ray, ray)) + size)
+    return SURFACE_TOLERANCE * (np.sqrt(dot(ray, ray)) + coordinate_size)

@@ -1,6 +1,7 @@
-"""Work shared with other processes: those of any executor, or a pool of this program's own.
+"""Distribute work to other processes: those of any executor, or of a pool for the command line.
 
-NumPy's threads wait too much for the interpreter's lock, so processes share a picture's tiles.
+Processes are used rather than threads.  Between two operations on arrays, a thread needs the lock
+of the Python interpreter, so threads would often wait for each other.
 """
 
 from __future__ import annotations
@@ -13,75 +14,117 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-# These take longer to import than a small picture to draw, and only a pool needs them.
+# Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-# For each processor so many items wait in the executor's queue or are done there.
-_QUEUED = 2
+# Maximum number of items, for each processor, that are submitted to an executor and not yet
+# collected: enough to keep all processors busy.
+_QUEUED_PER_PROCESSOR = 2
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def share(
-    process: Callable[[_Item], _Result],
+def map_unordered(
+    function: Callable[[_Item], _Result],
     items: Sequence[_Item],
     executor: Executor | None,
-    remote: Callable[[_Item], _Result],
+    remote_function: Callable[[_Item], _Result],
 ) -> Iterator[tuple[int, _Result]]:
-    """Process items; yield their indices and results, in any order.
+    """Apply a function to all items, partly in other processes, and yield the results in any order.
 
-    An executor gets the last items, for `remote`, while this process takes the first that nobody
-    has.  What fails there, for whatever reason, is done here, and raises its error here.
+    This process takes items from the front of the sequence, and the executor from the back, until
+    they meet.  If the executor fails to process an item, for whatever reason, this process applies
+    `function` to the item.
+
+    Parameters
+    ----------
+    function : callable
+        Called in this process; its exceptions are passed on.
+    items : sequence
+        The arguments of the calls.
+    executor : concurrent.futures.Executor or None
+        If None, this process does all the work.
+    remote_function : callable
+        Called instead of `function` by the executor; must be picklable if `items` are sent to other
+        processes.
+
+    Yields
+    ------
+    index : int
+        Index of an item.
+    result : object
+        The result of `function` or `remote_function` for this item.
     """
-    first, last, most = 0, len(items), _QUEUED * processors()
-    queued = deque[tuple[int, "Future[_Result]"]]()
-    while first < last or queued:
-        while executor is not None and first < last and len(queued) < most:
+    front, back, max_queued = 0, len(items), _QUEUED_PER_PROCESSOR * processors()
+    queue = deque[tuple[int, "Future[_Result]"]]()
+    while front < back or queue:
+        while executor is not None and front < back and len(queue) < max_queued:
             try:
-                queued.append((last - 1, executor.submit(remote, items[last - 1])))
-                last -= 1
-            except (RuntimeError, OSError):  # a process has died, or none can be started
+                queue.append((back - 1, executor.submit(remote_function, items[back - 1])))
+                back -= 1
+            except (RuntimeError, OSError):  # a worker has died, or none can be started
                 executor = None
-        if first < last:
-            yield first, process(items[first])
-            first += 1
-        while queued and (first >= last or queued[0][1].done()):
-            index, future = queued.popleft()
+        if front < back:
+            yield front, function(items[front])
+            front += 1
+        while queue and (front >= back or queue[0][1].done()):
+            index, future = queue.popleft()
             try:
                 result = future.result()
             except Exception:
-                result = process(items[index])
+                result = function(items[index])
             yield index, result
 
 
 def worker_pool(count: int, initializer: Callable[..., None], *arguments: Any) -> Executor | None:
-    """Processes for a program that does nothing else; None where there can be none.
+    """Start a pool of worker processes.
 
-    `initializer` prepares each of them.  They ignore Ctrl-C, which reaches all processes of a
-    terminal, as this process decides what it means; and they end when this process has ended.
+    For the command line only, because this function forks the process where this is safe.  Workers
+    ignore SIGINT: when the user presses Ctrl-C, the terminal sends it to all processes, and this
+    process ends the workers.  Workers end by themselves if this process has ended.
+
+    Parameters
+    ----------
+    count : int
+        Number of worker processes.
+    initializer : callable
+        Called once in each worker, with `arguments`, before any work.
+    *arguments
+        Arguments of `initializer`.
+
+    Returns
+    -------
+    pool : Executor or None
+        None if `count` is less than 1, or if the system cannot start a pool.
     """
     if count < 1:
         return None
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
-    # Forks have what is imported and prepared already.
+    # A forked worker already has all modules and the prepared scene.  It is not safe to fork while
+    # other threads run.
     method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
     context = multiprocessing.get_context(method)
     try:
         return ProcessPoolExecutor(count, context, _begin_worker, (initializer, arguments))
-    except (OSError, ImportError):  # no semaphores, or no more files
+    except (OSError, ImportError):  # no semaphores, or too many open files
         return None
 
 
 def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    """Prepare a worker process, and call `initializer` with `arguments`.
+
+    The worker ignores SIGINT, other signals end it immediately, and a thread ends it when the
+    parent process has ended.
+    """
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if number := getattr(signal, name, None):
             signal.signal(number, signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
@@ -90,6 +133,10 @@ def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) 
 
 
 def end_with_parent() -> None:
+    """Wait until the parent process has ended, then end this process with exit status 1.
+
+    Return immediately if this process has no parent in `multiprocessing`.
+    """
     import multiprocessing
 
     parent = multiprocessing.parent_process()

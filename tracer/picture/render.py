@@ -1,8 +1,18 @@
-"""From a scene to radiance, tile by tile.
+"""Render a scene to linear radiance, tile by tile.
 
-A tile is some rows of the picture, or a part of one row: small enough for its arrays to stay in
-cache and in memory that is already there, large enough for NumPy's calls to weigh nothing.  Tiles
-depend on nothing but the scene, so processes can share them.
+tile
+    A rectangle of pixels: several whole rows of the picture, or a part of one row.  It is so small
+    that its arrays stay in the CPU cache, and so large that the overhead of NumPy calls is
+    negligible.  Its pixels depend on the scene only.  So any process may render it, and the picture
+    is the same to the last bit.
+block
+    A part of a tile whose samples fit into memory.
+classified
+    A picture is classified if pixels are sampled adaptively: edges are found first, and only pixels
+    that edges cross are sampled more than once.  Otherwise all pixels have the same samples.
+
+The library's `render` returns linear radiance in an array, and may use any executor.  The command's
+`render_tiles` yields tiles that are compressed for a PNG file, and uses its own pool of processes.
 """
 
 from __future__ import annotations
@@ -25,7 +35,7 @@ from tracer.arrays import Floats
 from tracer.geometry.camera import camera_frame
 from tracer.picture.lint import SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
-from tracer.picture.parallel import processors, share, worker_pool
+from tracer.picture.parallel import map_unordered, processors, worker_pool
 from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
@@ -34,27 +44,32 @@ from tracer.world.prepared_scene import PreparedScene
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-# Infinities and NaN are valid results here: a slab never left, a sphere not met.
+# Infinities and NaN are valid results in NumPy operations of the tracer: for example, the distance
+# at which a ray parallel to a plane meets the plane.
 _QUIET = np.errstate(all="ignore")
 
-# Samples in a tile, and the least that pays; both times `_CLASSIFIED` where pixels are classified.
-_TILE_SAMPLES, _LEAST_SAMPLES, _CLASSIFIED = 3 << 15, 1 << 15, 4
+# Maximum number of samples in a tile, and minimum number for which another process is worth it.
+# In classified pictures both are multiplied by `_CLASSIFIED_FACTOR`: few pixels are divided there,
+# and the arrays of their samples should be long, too.
+_MAX_TILE_SAMPLES, _MIN_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 << 15, 1 << 15, 4
 
-# Tiles of fewer pixels than this would make a large file; so many for each processor are enough.
-_LEAST_PIXELS, _TILES = 1 << 10, 4
+# Minimum number of pixels in a tile, because each tile adds some bytes to a PNG file; and minimum
+# number of tiles for each processor, to balance the load, if the other limits allow it.
+_MIN_TILE_PIXELS, _TILES_PER_PROCESSOR = 1 << 10, 4
 
-# A rough guess of the seconds that a sample takes: for each light and object, up to `_FEW_OBJECTS`;
-# `_CLASSIFIED_COST` times that where pixels are classified.
-_SECONDS, _FEW_OBJECTS, _CLASSIFIED_COST = 1e-8, 8, 10
+# Cost model for the estimated time of rendering: seconds for each sample, light and object; objects
+# beyond `_MAX_COSTLY_OBJECTS` cost nothing more; a pixel of a classified picture costs as much as
+# `_CLASSIFIED_SAMPLES` samples.
+_SECONDS_PER_SAMPLE, _MAX_COSTLY_OBJECTS, _CLASSIFIED_SAMPLES = 1e-8, 8, 10
 
-# A picture that takes less than so many seconds is drawn by one process.
-_WORTH_A_POOL = 0.1
+# Minimum estimated time of rendering, in seconds, for which a pool of processes is started.
+_MIN_POOL_SECONDS = 0.1
 
-_Part: TypeAlias = tuple[slice, slice]
+# Maximum number of samples per pixel, and of processes.
+_MAX_COUNT = 999_999_999
+
+_Rectangle: TypeAlias = tuple[slice, slice]
 """Rows and columns of a picture."""
-
-# The most samples, and processes: with 1e18 samples a picture would never end.
-_MOST = 999_999_999
 
 
 def render(
@@ -64,24 +79,26 @@ def render(
     executor: Executor | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> Floats:
-    """Render a scene.
+    """Render a scene to an array of linear radiance.
 
     Parameters
     ----------
     scene : Scene
+        The scene, for example from `load_scene`.
     samples : int
-        Rounded up to a square, n x n: the picture's error (RMSE) is no larger than with a grid of
-        n x n samples in every pixel, and mostly much smaller; 1 samples the pixels' centres.
+        Number of samples per pixel, rounded up to a square, n x n.  The error of the picture (RMSE)
+        is at most that of a grid of n x n samples in every pixel, and usually much smaller.  With 1
+        sample, rays pass through the centres of the pixels.
     executor : concurrent.futures.Executor, optional
-        Draws a part of the picture: one of processes, of Dask or loky, say.  If absent, this
-        process draws alone.
+        Renders a part of the picture in other processes: a ProcessPoolExecutor, or an executor of
+        Dask or loky.  By default the calling process renders the whole picture.
     offset : (float, float)
-        Moves every sample, in pixels to the right and down.
+        Moves every sample by this number of pixels to the right, and down.
 
     Returns
     -------
     image : (height, width, 3) float64
-        Linear RGB radiance; row 0 is the top.
+        Linear RGB radiance of each pixel.  Row 0 is the top row of the picture.
 
     Raises
     ------
@@ -93,44 +110,45 @@ def render(
     Warns
     -----
     SceneWarning
-        If no object is in view, no light reaches any, a colour looks like 0 to 255, or pixels are
-        far from square.
+        If no object is in view, no light reaches any object, a colour seems to be given as 0 to 255
+        instead of 0 to 1, or pixels are far from square.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
-    job = _RenderJob(scene, samples, offset, shared=executor is not None)
-    remote = partial(_RenderJob.radiance, job)
-    # calloc: untouched pages cost nothing.
+    job = _RenderJob(scene, samples, offset, distributed=executor is not None)
+    render_remotely = partial(_RenderJob.radiance, job)
+    # NumPy gets zeros from calloc: pages of memory in which nothing is rendered cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
 
-    def draw(part: _Part) -> None:
-        job.draw(part, image[part])
+    def render_here(rectangle: _Rectangle) -> None:
+        job.render_into(image[rectangle], rectangle)
 
-    for index, radiance in share(draw, job.tiles, executor, remote):
+    for index, radiance in map_unordered(render_here, job.tiles, executor, render_remotely):
         if radiance is not None:
             image[job.tiles[index]] = radiance
-    # Row by row: this ends at the first that is not black.
+    # Row by row, because this search ends at the first row that is not black.
     for warning in scene_warnings(scene, black=not any(row.any() for row in image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
 def to_png(scene: Scene) -> bytes:
-    """Render a scene at one sample a pixel, as the bytes of a PNG file."""
+    """Render a scene at one sample per pixel, and return the bytes of a PNG file."""
     write_png(file := io.BytesIO(), render(scene))
     return file.getvalue()
 
 
 class Tile(NamedTuple):
-    """A part of a picture, ready for a PNG file.
+    """A rendered tile (a rectangle of pixels), compressed for a PNG file.
 
     Attributes
     ----------
     data : Compressed
+        The compressed pixels.
     pixels : int
-        How many there are.
+        Number of pixels in the tile.
     black : bool
-        Whether all of them are.
+        Whether all pixels of the tile are black.
     """
 
     data: Compressed
@@ -139,134 +157,242 @@ class Tile(NamedTuple):
 
 
 def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None) -> Iterator[Tile]:
-    """Render a scene for a program that does nothing else; yield its tiles from the top.
+    """Render a scene, and yield its tiles in order, from top to bottom and from left to right.
 
-    `processes`: at most so many draw; by default one, or where that pays one for each processor.
+    For the command line only, because this function may fork the process: it may start a pool of
+    worker processes.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene to render.
+    samples : int
+        Number of samples per pixel, as in `render`.
+    processes : int, optional
+        Maximum number of processes, including the calling process.  By default, small pictures are
+        rendered by one process, and other pictures by one process for each processor.
+
+    Yields
+    ------
+    tile : Tile
+        A rectangle of pixels, compressed for a PNG file.
+
+    Raises
+    ------
+    TypeError
+        If `samples` or `processes` is not an integer.
+    ValueError
+        If `samples` or `processes` is less than 1 or more than 999,999,999.
     """
-    job = _RenderJob(scene, samples, (0.0, 0.0), shared=processes != 1)
+    job = _RenderJob(scene, samples, (0.0, 0.0), distributed=processes != 1)
     if processes is None:
-        processes = processors() if job.seconds >= _WORTH_A_POOL else 1
-    count = min(_integer(processes, "processes"), processors(), len(job.tiles))
+        processes = processors() if job.seconds >= _MIN_POOL_SECONDS else 1
+    count = min(_validated_count(processes, "processes"), processors(), len(job.tiles))
     if count > 1:
-        _ = [*job.prepared.light_batches]  # forks have them
+        _ = [*job.prepared.light_batches]  # prepares the lights once, before the process forks
     pool = worker_pool(count - 1, _begin_job, job)
-    waiting, first = dict[int, Tile](), 0
+    finished, next_index = dict[int, Tile](), 0
     try:
-        for index, tile in share(job.tile, job.tiles, pool, _tile_of_job):
-            waiting[index] = tile
-            while first in waiting:
-                yield waiting.pop(first)
-                first += 1
+        for index, tile in map_unordered(job.tile, job.tiles, pool, _tile_of_job):
+            finished[index] = tile
+            while next_index in finished:
+                yield finished.pop(next_index)
+                next_index += 1
     finally:
         if pool:
             pool.shutdown(cancel_futures=True)
 
 
-def _integer(value: int, name: str) -> int:
-    """As a Python integer, checked: NumPy's overflow, and have other methods."""
+def _validated_count(value: int, name: str) -> int:
+    """Validate that `value` is an integer from 1 to `_MAX_COUNT`, and return it as a Python int.
+
+    A Python int is needed because NumPy integers overflow, and lack some methods of int.
+
+    Parameters
+    ----------
+    value : int or NumPy integer
+        The number to validate.
+    name : str
+        Name of the argument, for error messages.
+
+    Raises
+    ------
+    TypeError
+        If `value` is not an integer.
+    ValueError
+        If `value` is less than 1 or more than `_MAX_COUNT`.
+    """
     try:
         number = int(operator.index(value))
     except TypeError:
         raise TypeError(f"{name} must be an int, is {value!r}") from None
     if number < 1:
         raise ValueError(f"{name} must be at least 1, is {number}")
-    if number > _MOST:
-        raise ValueError(f"{name} must be at most {_MOST}")
+    if number > _MAX_COUNT:
+        raise ValueError(f"{name} must be at most {_MAX_COUNT}")
     return number
 
 
 class _RenderJob:
-    """A picture to render, cut into tiles; pickled without what is prepared.
+    """A picture to render, divided into tiles (rectangles of pixels).
+
+    A pickled job contains only its arguments: the process that unpickles the job prepares the scene
+    again.
 
     Parameters
     ----------
-    scene, samples, offset
-        See `render`.
-    shared : bool
-        Whether processes may share it: then there are several tiles, if that pays.
+    scene : Scene
+        The scene to render.
+    samples : int
+        Number of samples per pixel, as in `render`.
+    offset : (float, float)
+        Moves every sample by this number of pixels to the right, and down.
+    distributed : bool
+        Whether several processes may render tiles: then the tiles are smaller and more numerous.
 
     Attributes
     ----------
+    prepared : PreparedScene
+        The scene, prepared for its camera.
     tiles : list of (slice, slice)
-        Rows and columns of each, from the top and from the left.
+        Rows and columns of each tile, from top to bottom and from left to right.
     seconds : float
-        A rough guess of how long it takes to render.
+        Rough estimate of the time that one process would need for the picture.
     """
 
     @_QUIET
     def __init__(
-        self, scene: Scene, samples: int, offset: tuple[float, float], *, shared: bool
+        self, scene: Scene, samples: int, offset: tuple[float, float], *, distributed: bool
     ) -> None:
-        self._given = scene, samples, offset, shared
-        self._per_side = isqrt(_integer(samples, "samples") - 1) + 1
+        self._arguments = scene, samples, offset, distributed
+        samples_per_side = isqrt(_validated_count(samples, "samples") - 1) + 1
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         right, down = shift.tolist()
-        width, height = scene.width, scene.height
-        frame = camera_frame(scene.camera, width, height, (right, down))
+        frame = camera_frame(scene.camera, scene.width, scene.height, (right, down))
         self.prepared = PreparedScene(scene, frame)
-        self._classified = self._per_side > 1 and not prefers_supersampling(
-            self.prepared, self._per_side
+        self._samples_per_side = samples_per_side
+        self._is_classified = samples_per_side > 1 and not prefers_supersampling(
+            self.prepared, samples_per_side
         )
-        supersampled = self._per_side > 1 and not self._classified
-        self._lattice = Lattice.of(self._per_side) if supersampled else CENTRES
-        lit = 1 + len(scene.lights) * min(len(scene.surfaces), _FEW_OBJECTS)
-        cost = lit * (_CLASSIFIED_COST if self._classified else self._lattice.size)
-        self.seconds = _SECONDS * width * height * cost
-        # Few pixels of a tile are split: larger tiles have enough of them for long arrays.
-        times = _CLASSIFIED if self._classified else 1
-        at_once, least = _TILE_SAMPLES * times, _LEAST_SAMPLES * times
-        size = at_once // self._lattice.size
-        if shared:
-            enough = width * height // (_TILES * processors())
-            size = min(size, max(least // self._lattice.size, enough))
-        size = max(_LEAST_PIXELS, size)
-        self._at_once = max(1, self.prepared.at_once(at_once) // self._lattice.size)
-        rows = _pieces(slice(0, height), max(1, size // width))
-        self.tiles = list(product(rows, _pieces(slice(0, width), size)))
+        is_supersampled = samples_per_side > 1 and not self._is_classified
+        self._lattice = Lattice.of(samples_per_side) if is_supersampled else CENTRES
+        self.seconds = self._estimated_seconds(scene)
+        factor = _CLASSIFIED_FACTOR if self._is_classified else 1
+        self._max_samples = _MAX_TILE_SAMPLES * factor
+        min_samples = _MIN_TILE_SAMPLES * factor if distributed else self._max_samples
+        block_samples = self.prepared.at_once(self._max_samples)
+        self._max_block_pixels = max(1, block_samples // self._lattice.size)
+        self.tiles = self._divide_picture(scene.width, scene.height, min_samples)
+
+    def _estimated_seconds(self, scene: Scene) -> float:
+        """Estimate how many seconds one process needs to render the picture.
+
+        The estimate is proportional to the number of samples in the picture.  The cost of a sample
+        increases with the number of lights, times the number of objects up to
+        `_MAX_COSTLY_OBJECTS`.
+        """
+        costly_objects = min(len(scene.surfaces), _MAX_COSTLY_OBJECTS)
+        cost_per_sample = 1 + len(scene.lights) * costly_objects
+        samples_per_pixel = _CLASSIFIED_SAMPLES if self._is_classified else self._lattice.size
+        cost_per_pixel = cost_per_sample * samples_per_pixel
+        return _SECONDS_PER_SAMPLE * scene.width * scene.height * cost_per_pixel
+
+    def _divide_picture(self, width: int, height: int, min_samples: int) -> list[_Rectangle]:
+        """Divide the picture into tiles: rectangles of whole rows, or parts of one row.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the picture, in pixels.
+        min_samples : int
+            Minimum number of samples in a tile.  If it is less than the maximum, tiles are made
+            smaller, down to this minimum, so that each processor gets several tiles.
+
+        Returns
+        -------
+        tiles : list of (slice, slice)
+            Rows and columns of each tile, from top to bottom and from left to right.
+        """
+        balanced_pixels = width * height // (_TILES_PER_PROCESSOR * processors())
+        min_pixels = min_samples // self._lattice.size
+        max_pixels = self._max_samples // self._lattice.size
+        pixels = min(max_pixels, max(min_pixels, balanced_pixels))
+        pixels = max(_MIN_TILE_PIXELS, pixels)
+        row_ranges = _divide(slice(0, height), max(1, pixels // width))
+        return list(product(row_ranges, _divide(slice(0, width), pixels)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpickled, (self._pickled,)
+        return _job_from_pickle, (self._pickled,)
 
     @cached_property
     def _pickled(self) -> bytes:
-        return pickle.dumps(self._given)
+        return pickle.dumps(self._arguments)
 
-    def tile(self, part: _Part) -> Tile:
-        """A part of the picture for a PNG file."""
-        radiance = self.radiance(part)
-        data = compressed(radiance, from_left=part[1].start == 0)
+    def tile(self, rectangle: _Rectangle) -> Tile:
+        """Render one tile, given by its rows and columns, and compress it for a PNG file."""
+        radiance = self.radiance(rectangle)
+        data = compressed(radiance, from_left=rectangle[1].start == 0)
         return Tile(data, radiance.size // 3, not radiance.any())
 
-    def radiance(self, part: _Part) -> Floats:
-        """Radiance of a part of the picture (rows, columns, 3)."""
-        rows, columns = part
+    def radiance(self, rectangle: _Rectangle) -> Floats:
+        """Render one tile, and return its linear RGB radiance.
+
+        Parameters
+        ----------
+        rectangle : (slice, slice)
+            Rows and columns of the tile in the picture.
+
+        Returns
+        -------
+        radiance : (rows, columns, 3) float array
+            Linear RGB radiance of each pixel in the tile.
+        """
+        rows, columns = rectangle
         out = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
-        self.draw(part, out)
+        self.render_into(out, rectangle)
         return out
 
     @_QUIET
-    def draw(self, part: _Part, out: Floats) -> None:
-        """Write the radiance of a part of the picture into zeros `out` (rows, columns, 3)."""
-        keep_heap()
-        rows, columns = part
-        window = self.prepared.window
-        height = max(1, self._at_once // out.shape[1])
-        pieces = _pieces(_overlap(rows, window[0]), height), _pieces(columns, self._at_once)
-        for piece in product(*pieces):
-            here = tuple(
-                slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, part, strict=True)
-            )
-            self._draw_piece(*piece, out[here])
+    def render_into(self, out: Floats, rectangle: _Rectangle) -> None:
+        """Render one tile into an array, block by block.
 
-    def _draw_piece(self, rows: slice, columns: slice, out: Floats) -> None:
-        """Write the radiance of a rectangle into zeros `out` (rows, columns, 3)."""
-        if self._classified:
-            seen = _overlap(columns, self.prepared.window[1])
-            if seen.start < seen.stop:
-                left, right = seen.start - columns.start, seen.stop - columns.start
-                out[:, left:right] = antialiased(self.prepared, rows, seen, self._per_side)
+        A block is a part of the tile whose samples fit into memory.
+
+        Parameters
+        ----------
+        out : (rows, columns, 3) float array
+            Receives the linear RGB radiance.  It must be all zeros: rows in which no object is
+            visible are not written.
+        rectangle : (slice, slice)
+            Rows and columns of the tile in the picture.
+        """
+        keep_heap()
+        rows, columns = rectangle
+        visible_rows = _overlap(rows, self.prepared.window[0])
+        block_height = max(1, self._max_block_pixels // out.shape[1])
+        row_ranges = _divide(visible_rows, block_height)
+        for block in product(row_ranges, _divide(columns, self._max_block_pixels)):
+            out_rows, out_columns = map(_relative_to_start, block, rectangle)
+            self._render_block(out[out_rows, out_columns], *block)
+
+    def _render_block(self, out: Floats, rows: slice, columns: slice) -> None:
+        """Render a rectangle of pixels whose samples fit into memory.
+
+        Parameters
+        ----------
+        out : (rows, columns, 3) float array
+            Receives the linear RGB radiance.  It must be all zeros: pixels in which no object is
+            visible are not written.
+        rows, columns : slice
+            Rows and columns of the rectangle in the picture.
+        """
+        if self._is_classified:
+            visible = _overlap(columns, self.prepared.window[1])
+            if visible.start < visible.stop:
+                mean = antialiased(self.prepared, rows, visible, self._samples_per_side)
+                out[:, _relative_to_start(visible, columns)] = mean
             return
         samples = self._lattice.samples(rows, columns)
         if self._lattice.size > 1:
@@ -276,30 +402,41 @@ class _RenderJob:
 
 
 @lru_cache(maxsize=1)
-def _unpickled(pickled: bytes) -> _RenderJob:
-    """A job in another process, which draws several of its tiles."""
-    scene, samples, offset, shared = pickle.loads(pickled)
-    return _RenderJob(scene, samples, offset, shared=shared)
+def _job_from_pickle(pickled: bytes) -> _RenderJob:
+    """Create a render job from its pickled arguments, in the process that unpickles the job.
+
+    The latest job is cached, because a process usually renders several tiles of the same job.
+    """
+    scene, samples, offset, distributed = pickle.loads(pickled)
+    return _RenderJob(scene, samples, offset, distributed=distributed)
 
 
 _job: _RenderJob
-"""What this process, one of a pool, works on."""
+"""The job whose tiles this process renders, if it is a worker process of a pool."""
 
 
 def _begin_job(job: _RenderJob) -> None:
+    """Set the job whose tiles this worker process will render."""
     global _job
     _job = job
 
 
-def _tile_of_job(part: _Part) -> Tile:
-    return _job.tile(part)
+def _tile_of_job(rectangle: _Rectangle) -> Tile:
+    """Render one tile, given by its rows and columns, of this worker process's job."""
+    return _job.tile(rectangle)
 
 
 def _overlap(a: slice, b: slice) -> slice:
+    """Return the range that two ranges have in common; it is empty if stop <= start."""
     return slice(max(a.start, b.start), min(a.stop, b.stop))
 
 
-def _pieces(whole: slice, size: int) -> list[slice]:
-    """A range in pieces of `size`, the last of what is left."""
-    starts = range(whole.start, whole.stop, size)
-    return [slice(start, min(start + size, whole.stop)) for start in starts]
+def _relative_to_start(inner: slice, outer: slice) -> slice:
+    """Return the range `inner`, counted from the start of the range `outer` instead of from 0."""
+    return slice(inner.start - outer.start, inner.stop - outer.start)
+
+
+def _divide(whole: slice, length: int) -> list[slice]:
+    """Divide a range into consecutive ranges of the given length; the last may be shorter."""
+    starts = range(whole.start, whole.stop, length)
+    return [slice(start, min(start + length, whole.stop)) for start in starts]

@@ -1,9 +1,32 @@
-"""Which points the lights reach.
+"""Shadows: which lights reach which hits, and where shadows have edges.
 
-Packets of neighbouring points ask the lights' grids for objects that may come between.  What is
-found is narrowed down, from large packets to small ones, by whether objects meet the capsules
-around their segments; one that cuts a capsule certainly shades all of the packet.  The points that
-remain go through the exact test with each object that remains, pair by pair.
+The problem is to avoid testing every object for every hit and every light.  Four private concepts
+serve this purpose:
+
+packet
+    A group of neighbouring hits on one object, with a bounding sphere.
+shadow segment
+    The straight segment from a hit to a light.  The shadow segments of all hits in a packet lie in
+    one capsule: around the segment from the centre of the bounding sphere to the light, with the
+    radius of the sphere.
+footprint
+    The radius, on a surface, of the part that a cell of the picture (a pixel or a square part of a
+    pixel) sees around its hit.
+crowded
+    A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light may cross its
+    footprint.
+
+An object that misses the capsule of a packet shades no hit of the packet.  An object that cuts
+right through the capsule shades all hits of the packet (Haines and Wallace, Shaft culling, 1991).
+
+Packets form a hierarchy of one or two levels.  Row packets contain hits that are consecutive in one
+row of samples.  If objects are large in the picture, square packets contain row packets.  The
+light grid lists the objects that may meet the capsules of the largest packets.  Capsule tests then
+remove objects level by level, and an exact test decides each remaining pair of a hit and an object.
+
+All steps before the exact test are conservative.  They remove a pair of a packet and an object only
+if (1) the object certainly blocks no shadow segment of the packet, or (2) a single object certainly
+shades the whole packet.  So the result equals that of testing all pairs.
 """
 
 from __future__ import annotations
@@ -28,240 +51,580 @@ from tracer.arrays import (
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
-from tracer.world.light_grid import LightGrid
-from tracer.world.prepared_scene import Lights, PreparedScene, Shape
+from tracer.world.prepared_scene import Lights, Shape
 
-# So many packets ask at a time, for each light; and so many edges of shadows are found before those
-# found twice are left out.
-_PACKETS_AT_ONCE, _EDGES_AT_ONCE = 1 << 14, 1 << 19
+# Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
+# are collected before duplicates are removed.  Both limit memory.
+_PACKETS_PER_QUERY, _EDGES_PER_BATCH = 1 << 14, 1 << 19
 
-# A point with more edges of one light's shadows around it than this is crowded.
-_CROWDED = 64
+# A hit with more shadow edges of one light than this is crowded.
+_MAX_EDGES_PER_HIT = 64
 
-# The most points in a row, and the least and the most pixels along each side of a square of rows.
-_MOST_POINTS, _LEAST_SIDE, _MOST_SIDE = 6, 6, 16
+# Maximum number of hits in a row packet; minimum and maximum side of a square packet, in samples.
+_MAX_ROW_HITS, _MIN_SQUARE_SIDE, _MAX_SQUARE_SIDE = 6, 6, 16
 
 
 class Packets(NamedTuple):
-    """Neighbouring points of one object in rows, or rows in squares, with bounding spheres.
+    """One level of the packet hierarchy: m packets, each of neighbouring hits on one object.
+
+    The children of a row packet are hits.  The children of a square packet are row packets.
 
     Attributes
     ----------
-    obj : (m,)
-        The object.
-    start, length : (m,)
-        The points of a row, or the rows of a square: `length` of them, from `start` on.
-    middle, radius : (3, m) and (m,)
-        A sphere that holds all that is within the footprint of any of its points.
+    object_index : (m,) int array
+        The object on which all hits of the packet lie.
+    child_start, child_count : (m,) int arrays
+        The children of a packet have the indices child_start to child_start + child_count - 1.
+    center : (3, m) float array
+        Centre of the packet's bounding sphere, in the scene's axes.
+    radius : (m,) float array
+        Radius of the packet's bounding sphere, which contains the footprints of all its hits.
+    is_lit : (lights, m) bool array
+        Whether the light may reach any hit of the packet.  At first this is True if any hit of the
+        packet faces the light.  `_OccluderSearch` sets it to False when it finds a single object
+        that shades the whole packet.
     """
 
-    obj: Ints
-    start: Ints
-    length: Ints
-    middle: Floats
+    object_index: Ints
+    child_start: Ints
+    child_count: Ints
+    center: Floats
     radius: Floats
+    is_lit: Bools
 
-    def opened(self, pairs: Ints) -> Ints:
-        """Lights, packets and occluders (3, m), one for each part of its packet."""
-        part, inner = segment_indices(self.length[pairs[1]], self.start[pairs[1]])
-        light, _, occluder = pairs.take(part, axis=1)
-        return np.array([light, inner, occluder])
+    def expand(self, columns: Ints) -> Ints:
+        """Return a copy of `columns` in which all children of a packet replace the packet.
+
+        A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
+
+        Parameters
+        ----------
+        columns : (2, k) or (3, k) int array
+            Row 0 contains indices of lights, row 1 indices of packets of this level, and row 2, if
+            there is one, indices of objects.
+
+        Returns
+        -------
+        expanded : (2, j) or (3, j) int array
+            One column for each child of each packet in `columns`: row 1 contains the index of the
+            child, and the other rows are copied from the column of the packet.
+        """
+        packet = columns[1]
+        column, child = segment_indices(self.child_count[packet], self.child_start[packet])
+        expanded = columns.take(column, axis=1)
+        expanded[1] = child
+        return expanded
+
+
+class _OccluderSearch:
+    """Search for all pairs of a shadow segment and an object that need the exact test.
+
+    The search has state.  When a single object shades a whole packet (a group of neighbouring
+    hits), the search sets the packet's `is_lit` to False, which excludes the packet from later
+    batches, and records the packet for `fully_shaded`.
+
+    Parameters
+    ----------
+    hits : Hits
+        The n hits that may be in shadow.
+    lights : Lights
+        The lights from which the shadows come.
+    frontlit : (lights, n) bool array
+        Whether the surface at the hit faces the light.
+    footprint : (n,) float array, optional
+        If given, the search also finds the objects that block a shadow segment from any point of
+        the hit's surface within this distance of the hit.
+    """
+
+    def __init__(
+        self, hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
+    ) -> None:
+        self._prepared, self._lights = hits.prepared, lights
+        is_needed = lights.grid is not None and bool(frontlit.any())
+        self._levels = _packet_levels(hits, frontlit, footprint) if is_needed else []
+        self._shaded_packets: list[list[Ints]] = [[] for _ in self._levels]
+
+    def candidates(self) -> Iterator[tuple[Shape, Ints]]:
+        """Yield, in batches, the triples of a light, a hit and an object that need the exact test.
+
+        Yields
+        ------
+        shape : Spheres or Boxes
+            The shape of all objects in the batch.
+        triples : (3, k) int array
+            Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects
+            that may block the shadow segment from the hit to the light.
+        """
+        for shape, triples in self._grid_candidates():
+            for level in range(len(self._levels)):
+                triples = self._narrow_down(level, shape, triples)
+            yield shape, triples
+
+    def fully_shaded(self) -> tuple[Ints, Ints]:
+        """Return the hits of all packets that a single object shades entirely, with the lights.
+
+        A packet is a group of neighbouring hits.  The result is complete only after `candidates`
+        has yielded its last batch.
+
+        Returns
+        -------
+        light_index, hit_index : (k,) int arrays
+            The light of each pair, and the hit that this light does not reach.
+        """
+        pairs = np.zeros((2, 0), dtype=np.intp)
+        for packets, shaded in zip(self._levels, self._shaded_packets, strict=True):
+            pairs = packets.expand(np.concatenate([pairs, *shaded], axis=1))
+        return pairs[0], pairs[1]
+
+    def _narrow_down(self, level: int, shape: Shape, triples: Ints) -> Ints:
+        """Remove objects that miss the capsules of their packets, and expand the other packets.
+
+        A packet is a group of neighbouring hits; its capsule contains the shadow segments of all
+        its hits.  If an object cuts right through the capsule, then it shades the whole packet: the
+        packet is recorded as shaded, and all triples with this packet and this light are removed.
+
+        Parameters
+        ----------
+        level : int
+            Index of the packets' level in the hierarchy; level 0 has the largest packets.
+        shape : Spheres or Boxes
+            The shape of all objects in `triples`.
+        triples : (3, k) int array
+            Row 0 contains indices of lights, row 1 indices of packets of this level, and row 2
+            indices of objects.
+
+        Returns
+        -------
+        triples : (3, j) int array
+            The remaining triples, in which row 1 contains indices of the packets' children: packets
+            of the next level or, after the last level, hits.
+        """
+        packets = self._levels[level]
+        # An object in an earlier batch may shade the whole packet.
+        triples = triples.take(indices(take_2d(packets.is_lit, triples[0], triples[1])), axis=1)
+        light, packet, occluder = triples
+        center, radius = take3(packets.center, packet), packets.radius[packet]
+        light_position = take3(self._lights.position.T, light)
+        meets, cuts = shape.capsules(occluder, center, light_position, radius)
+        shaded = triples[:2].take(indices(cuts), axis=1)
+        self._shaded_packets[level].append(shaded)
+        put_2d(packets.is_lit, shaded[0], shaded[1], False)
+        # Another object in this batch may shade the whole packet.
+        triples = triples.take(indices(meets & take_2d(packets.is_lit, light, packet)), axis=1)
+        return packets.expand(triples)
+
+    def _grid_candidates(self) -> Iterator[tuple[Shape, Ints]]:
+        """Yield, in batches, the objects that the light grid lists for the largest packets.
+
+        A packet is a group of neighbouring hits with a bounding sphere.  The light grid lists the
+        objects that may lie between a sphere and a light.
+
+        Yields
+        ------
+        shape : Spheres or Boxes
+            The shape of all objects in the batch.
+        triples : (3, k) int array
+            Row 0 contains indices of lights, row 1 indices of packets of level 0, and row 2 indices
+            of objects that may lie between the packet and the light.
+        """
+        grid = self._lights.grid
+        if grid is None or not self._levels:
+            return
+        packets = self._levels[0]
+        for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
+            queried = slice(start, start + _PACKETS_PER_QUERY)
+            center, radius = packets.center[:, queried], packets.radius[queried]
+            own_object = packets.object_index[queried]
+            for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried]):
+                triples[1] += start
+                is_box = triples[2] >= self._prepared.boxes.first
+                for shape in self._prepared.shapes:
+                    of_shape = triples.take(indices(is_box == shape.flat), axis=1)
+                    for batch in batches(packets.child_count[of_shape[1]]):
+                        yield shape, of_shape[:, batch]
+
+
+class _EdgeSet:
+    """A set of shadow edges without duplicates.
+
+    A shadow edge is a triple of a light, a hit and an occluder: the edge of the occluder's shadow
+    may pass near the hit.  The set packs each triple into one integer key.  The light grid may find
+    an edge more than once (in several octants), so duplicates are removed from time to time.
+
+    Parameters
+    ----------
+    light_count, hit_count, object_count : int
+        The indices of lights, hits and occluders are less than these numbers.
+
+    Attributes
+    ----------
+    is_crowded : (lights, hits) bool array
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of the light.  The set keeps no
+        edges for such a pair of a light and a hit.
+    """
+
+    def __init__(self, light_count: int, hit_count: int, object_count: int) -> None:
+        self.is_crowded = np.zeros((light_count, hit_count), dtype=np.bool_)
+        self._hit_count, self._object_count = hit_count, object_count
+        self._keys = [np.zeros(0, dtype=np.intp)]
+
+    def add(self, edges: Ints) -> None:
+        """Add edges to the set, except for those of crowded hits.
+
+        Parameters
+        ----------
+        edges : (3, k) int array
+            Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of occluders.
+        """
+        light, hit, occluder = edges[:, ~take_2d(self.is_crowded, edges[0], edges[1])]
+        self._keys.append((light * self._hit_count + hit) * self._object_count + occluder)
+        if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
+            self._remove_duplicates()
+
+    def distinct(self) -> tuple[Ints, Ints, Ints]:
+        """Return all edges in the set, sorted by light, then by hit, then by occluder.
+
+        A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
+        hit.  If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, they are excluded.
+
+        Returns
+        -------
+        light_index, hit_index, occluder_index : (m,) int arrays
+            The light, the hit and the occluder of each edge.
+        """
+        self._remove_duplicates()
+        pair, occluder = np.divmod(self._keys[0], self._object_count)
+        light, hit = np.divmod(pair, self._hit_count)
+        return light, hit, occluder
+
+    def _remove_duplicates(self) -> None:
+        """Sort the keys, and remove duplicates and the edges of crowded hits.
+
+        A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light pass near it.
+        Each key is an integer that encodes a light, a hit and an occluder.
+        """
+        keys = np.unique(np.concatenate(self._keys))
+        pair = keys // self._object_count
+        run_start, edge_count = run_lengths(pair)
+        is_crowded = edge_count > _MAX_EDGES_PER_HIT
+        self.is_crowded.ravel()[pair[run_start[is_crowded]]] = True
+        self._keys = [keys[~is_crowded.repeat(edge_count)]]
 
 
 def occlusion(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
-    """Whether other objects than their own keep lights from points.
+    """Test, for each light and each hit, whether an object blocks the segment between them.
 
-    `frontlit` and the answer: (lights, n).  Where a point does not face a light, the answer has no
-    meaning.
+    The object on which the hit lies is not tested.  It blocks the light only where the surface
+    faces away from the light, and there `frontlit` is False.
+
+    Parameters
+    ----------
+    hits : Hits
+        The n hits that may be in shadow.
+    lights : Lights
+        The lights from which the shadows come.
+    frontlit : (lights, n) bool array
+        Whether the surface at the hit faces the light.
+
+    Returns
+    -------
+    is_blocked : (lights, n) bool array
+        Whether an object blocks the segment; meaningless where `frontlit` is False.
     """
-    blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for umbra, shape, pairs in _candidates(hits, lights, frontlit):
-        block = _blocks(hits, lights, shape, pairs)
-        put_2d(blocked, pairs[0, block], pairs[1, block], True)
-        put_2d(blocked, umbra[0], umbra[1], True)
-    return blocked
+    is_blocked = np.zeros(frontlit.shape, dtype=np.bool_)
+    search = _OccluderSearch(hits, lights, frontlit)
+    for shape, triples in search.candidates():
+        light, hit, _ = triples[:, _blocks(hits, lights, shape, triples)]
+        put_2d(is_blocked, light, hit, True)
+    put_2d(is_blocked, *search.fully_shaded(), True)
+    return is_blocked
 
 
 def shadow_edges(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
 ) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
-    """`occlusion`, and where it may change within a distance `footprint` (n,) of a point.
+    """Test whether objects block the light, and find the shadow edges that may pass near each hit.
 
-    Listed are lights, points and occluders (m,), in ascending order, whose shadow's edge may be as
-    near as that, each on the point's own object.  These block when grown by the footprint, or have
-    the light within it of their surface; and they do not block when shrunk by it.  Where any object
-    does even then, nothing near is lit.  Last is which points (n,) are crowded: of so many edges,
-    none are listed.
-    """
-    blocked, umbra, crowded = np.zeros((3, *frontlit.shape), dtype=np.bool_)
-    objects = hits.prepared.position_error.size
-    found, more, waiting = np.zeros(0, dtype=np.intp), list[Ints](), 0
-    for dark, shape, pairs in _candidates(hits, lights, frontlit, footprint):
-        put_2d(umbra, dark[0], dark[1], True)
-        reach = footprint[pairs[1]]
-        blocks_grown = _blocks(hits, lights, shape, pairs, reach)
-        # An object grown by more than its distance holds the light.  It may then hold all of a
-        # segment, and block nothing, where the object itself blocks it.
-        distance = shape.signed_distance(pairs[2], take3(lights.position.T, pairs[0]))
-        near = indices(blocks_grown | (distance <= reach))
-        pairs = pairs.take(near, axis=1)
-        reach, blocks_grown, distance = reach[near], blocks_grown[near], distance[near]
-        itself = _blocks(hits, lights, shape, pairs)
-        # A point on a sphere's inner side is outside the shrunk one: the answer of that alone says
-        # nothing.  Nor does that of a sphere with the light on its surface.
-        shrunk = itself & _blocks(hits, lights, shape, pairs, -reach)
-        shrunk &= take_2d(lights.side, pairs[0], pairs[2]) != ON
-        put_2d(blocked, pairs[0, itself], pairs[1, itself], True)
-        put_2d(umbra, pairs[0, shrunk], pairs[1, shrunk], True)
-        edge = ~shrunk & (blocks_grown | (np.abs(distance) <= reach))
-        edge &= take_2d(frontlit, pairs[0], pairs[1])
-        edge &= ~take_2d(crowded, pairs[0], pairs[1])
-        light, point, occluder = pairs[:, edge]
-        more.append((light * frontlit.shape[1] + point) * objects + occluder)
-        waiting += more[-1].size
-        if waiting > _EDGES_AT_ONCE:
-            found, many = _few_around([found, *more], objects)
-            crowded.ravel()[many], more, waiting = True, [], 0
-    found, many = _few_around([found, *more], objects)
-    crowded.ravel()[many] = True
-    found, occluder = np.divmod(found, objects)
-    kept = indices(~umbra.ravel()[found])
-    light, point = np.divmod(found[kept], frontlit.shape[1])
-    return blocked | umbra, (light, point, occluder[kept]), np.any(crowded & ~umbra, axis=0)
-
-
-def _few_around(edges: list[Ints], objects: int) -> tuple[Ints, Ints]:
-    """Distinct edges, as numbers (light * n + point) * objects + occluder, without crowds.
-
-    Also returns the pairs, light * n + point, that have crowds.
-    """
-    # An edge may have been found in several octants of the grid.
-    found = np.unique(np.concatenate(edges))
-    pair = found // objects
-    begin, count = run_lengths(pair)
-    many = count > _CROWDED
-    return found[~many.repeat(count)], pair[begin[many]]
-
-
-def _blocks(
-    hits: Hits, lights: Lights, shape: Shape, pairs: Ints, offset: Floats | None = None
-) -> Bools:
-    """The exact test of pairs; `offset` (m,): see `Spheres.occludes`."""
-    light, point, occluder = pairs
-    eye, end = hits.prepared.frame.eye, take3(lights.position.T, light)
-    side = take_2d(lights.side, light, occluder)
-    return shape.occludes(eye, occluder, hits.points(point), end, side, offset)
-
-
-def _candidates(
-    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
-) -> Iterator[tuple[Ints, Shape, Ints]]:
-    """Find all that may keep lights from points, some at a time.
-
-    Yields lights and points (2, k) that are certainly in shadow; and, of a shape, lights, points
-    and occluders (3, m) to be tested.  With a `footprint` (n,) all are as for anything on a point's
-    own object within this distance of it.
-    """
-    if lights.grid is None or not frontlit.any():
-        return
-    levels, lit = _packets_of(hits, frontlit, footprint)
-    rows = levels[-1]
-    for shape, pairs in _found(hits.prepared, lights.grid, levels[0], lit[0]):
-        umbra = []
-        for depth, packets in enumerate(levels):
-            if depth:
-                pairs = levels[depth - 1].opened(pairs)
-                pairs = pairs.take(indices(take_2d(lit[depth], pairs[0], pairs[1])), axis=1)
-            light, packet, occluder = pairs
-            middle, radius = take3(packets.middle, packet), packets.radius[packet]
-            end = take3(lights.position.T, light)
-            meets, cuts = shape.capsules(occluder, middle, end, radius)
-            dark = pairs.take(indices(cuts), axis=1)
-            for level, table in zip(levels[depth:], lit[depth:], strict=True):
-                put_2d(table, dark[0], dark[1], False)
-                dark = level.opened(dark)
-            umbra.append(dark[:2])
-            pairs = pairs.take(indices(meets & take_2d(lit[depth], light, packet)), axis=1)
-        yield np.concatenate(umbra, axis=1), shape, rows.opened(pairs)
-
-
-def _found(
-    prepared: PreparedScene, grid: LightGrid, packets: Packets, lit: Bools
-) -> Iterator[tuple[Shape, Ints]]:
-    """Lights, packets and, of a shape, objects (3, m) that may come between, some at a time."""
-    for start in range(0, packets.obj.size, _PACKETS_AT_ONCE):
-        some = slice(start, start + _PACKETS_AT_ONCE)
-        asked = packets.middle[:, some], packets.radius[some], packets.obj[some]
-        for pairs in grid.query(*asked, lit[:, some]):
-            pairs[1] += start
-            for shape in prepared.shapes:
-                kind = pairs.take(indices((pairs[2] >= prepared.boxes.first) == shape.flat), axis=1)
-                for batch in batches(packets.length[kind[1]]):
-                    yield shape, kind[:, batch]
-
-
-def _packets_of(
-    hits: Hits, frontlit: Bools, footprint: Floats | None
-) -> tuple[list[Packets], list[Bools]]:
-    """Levels of packets: squares of rows, if objects are as large as these; then rows of points.
+    An edge is near a hit if it lies within the footprint: the part of the surface around the hit
+    that a cell of the picture sees.  If the whole footprint is in shadow, no edge is visible.
 
     Parameters
     ----------
     hits : Hits
-    frontlit : (lights, n)
-        Whether points face lights.
-    footprint : (n,), or None
-        The distance from each point within which anything shaded is to be found.
+        The n hits that may be in shadow.
+    lights : Lights
+        The lights from which the shadows come.
+    frontlit : (lights, n) bool array
+        Whether the surface at the hit faces the light.
+    footprint : (n,) float array
+        Radius around each hit, in the scene's unit of length, within which to search for edges.
+
+    Returns
+    -------
+    is_blocked : (lights, n) bool array
+        Whether an object other than the hit's own blocks the segment from the hit to the light;
+        meaningless where `frontlit` is False.
+    edges : tuple of three (m,) int arrays
+        The lights, the hits and the occluders of the visible edges, sorted in this order.  Hits
+        that are crowded (too many edges of one light) have no edges here.
+    is_crowded : (n,) bool array
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of one light.
+    """
+    is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
+    light_count, hit_count = frontlit.shape
+    edges = _EdgeSet(light_count, hit_count, hits.prepared.position_error.size)
+    search = _OccluderSearch(hits, lights, frontlit, footprint)
+    for shape, triples in search.candidates():
+        triples, blocks, covers, has_edge = _test_footprints(
+            hits, lights, shape, triples, footprint
+        )
+        put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
+        put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
+        edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
+    put_2d(in_umbra, *search.fully_shaded(), True)
+    light, hit, occluder = edges.distinct()
+    visible = indices(~take_2d(in_umbra, light, hit))
+    is_crowded = np.any(edges.is_crowded & ~in_umbra, axis=0)
+    return is_blocked | in_umbra, (light[visible], hit[visible], occluder[visible]), is_crowded
+
+
+def _test_footprints(
+    hits: Hits, lights: Lights, shape: Shape, triples: Ints, footprint: Floats
+) -> tuple[Ints, Bools, Bools, Bools]:
+    """Test whether each object shades its hit, and the whole footprint around its hit.
+
+    The footprint is the part of the surface around the hit that a cell of the picture sees.  Each
+    object is tested three times: as it is, grown by the radius of the footprint, and shrunk by this
+    radius.  The shadow of the object may have an edge in the footprint if
+
+    1. the grown object blocks the segment from the hit to the light, or the light is within the
+       footprint's radius of the object's surface; and
+    2. the shrunk object does not block the segment.
+
+    If the shrunk object blocks the segment, the object shades the whole footprint.
+
+    Parameters
+    ----------
+    hits, lights : Hits, Lights
+        All hits and lights, to which the indices in `triples` refer.
+    shape : Spheres or Boxes
+        The shape of all objects in `triples`.
+    triples : (3, k) int array
+        Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects.
+    footprint : (n,) float array
+        Radius of the footprint of each hit, in the scene's unit of length.
+
+    Returns
+    -------
+    near_triples : (3, j) int array
+        The columns of `triples` whose object may shade any part of the footprint.
+    blocks : (j,) bool array
+        Whether the object blocks the segment from the hit to the light.
+    covers : (j,) bool array
+        Whether the object shades the whole footprint.
+    has_edge : (j,) bool array
+        Whether the object's shadow may have an edge in the footprint.
+    """
+    radius = footprint[triples[1]]
+    blocks_grown = _blocks(hits, lights, shape, triples, radius)
+    # An object grown by more than its distance from the light contains the light.  It may then
+    # contain the whole segment and not block it, although the object itself blocks the segment.
+    light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
+    near = indices(blocks_grown | (light_distance <= radius))
+    near_triples = triples.take(near, axis=1)
+    radius, blocks_grown, light_distance = radius[near], blocks_grown[near], light_distance[near]
+    blocks = _blocks(hits, lights, shape, near_triples)
+    # The test of the shrunk object alone proves nothing in two cases: a hit on a sphere's inner
+    # side, which is outside of the shrunk sphere, and a light on the surface of a sphere.
+    covers = blocks & _blocks(hits, lights, shape, near_triples, -radius)
+    covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
+    has_edge = ~covers & (blocks_grown | (np.abs(light_distance) <= radius))
+    return near_triples, blocks, covers, has_edge
+
+
+def _blocks(
+    hits: Hits, lights: Lights, shape: Shape, triples: Ints, growth: Floats | None = None
+) -> Bools:
+    """Test exactly whether each object blocks the segment from its hit to its light.
+
+    Parameters
+    ----------
+    hits, lights : Hits, Lights
+        All hits and lights, to which the indices in `triples` refer.
+    shape : Spheres or Boxes
+        The shape of all objects in `triples`.
+    triples : (3, k) int array
+        Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects.
+    growth : (k,) float array, optional
+        Distance by which each object is grown before the test; a negative value shrinks the object.
+
+    Returns
+    -------
+    blocks : (k,) bool array
+        Whether the object blocks the segment.
+    """
+    light, hit, occluder = triples
+    eye, light_position = hits.prepared.frame.eye, take3(lights.position.T, light)
+    light_side = take_2d(lights.side, light, occluder)
+    return shape.occludes(eye, occluder, hits.points(hit), light_position, light_side, growth)
+
+
+def _packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
+    """Group hits into row packets and, where objects are large enough, these into square packets.
+
+    A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
+    row packet are consecutive in one row of samples; a square packet consists of row packets.
+
+    Parameters
+    ----------
+    hits : Hits
+        The n hits to group.
+    frontlit : (lights, n) bool array
+        Whether the surface at the hit faces the light.
+    footprint : (n,) float array or None
+        Bounding spheres contain the points within this distance of each hit.
 
     Returns
     -------
     levels : list of Packets
-    lit : list of (lights, m) tables
-        For each level, whether a light may reach any point of each packet.
+        Either [row packets] or [square packets, row packets].
     """
-    prepared, samples = hits.prepared, hits.samples
-    across = prepared.packet_pixels * samples.density
-    longest, count = int(min(max(across, 1), _MOST_POINTS)), np.diff(hits.first)
-    run, skip = segment_indices(-(-count // longest))
-    skip *= longest
-    start, length = hits.first[run] + skip, np.minimum(count[run] - skip, longest)
-    obj = hits.obj[run]
-    middle, radius = _balls(hits, start, length)
-    radius += prepared.position_error[obj]
+    width = hits.prepared.packet_pixels * hits.samples.density  # of a packet, in samples
+    max_row_hits = int(min(max(width, 1), _MAX_ROW_HITS))
+    row_packets = _row_packets(hits, frontlit, footprint, max_row_hits)
+    side = int(min(width, _MAX_SQUARE_SIDE))
+    if side < _MIN_SQUARE_SIDE:
+        return [row_packets]
+    return [*_square_packets(hits, row_packets, side)]
+
+
+def _row_packets(hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int) -> Packets:
+    """Divide each run of hits into groups of `max_hits` hits, which are called row packets.
+
+    A run consists of all consecutive hits in one row of samples that lie on the same object.  The
+    last packet of a run may have fewer hits.
+
+    Parameters
+    ----------
+    hits : Hits
+        The n hits to divide.
+    frontlit : (lights, n) bool array
+        Whether the surface at the hit faces the light.
+    footprint : (n,) float array or None
+        Bounding spheres contain the points within this distance of each hit.
+    max_hits : int
+        Maximum number of hits in a packet.
+
+    Returns
+    -------
+    row_packets : Packets
+        The groups of hits, each with its object, its bounding sphere, and the lights that any of
+        its hits faces.
+    """
+    run_size = np.diff(hits.first)
+    run, offset = segment_indices(-(-run_size // max_hits))
+    offset *= max_hits
+    start, count = hits.first[run] + offset, np.minimum(run_size[run] - offset, max_hits)
+    object_index, is_lit = hits.obj[run], np.logical_or.reduceat(frontlit, start, axis=1)
+    center, radius = _bounding_spheres(hits, start, count)
+    radius += hits.prepared.position_error[object_index]
     if footprint is not None:
         radius += np.maximum.reduceat(footprint, start)
-    lit = np.logical_or.reduceat(frontlit, start, axis=1)
-    rows = Packets(obj, start, length, middle, radius)
-    side = int(min(across, _MOST_SIDE))
-    if side < _LEAST_SIDE:
-        return [rows], [lit]
-    square = obj
-    for at in samples.grid_position(hits.sample.take(start)):
-        square = square * (at.max() // side + 1) + at // side
-    order = square.argsort(kind="stable")
-    layer = prepared.frame.layer(hits.p[2].take(start), side / samples.density)
-    rows, lit = Packets._make(m.take(order, axis=-1) for m in rows), lit.take(order, axis=1)
-    start, length = run_lengths(square[order], layer[order])
-    return [_squares(rows, start, length), rows], [np.logical_or.reduceat(lit, start, axis=1), lit]
+    return Packets(object_index, start, count, center, radius, is_lit)
 
 
-def _balls(hits: Hits, start: Ints, length: Ints) -> tuple[Floats, Floats]:
-    """Bounding spheres, middles and radii, of `length` points from `start` on."""
+def _square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packets, Packets]:
+    """Group row packets into square packets.
+
+    A row packet is a group of hits that are consecutive in one row of samples.  Row packets belong
+    to the same square packet if
+
+    1. they lie on the same object,
+    2. their first hits are in the same square of `side` x `side` samples, and
+    3. their first hits are in the same layer of depth: a bounding sphere around surfaces at very
+       different depths would be large.
+
+    Parameters
+    ----------
+    hits : Hits
+        The hits to which the row packets refer.
+    row_packets : Packets
+        Packets of hits that are consecutive in one row of samples.
+    side : int
+        Width and height of a square, in samples.
+
+    Returns
+    -------
+    square_packets : Packets
+        Packets whose children are row packets.
+    row_packets : Packets
+        The row packets, sorted so that the children of each square packet are consecutive.
+    """
+    first_hit = row_packets.child_start
+    # One integer encodes the object, and the row and the column of the square.
+    square_key = row_packets.object_index
+    for position in hits.samples.grid_position(hits.sample.take(first_hit)):
+        square_key = square_key * (position.max() // side + 1) + position // side
+    order = square_key.argsort(kind="stable")
+    depth = hits.p[2].take(first_hit)
+    layer = hits.prepared.frame.layer(depth, side / hits.samples.density)
+    row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
+    start, count = run_lengths(square_key[order], layer[order])
+    return _merge_row_packets(row_packets, start, count), row_packets
+
+
+def _bounding_spheres(hits: Hits, start: Ints, count: Ints) -> tuple[Floats, Floats]:
+    """Compute a bounding sphere for each of m groups of consecutive hits.
+
+    Parameters
+    ----------
+    hits : Hits
+        All hits.  The hits of one group lie on the same object, in the same row of samples.
+    start, count : (m,) int arrays
+        Group i contains the hits start[i] to start[i] + count[i] - 1, and groups follow each other
+        without gaps.
+
+    Returns
+    -------
+    center : (3, m) float array
+        Centres of the spheres, in the scene's axes.
+    radius : (m,) float array
+        Radii of the spheres.
+    """
     if isinstance(hits.samples, Scattered) or hits.prepared.spheres.eye_inside.any():
-        a, b = (m.reduceat(hits.p, start, axis=1) for m in (np.minimum, np.maximum))
+        corner, opposite = (f.reduceat(hits.p, start, axis=1) for f in (np.minimum, np.maximum))
     else:
-        # Points of a row lie on a line, or on an arc that is seen from outside, of less than half a
-        # circle: the sphere on the chord between the ends holds them.
-        a, b = hits.p.take(start, axis=1), hits.p.take(start + length - 1, axis=1)
-    half = 0.5 * (b - a)
-    middle = hits.prepared.frame.point_to_scene(take3(a + half, slice(None)))
-    return np.array(middle), np.sqrt((half * half).sum(axis=0))
+        # Hits in one row of samples lie on a straight line, or on an arc of less than half a
+        # circle.  A sphere whose diameter is the chord from the first to the last contains both.
+        corner, opposite = hits.p.take(start, axis=1), hits.p.take(start + count - 1, axis=1)
+    half_diagonal = 0.5 * (opposite - corner)
+    center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
+    return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 
-def _squares(rows: Packets, start: Ints, length: Ints) -> Packets:
-    """Packets of `length` rows each, from `start` on."""
-    low, high = (m.reduceat(rows.middle, start, axis=1) for m in (np.minimum, np.maximum))
-    middle = 0.5 * (low + high)
-    away = rows.middle - middle.repeat(length, axis=1)
-    radius = np.maximum.reduceat(np.sqrt((away * away).sum(axis=0)) + rows.radius, start)
-    return Packets(rows.obj[start], start, length, middle, radius)
+def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packets:
+    """Merge consecutive row packets into square packets.
+
+    A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
+    of a square packet contains the bounding spheres of its row packets.  A square packet is lit if
+    any of its row packets is lit.
+
+    Parameters
+    ----------
+    row_packets : Packets
+        All row packets, sorted so that those of one square packet are consecutive.
+    start, count : (m,) int arrays
+        Square packet i contains the row packets start[i] to start[i] + count[i] - 1.
+
+    Returns
+    -------
+    square_packets : Packets
+        The m square packets.
+    """
+    low, high = (f.reduceat(row_packets.center, start, axis=1) for f in (np.minimum, np.maximum))
+    center = 0.5 * (low + high)
+    offset = row_packets.center - center.repeat(count, axis=1)
+    needed_radius = np.sqrt((offset * offset).sum(axis=0)) + row_packets.radius
+    radius = np.maximum.reduceat(needed_radius, start)
+    is_lit = np.logical_or.reduceat(row_packets.is_lit, start, axis=1)
+    return Packets(row_packets.object_index[start], start, count, center, radius, is_lit)
