@@ -1,6 +1,15 @@
-"""Scenes of this project, small, and scenes that tests write."""
+"""Scenes of this project, scenes that are hard to render (`tests/scenes`), and scenes from tests.
+
+Each file in `tests/scenes` begins with a comment: first the reason why the scene is hard; then,
+after an empty line, fields, one "name: value" in each line.  `FIELDS` lists all names.  The fields
+decide which tests read the file: `hard_scenes("error factor")` returns all files with that field.
+To add a scene to these tests, add a file.  A scene that fails opens with
+
+    python -m tracer tests/scenes/NAME.xml
+"""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -8,12 +17,66 @@ from reference.command import SCENES, own_scenes
 from reference.measured.workloads import resized
 from tracer import Scene, load_scene
 
+HARD_SCENES = Path(__file__).with_name("scenes")
+
+FIELDS = {
+    "error factor": "the largest error is at most this many times that of a uniform grid",
+    "largest error": "the largest error of a pixel, in linear radiance, is at most this",
+    "samples": "the numbers of samples per pixel for which one of the above holds",
+    "slow": "yes, if similar scenes show the same, and this one is for the slow tests only",
+}
+"""Names of the fields of a hard scene, and what they mean."""
+
 NAMES = [path.stem for path in own_scenes()]
 
 
 def names(*quick: str) -> list:
     """The project's scenes as parameters of a test, of which all others are slow."""
     return [pytest.param(m, marks=[pytest.mark.slow] * (m not in quick)) for m in NAMES]
+
+
+class HardScene(NamedTuple):
+    """A file in `tests/scenes`, and the fields of its comment.
+
+    Attributes
+    ----------
+    path : Path
+        The scene file.
+    fields : dict of str to str
+        Values of the fields by name; the names are among `FIELDS`.
+    """
+
+    path: Path
+    fields: dict[str, str]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that the file describes."""
+        return load_scene(self.path)
+
+    @property
+    def samples(self) -> list[int]:
+        """Numbers of samples per pixel to test with."""
+        return [int(count) for count in self.fields["samples"].split()]
+
+
+def hard_scenes(field: str) -> list:
+    """Return all files of `tests/scenes` that have a field, as parameters of a test.
+
+    A file with "slow: yes" is marked as slow.  An AssertionError is raised if the comment of a file
+    has no reason, or a field that is not in `FIELDS`.
+    """
+    parameters = []
+    for path in sorted(HARD_SCENES.glob("*.xml")):
+        comment = path.read_text(encoding="utf-8").partition("<!--")[2].partition("-->")[0]
+        reason, _, lines = comment.strip().rpartition("\n\n")
+        fields = dict(line.strip().split(": ") for line in lines.splitlines())
+        assert reason, f"{path}: the comment gives no reason"
+        assert fields.keys() <= FIELDS.keys(), f"{path}: {fields.keys() - FIELDS.keys()}"
+        if field in fields:
+            marks = [pytest.mark.slow] * (fields.get("slow") == "yes")
+            parameters.append(pytest.param(HardScene(path, fields), marks=marks, id=path.stem))
+    return parameters
 
 
 def small(name: str, width: int = 48, height: int = 27) -> Scene:
