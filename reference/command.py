@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
 from tqdm import tqdm
 
-from tracer.command.arguments import no_working_folder
+from tracer.command.arguments import real_path
+from tracer.command.process import MISUSED
 from tracer.messages import printable
 
 # Without this, tqdm would have a thread of its own beside what is measured.
@@ -51,11 +51,8 @@ def spare_inputs(
     used: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
 ) -> None:
     """End with wrong usage where a result would replace what one is made from."""
-    try:
-        sources = set(map(os.path.realpath, inputs))
-        for output in outputs:
-            if os.path.realpath(output) in sources:
-                wrong = f"{output}: this would replace an input; choose another with -o"
-                used.error(printable(wrong))
-    except OSError as error:
-        used.exit(2, no_working_folder(error) + "\n")
+    sources = {real_path(path, status=MISUSED) for path in inputs}
+    for output in outputs:
+        if real_path(output, status=MISUSED) in sources:
+            wrong = f"{output}: this would replace an input; choose another with -o"
+            used.error(printable(wrong))

@@ -20,6 +20,7 @@ import tracer
 from converters import to_mitsuba
 from reference import compare
 from tracer.command import cli
+from tracer.command.failure import Failure
 from tracer.picture.png import Compressed
 from tracer.picture.render import Tile
 
@@ -135,19 +136,19 @@ def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
 @pytest.mark.parametrize(
     ("main", "arguments", "status"),
     [
-        (cli.main, ["x.xml"], "1"),
-        (to_mitsuba.main, ["x.xml"], "1"),
-        (compare.main, [__file__, __file__, "-o", "a.png"], "2"),
+        (cli.main, ["x.xml"], 1),
+        (to_mitsuba.main, ["x.xml"], 1),
+        (compare.main, [__file__, __file__, "-o", "a.png"], 2),
     ],
 )
-def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkeypatch, capsys):
+def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkeypatch):
     (gone := tmp_path / "gone").mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    with pytest.raises(SystemExit, match=status):
+    text = "the working folder cannot be found: No such file or directory; change to another"
+    with pytest.raises(Failure) as caught:
         main(arguments)
-    wrong = "the working folder cannot be found: No such file or directory; change to another\n"
-    assert capsys.readouterr().err == wrong
+    assert (str(caught.value), caught.value.status) == (text, status)
 
 
 def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
@@ -190,10 +191,15 @@ def test_a_picture_that_cannot_be_written(scene, monkeypatch, capsys, output, re
     assert Path("/dev/null").is_char_device()
 
 
+TOO_LARGE = (
+    "cannot be rendered: not enough memory; make the image smaller than 3000 x 2000 pixels\n"
+)
+
+
 @pytest.mark.parametrize(
     ("size", "megabytes", "error"),
     [
-        ((3000, 2000), 4, "not enough memory for 3000 x 2000 pixels; make the image smaller\n"),
+        ((3000, 2000), 4, TOO_LARGE),
         ((40, 30), 16, ""),
     ],
 )
@@ -236,11 +242,11 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
     ("draw", "error"),
     [
         (Mock(side_effect=MemoryError),
-         "{0}: not enough memory for 40 x 30 pixels of 4 samples;"
-               " make the image smaller or take fewer samples\n"),
+         "{0}: cannot be rendered: not enough memory;"
+         " make the image smaller than 40 x 30 pixels or take fewer samples than 4\n"),
         (Mock(return_value=np.full((30, 40, 3), np.nan)),
-         "{0}.png: cannot be written: an image must not hold NaN;"
-                 " this is a fault of the tracer; please report it with the scene\n"),
+         "{0}: cannot be rendered: an image must not hold NaN;"
+         " this is a bug in the tracer; please report it with the scene\n"),
     ],
 )  # fmt: skip
 def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, draw, error):

@@ -1,4 +1,4 @@
-"""Arguments that commands share: names of files, whole numbers, paths of results."""
+"""Arguments that several commands share: names of files, whole numbers, paths of results."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import os
 from collections.abc import Callable, Iterable, Sequence
 
-from tracer.command.process import FAILED
+from tracer.command.failure import Failure, reason_of
 from tracer.messages import printable
 
 
@@ -17,16 +17,16 @@ def file_name(text: str) -> str:
     return text
 
 
-def whole_number(least: int) -> Callable[[str], int]:
-    """Make a parser of arguments that are whole numbers, `least` or more."""
+def whole_number(minimum: int) -> Callable[[str], int]:
+    """Make a parser of arguments that are whole numbers from `minimum` to 999,999,999."""
 
-    def number(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= least):
-            wanted = f"must be a whole number from {least} to 999999999"
-            raise argparse.ArgumentTypeError(f"{wanted}, is {text!r}")
+    def parse(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= minimum):
+            rule = f"must be a whole number from {minimum} to 999999999"
+            raise argparse.ArgumentTypeError(f"{rule}, is {text!r}")
         return int(text)
 
-    return number
+    return parse
 
 
 def is_folder(path: str) -> bool:
@@ -34,45 +34,73 @@ def is_folder(path: str) -> bool:
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
 
 
-def no_working_folder(error: OSError) -> str:
-    """Make the message for a relative path whose working folder is gone."""
-    return f"the working folder cannot be found: {error.strerror or error}; change to another"
+def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
+    """Return the absolute path of a file, with all links resolved.
+
+    Raises
+    ------
+    Failure
+        With this exit status, if the path is relative and the working folder is gone.
+    """
+    try:
+        return os.path.realpath(path)
+    except OSError as error:
+        what = f"the working folder cannot be found: {reason_of(error)}"
+        raise Failure("", what, "change to another", status) from error
 
 
 def output_paths(
     parser: argparse.ArgumentParser,
     scenes: Sequence[str],
     output: str | None,
-    beside: Sequence[str],
-    files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda target: (target,),
+    default_paths: Sequence[str],
+    files_of: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda target: (target,),
 ) -> list[str]:
-    """Choose the path of each scene's result: `output`, a file in the folder `output`, or `beside`.
+    """Choose the path of each scene's result.
 
-    `files` lists all files that are written for a result's path.  The parser ends the process with
-    status 2 if one of these would replace a scene or another result, and with status 1 if the
-    working folder is gone.
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Ends the process with exit status 2 if (1) several scenes have one file as their result, or
+        (2) a result would replace a scene.
+    scenes : sequence of str
+        Paths of the scene files.
+    output : str or None
+        The argument of the option ``-o``: a file, or a folder for the results of several scenes.
+    default_paths : sequence of str
+        For each scene, the path of its result if there is no option ``-o``.  In the folder of
+        ``-o``, a result has the last part of this path as its name.
+    files_of : callable
+        Returns all files that are written for a result, from the path of the result.
+
+    Returns
+    -------
+    targets : list of str
+        The path of each scene's result.
+
+    Raises
+    ------
+    Failure
+        If the working folder is gone.
     """
     if output is None:
-        found = list(beside)
+        targets = list(default_paths)
     elif is_folder(output):
-        found = [os.path.join(output, os.path.basename(path)) for path in beside]
+        targets = [os.path.join(output, os.path.basename(path)) for path in default_paths]
     elif len(scenes) == 1:
-        found = [output]
+        targets = [output]
     else:
-        wrong = "several scenes need a folder; to have it made, end it in"
-        parser.error(printable(f"-o {output}: {wrong} {os.sep}"))
-    try:
-        inputs, writers = {os.path.realpath(scene) for scene in scenes}, dict[str, str]()
-        for scene, target in zip(scenes, found, strict=True):
-            for path in files(target):
-                real = os.path.realpath(path)
-                if real in inputs:
-                    wrong = "this would replace a scene; choose another with -o"
-                    parser.error(printable(f"{path}: {wrong}"))
-                if real in writers:
-                    wrong = f"{writers[real]} and {scene} would both be written there"
-                    parser.error(printable(f"{path}: {wrong}; do them one by one"))
-                writers[real] = scene
-    except OSError as error:
-        parser.exit(FAILED, no_working_folder(error) + "\n")
-    return found
+        rule = "several scenes need a folder; to have it made, end it in"
+        parser.error(printable(f"-o {output}: {rule} {os.sep}"))
+    inputs, scene_of = {real_path(scene) for scene in scenes}, dict[str, str]()
+    for scene, target in zip(scenes, targets, strict=True):
+        for path in files_of(target):
+            absolute = real_path(path)
+            if absolute in inputs:
+                problem = "this would replace a scene; choose another with -o"
+                parser.error(printable(f"{path}: {problem}"))
+            if absolute in scene_of:
+                problem = f"{scene_of[absolute]} and {scene} would both be written there"
+                parser.error(printable(f"{path}: {problem}; do them one by one"))
+            scene_of[absolute] = scene
+    return targets

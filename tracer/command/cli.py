@@ -12,14 +12,16 @@ from time import perf_counter, sleep
 from typing import Any
 
 from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
-from tracer.command.process import FAILED, print_line, print_result
+from tracer.command.failure import Failure, errors_as_failure
+from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.explanation import explain
 from tracer.picture.lint import scene_warnings
 from tracer.picture.png import PNG, write_tiles
 from tracer.picture.render import Tile, render_tiles
-from tracer.scene.reader import SceneFileError, load_scene
+from tracer.scene.model import Scene
+from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
 from tracer.version import __version__
 
@@ -40,6 +42,8 @@ exit status:
   130  interrupted
 """
 
+_BUG = "this is a bug in the tracer; please report it with the scene"
+
 # A bar is shown once a picture turns out to take longer than this, in seconds.
 _SLOW = 1.0
 
@@ -48,19 +52,21 @@ _PAUSE = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Render scenes to PNG files, as the arguments say; return the exit status.
+    """Render scenes to PNG files as the arguments say, and return the exit status.
 
     Raises
     ------
     SystemExit
-        With status 2 for wrong usage, 1 in a folder that is gone, and 0 for ``--help`` and
-        ``--version``.
+        With status 2 for wrong usage, and 0 for ``--help`` and ``--version``.
+    Failure
+        If the working folder is gone.
     """
     arguments, jobs = _parsed(argv)
     if arguments.watch:
         return _watch(jobs, arguments)
-    # A list: the first that fails does not keep the others from being rendered.
-    return FAILED if [job for job in jobs if not _render(*job, arguments)] else 0
+    # A list, not a generator: after a failure the other scenes must still be rendered.
+    results = [attempt(_render, *job, arguments) for job in jobs]
+    return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
 
 def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
@@ -144,68 +150,102 @@ def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
             last[scene] = now
             if settled and rendered.get(scene, ()) != now:
                 rendered[scene] = now
-                _render(scene, output, arguments)
+                attempt(_render, scene, output, arguments)
         sleep(_PAUSE)
     return 0
 
 
-def _render(path: str, output: str, arguments: argparse.Namespace) -> bool:
-    """Render a scene, or explain its pixel; print any fault, and return whether there was none."""
-    start, name, quiet = perf_counter(), printable(output), arguments.quiet
-    size, remedy = "to read it", "split the scene"
-    try:
-        if path == "-" and sys.stdin is None:
-            print_line(sys.stderr, "<stdin>: cannot be read: it is closed; name a scene file")
-            return False
-        scene = load_scene(sys.stdin.buffer if path == "-" else path)
-        if arguments.size is not None:
-            width, height = arguments.size
-            scene = replace(scene, width=width, height=height)
-        if arguments.pixel is not None:
-            name = "standard output"
-            print_result(sys.stdout, str(explain(scene, *arguments.pixel)))
-            return True
-        size, remedy = f"for {scene.width} x {scene.height} pixels", "make the image smaller"
-        if arguments.samples > 1:
-            size += f" of {arguments.samples} samples"
-            remedy += " or take fewer samples"
-        progress = _Progress(os.path.basename(name), scene.width * scene.height, show=not quiet)
-        if arguments.output is not None and is_folder(arguments.output):
+def _render(path: str, output: str, arguments: argparse.Namespace) -> None:
+    """Render a scene to a PNG file, or explain one of its pixels; print the result in a line.
+
+    Parameters
+    ----------
+    path : str
+        The scene file; "-" is standard input.
+    output : str
+        The picture to write; "-" is standard output.
+    arguments : Namespace
+        The arguments of the command.
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read, rendered or written, or the pixel not be explained.
+    """
+    start, to_standard_output = perf_counter(), output == "-"
+    scene = _read_scene(path, arguments.size)
+    if arguments.pixel is not None:
+        try:
+            text = str(explain(scene, *arguments.pixel))
+        except ValueError as error:
+            raise Failure(path, str(error), "columns and rows count from 0") from error
+        with errors_as_failure("standard output", "written"):
+            print_result(sys.stdout, text)
+        return
+    if arguments.output is not None and is_folder(arguments.output):
+        with errors_as_failure(arguments.output, "written", "choose another with -o"):
             try:
                 os.makedirs(arguments.output, exist_ok=True)
-            except (FileExistsError, NotADirectoryError):  # it is a file, or a link to nothing
-                name = printable(arguments.output)
+            except (FileExistsError, NotADirectoryError):  # a file, or a link to nothing
                 raise OSError("it is not a folder") from None
-        standard = output == "-"
-        with open(1, "wb", closefd=False) if standard else atomic_file(output, PNG) as file:
-            tiles = render_tiles(scene, arguments.samples, processes=arguments.processes)
-            data = (tile.data for tile in progress.watch(tiles))
-            write_tiles(file, scene.width, scene.height, data)
-        for warning in () if quiet else scene_warnings(scene, black=progress.black):
-            print_line(sys.stderr, printable(f"{path}: warning: {warning}"))
-    except SceneFileError as error:
-        fault = str(error)
+    progress = _Progress(output, scene.width * scene.height, show=not arguments.quiet)
+    with (
+        errors_as_failure(output, "written", "choose another with -o"),
+        open(1, "wb", closefd=False) if to_standard_output else atomic_file(output, PNG) as file,
+    ):
+        tiles = progress.watch(_render_tiles(scene, path, arguments))
+        write_tiles(file, scene.width, scene.height, (tile.data for tile in tiles))
+    if arguments.quiet:
+        return
+    for warning in scene_warnings(scene, black=progress.black):
+        print_line(sys.stderr, printable(f"{path}: warning: {warning}"))
+    seconds = perf_counter() - start
+    line = f"{output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
+    print_line(sys.stderr if to_standard_output else sys.stdout, printable(line))
+
+
+def _read_scene(path: str, size: tuple[int, int] | None) -> Scene:
+    """Read a scene from a file, or from standard input if `path` is "-".
+
+    Parameters
+    ----------
+    path : str
+        The scene file, or "-".
+    size : (int, int), optional
+        Width and height of the picture in pixels, in place of those in the file.
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read, or the size is too large.
+    """
+    if path == "-" and sys.stdin is None:
+        raise Failure("<stdin>", "cannot be read: it is closed", "name a scene file")
+    with errors_as_failure(path, "read", memory_remedy="split the scene"):
+        scene = load_scene(sys.stdin.buffer if path == "-" else path)
+    if size is None:
+        return scene
+    try:
+        return replace(scene, width=size[0], height=size[1])
     except SceneError as error:
-        fault = f"--size: {error}"
-    except MemoryError:
-        fault = f"{printable(path)}: not enough memory {size}; {remedy}"
-    except OSError as error:
-        remedy = "" if arguments.pixel is not None else "; choose another with -o"
-        fault = f"{name}: cannot be written: {error.strerror or error}{remedy}"
-    except ValueError as error:
-        if arguments.pixel is not None:
-            fault = f"{printable(path)}: {error}; columns and rows count from 0"
-        else:
-            remedy = "this is a fault of the tracer; please report it with the scene"
-            fault = f"{name}: cannot be written: {error}; {remedy}"
-    else:
-        if not quiet:
-            size = f"{scene.width} x {scene.height} pixels"
-            done = f"{name}: {size} in {perf_counter() - start:.3f} s"
-            print_line(sys.stderr if standard else sys.stdout, done)
-        return True
-    print_line(sys.stderr, fault)
-    return False
+        raise Failure("--size", str(error)) from error
+
+
+def _render_tiles(scene: Scene, path: str, arguments: argparse.Namespace) -> Iterator[Tile]:
+    """Render a scene and yield its tiles in order; `path` is the scene's, for messages.
+
+    Raises
+    ------
+    Failure
+        If there is too little memory, or the tracer fails because of a bug.
+    """
+    size = f"make the image smaller than {scene.width} x {scene.height} pixels"
+    samples = f" or take fewer samples than {arguments.samples}" * (arguments.samples > 1)
+    memory_remedy = size + samples
+    with errors_as_failure(
+        path, "rendered", _BUG, memory_remedy=memory_remedy, errors=(ValueError,)
+    ):
+        yield from render_tiles(scene, arguments.samples, processes=arguments.processes)
 
 
 class _Progress:
@@ -218,7 +258,7 @@ class _Progress:
     """
 
     def __init__(self, name: str, pixels: int, *, show: bool) -> None:
-        self.name, self.pixels, self.black = name, pixels, True
+        self.name, self.pixels, self.black = os.path.basename(printable(name)), pixels, True
         lost = sys.stderr is None or sys.stderr.closed
         self.show = show and not lost and sys.stderr.isatty()
 

@@ -9,21 +9,32 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
-from typing import NoReturn, TextIO
+from typing import NoReturn, TextIO, TypeVar
 
+from tracer.command.failure import Failure
 from tracer.files import unfinished
 from tracer.messages import printable
+
+_Result = TypeVar("_Result")
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit statuses: something could not be done, wrong usage, ended by a signal."""
 
 
 def run(module: str) -> NoReturn:
-    """Import a module and exit with the status that its `main` returns; 130 after a signal.
+    """Run a command: import its module, call `main`, and exit with the status that it returns.
 
-    A package that is missing is reported in a line, not by a traceback.
+    A Failure, a missing package and a lack of memory are printed as one line instead of a
+    traceback.  A signal that ends the command makes the exit status 130.
+
+    Parameters
+    ----------
+    module : str
+        Name of the module.  Its function `main` takes no arguments, and returns an exit status or
+        None, which counts as 0.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         number = getattr(signal, name, None)  # not all systems have the last three
@@ -37,7 +48,8 @@ def run(module: str) -> NoReturn:
     gc.set_threshold(50_000)
     status = FAILED
     try:
-        status = import_module(module).main() or 0
+        result = attempt(import_module(module).main)
+        status = result.status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
@@ -63,6 +75,29 @@ def run(module: str) -> NoReturn:
     # An orderly exit would take NumPy's modules down one by one, and add a tenth to the time of a
     # small picture.
     os._exit(status)
+
+
+def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
+    """Call a function; if it raises a Failure, print it to standard error and return it.
+
+    This is how a command processes many files: a failure of one does not keep the others from
+    being processed.
+
+    Parameters
+    ----------
+    function : callable
+        Called with `arguments`.
+
+    Returns
+    -------
+    result : object or Failure
+        What the function returns, or the failure that it raised.
+    """
+    try:
+        return function(*arguments)
+    except Failure as failure:
+        print_line(sys.stderr, str(failure))
+        return failure
 
 
 def print_line(stream: TextIO | None, text: str) -> None:
