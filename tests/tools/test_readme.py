@@ -26,7 +26,7 @@ def test_the_readme_is_one_page_with_two_commands():
     first, last = (blocks("sh")[k].rstrip("\n") for k in (0, -1))
     assert "\n" not in first + last
     assert first.endswith(" && tracer scenes/one-sphere.xml")
-    assert last.endswith(" && python -m pytest -q")
+    assert last.endswith(" && python -m pytest -q -n auto")
     assert "pip install" in first
     assert "'.[test]'" in last
 
