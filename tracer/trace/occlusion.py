@@ -391,17 +391,29 @@ def shadow_edges(
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, triples: Ints, footprint: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and the whole footprint around its hit.
+    """Test whether each object shades its hit, and what its shadow does in the hit's footprint.
 
     The footprint is the part of the surface around the hit that a cell of the picture sees.  Each
-    object is tested three times: as it is, grown by the radius of the footprint, and shrunk by this
-    radius.  The shadow of the object may have an edge in the footprint if
+    object is tested three times: unchanged, grown by the radius of the footprint, and shrunk by
+    this radius.  The first of these rules that applies decides:
 
-    1. the grown object blocks the segment from the hit to the light, or the light is within the
-       footprint's radius of the object's surface; and
-    2. the shrunk object does not block the segment.
+    ===================  ======================================  ======================
+    shadow in footprint  condition                               result
+    ===================  ======================================  ======================
+    everywhere           The unchanged and the shrunk object     `covers`
+                         both block the segment from the hit to
+                         the light, and the light is not on the
+                         object's surface.
+    has an edge          The grown object blocks the segment,    `has_edge`; `blocks` if
+                         or the light is within the footprint's  the unchanged object
+                         radius of the object's surface.         blocks the segment
+    nowhere              otherwise                               none
+    ===================  ======================================  ======================
 
-    If the shrunk object blocks the segment, the object shades the whole footprint.
+    The first rule tests the unchanged object, too, because a hit near the surface may be inside the
+    object but outside the shrunk object, which then seems to block light from within the object.
+    The first rule excludes lights on the surface: light from there reaches one side of the plane
+    that touches the object at the light, and this plane may cross the footprint.
 
     Parameters
     ----------
@@ -427,15 +439,14 @@ def _test_footprints(
     """
     radius = footprint[triples[1]]
     blocks_grown = _blocks(hits, lights, shape, triples, radius)
-    # An object grown by more than its distance from the light contains the light.  It may then
-    # contain the whole segment and not block it, although the object itself blocks the segment.
+    # A light deeper inside the object than the radius is inside the grown object.  If the hit is,
+    # too, then the grown object contains the whole segment and does not block it, although the
+    # unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
     near = indices(blocks_grown | (light_distance <= radius))
     near_triples = triples.take(near, axis=1)
     radius, blocks_grown, light_distance = radius[near], blocks_grown[near], light_distance[near]
     blocks = _blocks(hits, lights, shape, near_triples)
-    # The test of the shrunk object alone proves nothing in two cases: a hit on a sphere's inner
-    # side, which is outside of the shrunk sphere, and a light on the surface of a sphere.
     covers = blocks & _blocks(hits, lights, shape, near_triples, -radius)
     covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
     has_edge = ~covers & (blocks_grown | (np.abs(light_distance) <= radius))

@@ -1,0 +1,75 @@
+"""Shadow edges: when does the shadow of an object cover the footprint of a hit, or end in it?
+
+Each case is a row of the table in `tracer.trace.occlusion._test_footprints`, as a scene.
+"""
+
+import numpy as np
+import pytest
+from probe import scene_of
+
+from tracer import Box, Camera, Sphere
+from tracer.antialias.lattice import CENTRES
+from tracer.geometry.camera import camera_frame
+from tracer.trace.occlusion import shadow_edges
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
+
+FLOOR = Box(min_pt=(-20, -1, -20), max_pt=(20, 0, 20))
+BALL = Sphere(center=(0, 3, 0), radius=1)
+PLATE = Box(min_pt=(-4, 2, -4), max_pt=(4, 2.1, 4))
+HALL = Box(min_pt=(-9, -2, -9), max_pt=(9, 9, 9))
+CUBE = Box(min_pt=(-1, 2, -1), max_pt=(1, 4, 1))
+
+# Whether the object blocks the light at the hit, and whether its shadow has an edge in the
+# footprint.
+CLEAR, EDGE, EDGE_SHADED, COVERED = (False, False), (False, True), (True, True), (True, False)
+
+# The hit is at the origin, on the first object; its footprint has the radius 0.5.  The
+# shadow is that of the second object.
+CASES = {
+    "segment far from the ball": (FLOOR, BALL, (8, 6, 0), CLEAR),
+    "segment next to the ball": (FLOOR, BALL, (3, 6, 0), EDGE),
+    "segment through the ball, near its silhouette": (FLOOR, BALL, (1.5, 6, 0), EDGE_SHADED),
+    "segment through the centre of the ball": (FLOOR, BALL, (0, 6, 0), COVERED),
+    "segment through a plate thinner than the footprint": (FLOOR, PLATE, (0, 6, 0), EDGE_SHADED),
+    "light far in front of the ball": (FLOOR, BALL, (0, 1, 0), CLEAR),
+    "light in the centre of the ball": (FLOOR, BALL, (0, 3, 0), COVERED),
+    # Wherever a light is in a ball, the ball blocks it.  For boxes near it, an edge is assumed.
+    "light in the ball, near its surface": (FLOOR, BALL, (0, 2.3, 0), COVERED),
+    "light in the cube, near its surface": (FLOOR, CUBE, (0, 2.3, 0), EDGE_SHADED),
+    "light on the far side of the ball": (FLOOR, BALL, (0, 4, 0), COVERED),
+    # The plane that touches the ball at the light crosses the floor 1/6 to either side of the hit.
+    "light on the ball, just above the hit's horizon": (
+        *(FLOOR, BALL, (24 / 25, 3 - 7 / 25, 0), EDGE_SHADED),
+    ),
+    "light on the ball, just below the hit's horizon": (
+        *(FLOOR, BALL, (12 / 13, 3 - 5 / 13, 0), EDGE),
+    ),
+    "light and hit in a hall": (FLOOR, HALL, (0, 6, 0), CLEAR),
+    "light and hit in a hall, the light near the ceiling": (FLOOR, HALL, (0, 8.7, 0), EDGE),
+    # The grown box contains the hit and the light, and therefore blocks nothing.
+    "light in a box that the footprint meets": (
+        *(FLOOR, Box(min_pt=(0.2, 0, -4), max_pt=(8, 8, 4)), (4, 4, 0), COVERED),
+    ),
+    # The hit is outside of the shrunk hall, but inside of the unchanged one.
+    "light and hit in a hall, the hit near the wall": (
+        *(FLOOR, Box(min_pt=(-9, -2, -0.3), max_pt=(9, 9, 9)), (0, 4, 4), CLEAR),
+    ),
+}
+
+
+@np.errstate(all="ignore")  # as where pictures are rendered
+@pytest.mark.parametrize(
+    ("ground", "other", "light", "expected"), [pytest.param(*c, id=n) for n, c in CASES.items()]
+)
+def test_shadow_in_a_footprint(ground, other, light, expected):
+    camera = Camera(view_point=(-0.75, 0.5, 0), view_dir=(0.75, -0.5, 0))
+    scene = scene_of(ground, other, camera=camera, size=(1, 1), lights=light)
+    prepared = PreparedScene(scene, camera_frame(camera, 1, 1))
+    hits = nearest_hits(prepared, CENTRES.samples(slice(0, 1), slice(0, 1)))
+    np.testing.assert_allclose(np.ravel(hits.points(slice(None))), 0, atol=1e-12)
+    frontlit, footprint = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
+    (lights,) = prepared.light_batches
+    is_blocked, edges, is_crowded = shadow_edges(hits, lights, frontlit, footprint)
+    assert (is_blocked.item(), edges[0].size > 0) == expected
+    assert not is_crowded.any()
