@@ -245,7 +245,7 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
          "{0}: cannot be rendered: not enough memory;"
          " make the image smaller than 40 x 30 pixels or take fewer samples than 4\n"),
         (Mock(return_value=np.full((30, 40, 3), np.nan)),
-         "{0}: cannot be rendered: an image must not hold NaN;"
+         "{0}: cannot be rendered: an image must not contain NaN;"
          " this is a bug in the tracer; please report it with the scene\n"),
     ],
 )  # fmt: skip

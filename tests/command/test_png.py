@@ -1,6 +1,7 @@
-"""8-bit codes against exact arithmetic, and PNG files against Pillow."""
+"""8-bit codes compared with exact arithmetic, and PNG files read by Pillow."""
 
 import io
+import os
 import struct
 import zlib
 from fractions import Fraction
@@ -10,54 +11,53 @@ import pytest
 from PIL import Image
 
 from tracer import to_codes, write_png
+from tracer.picture import png
 from tracer.picture.png import compressed, write_tiles
 
 
 def codes_of(values) -> np.ndarray:
-    """The codes of any number of values."""
+    """Encode any number of values, and return one code for each."""
     padded = np.resize(np.asarray(values, dtype=float), (1, -(-len(values) // 3), 3))
     return to_codes(padded).ravel()[: len(values)]
 
 
-def power(values: np.ndarray) -> np.ndarray:
-    return np.rint(255 * np.clip(values, 0, 1) ** (1 / 2.2)).astype(int)
+def exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
+    """Return round(255 clip(x, 0, 1)^(q/p)), computed in rationals, for gamma = p / q."""
+    p, q = gamma
+    power = Fraction(min(max(x, 0.0), 1.0)) ** q
+    return sum(power >= Fraction(2 * code - 1, 510) ** p for code in range(1, 256))
 
 
-def exact_code(x: float) -> int:
-    """round(255 x^(5/11)) in rationals: how many of the 255 thresholds x has reached."""
-    fifth = Fraction(x) ** 5
-    return sum(fifth >= Fraction(2 * code - 1, 510) ** 11 for code in range(1, 256))
+@pytest.mark.parametrize("gamma", [(11, 5), (12, 5), (9, 5)])
+def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
+    """At each threshold, the code changes at the right float64.  Only one constant has gamma."""
+    monkeypatch.setattr(png, "_GAMMA", gamma)
+    png._code_tables.cache_clear()
+    try:
+        thresholds = ((np.arange(1, 256) - 0.5) / 255) ** (gamma[0] / gamma[1])
+        x = np.concatenate(
+            [
+                (thresholds[:, None] + np.spacing(thresholds)[:, None] * [-8, -1, 0, 1, 8]).ravel(),
+                np.linspace(-0.1, 1.1, 300),
+                10.0 ** np.linspace(-320, 0, 300),
+            ]
+        )
+        assert codes_of(x).tolist() == [exact_code(value, gamma) for value in x]
+    finally:
+        png._code_tables.cache_clear()
 
 
-# Where the power function changes its mind, to the float64 or nearly so.
-THRESHOLDS = ((np.arange(1, 256) - 0.5) / 255) ** 2.2
+def test_the_power_function_agrees_away_from_the_thresholds():
+    x = np.linspace(-0.1, 1.1, 600_000)
+    assert (codes_of(x) == np.rint(255 * np.clip(x, 0, 1) ** (1 / 2.2))).all()
 
 
-@pytest.mark.parametrize(
-    "x", [np.linspace(-0.1, 1.1, 600_000), 10.0 ** np.linspace(-320, 0, 30_000)]
-)
-def test_the_codes_round_the_power_function(x):
-    assert (codes_of(x) == power(x)).all()
-    assert {0, 255} < set(codes_of(x))
-
-
-def test_the_codes_change_exactly_at_every_threshold():
-    """By the power function where it can be trusted: not within 8 ulp of the thresholds."""
-    ulp = np.spacing(THRESHOLDS)
-    for ulps, codes in ((-8, range(255)), (8, range(1, 256))):
-        x = THRESHOLDS + ulps * ulp
-        assert codes_of(x).tolist() == power(x).tolist() == list(codes)
-    for code in (1, 2, 3, 17, 100, 186, 254, 255):
-        x = THRESHOLDS[code - 1] + ulp[code - 1] * np.arange(-8, 9)
-        assert codes_of(x).tolist() == [exact_code(value) for value in x]
-
-
-def test_codes_of_what_is_no_colour():
+def test_codes_of_values_outside_the_range():
     dark, bright = (0.0, -0.0, 5e-324, -1.0, -np.inf), (1.0, np.nextafter(1, 2), 1e308, np.inf)
     assert codes_of(dark + bright).tolist() == [0] * 5 + [255] * 4
 
 
-def test_the_codes_do_not_depend_on_the_layout_of_the_array():
+def test_codes_do_not_depend_on_the_layout_of_the_array():
     image = np.random.default_rng(1).uniform(size=(7, 9, 3))
     expected = to_codes(image)
     assert (to_codes(np.asfortranarray(image)) == expected).all()
@@ -66,35 +66,49 @@ def test_the_codes_do_not_depend_on_the_layout_of_the_array():
 
 
 @pytest.mark.parametrize(
-    ("image", "message"),
+    ("image", "error", "message"),
     [
-        (np.zeros((4, 3)), r"an image has shape \(height, width, 3\), not \(4, 3\)"),
-        (np.zeros((4, 3, 4)), r"an image has shape \(height, width, 3\), not \(4, 3, 4\)"),
-        (np.full((1, 1, 3), np.nan), "an image must not hold NaN"),
-        (np.zeros((0, 4, 3)), "a picture has at least one pixel, not 4 x 0"),
-        (np.zeros((4, 0, 3)), "a picture has at least one pixel, not 0 x 4"),
-        (np.zeros((4, 3, 3), dtype=np.uint8), "not codes of type uint8"),
+        (np.zeros((4, 3)), ValueError, "an image has shape (height, width, 3), not (4, 3)"),
+        (np.zeros((4, 3, 4)), ValueError, "an image has shape (height, width, 3), not (4, 3, 4)"),
+        (np.full((1, 1, 3), np.nan), ValueError, "an image must not contain NaN"),
+        (np.zeros((0, 4, 3)), ValueError, "a picture has at least one pixel, not 4 x 0"),
+        (np.zeros((4, 0, 3)), ValueError, "a picture has at least one pixel, not 0 x 4"),
+        (np.zeros((4, 3, 3), dtype=np.uint8), TypeError,
+         "an image is linear radiance, from 0 to 1, not codes of type uint8"),
+        (np.zeros((4, 3, 3), dtype=complex), TypeError, "an image must be real, not complex"),
+        (np.ma.zeros((4, 3, 3)), TypeError,
+         "an image must not be a masked array; fill it: image.filled(0)"),
     ],
-)
-def test_what_is_no_image(tmp_path, image, message):
-    error = TypeError if image.dtype == np.uint8 else ValueError
-    with pytest.raises(error, match=message):
+)  # fmt: skip
+def test_arrays_that_are_no_image(tmp_path, image, error, message):
+    with pytest.raises(error) as caught:
         write_png(tmp_path / "picture.png", image)
-    with pytest.raises(ValueError, match=r"a.jpg: pictures are PNG files; name it .*a.png"):
-        write_png(tmp_path / "a.jpg", np.zeros((1, 1, 3)))
+    assert str(caught.value) == message
     assert list(tmp_path.iterdir()) == []
 
 
+def test_names_of_pictures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    image = np.zeros((1, 1, 3))
+    names = ["A.PNG", "b.png", "c"]
+    for name in names:
+        write_png(os.fsencode(name) if name == "c" else name, image)
+    for name in ("a.jpg", b"a.jpg"):
+        with pytest.raises(ValueError, match=r"^a\.jpg: pictures are PNG files; name it a\.png$"):
+            write_png(name, image)
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
 def checked(file) -> np.ndarray:
-    """The codes in a PNG file, with all its checksums."""
+    """Verify all checksums of a PNG file, and return its codes."""
     data = file.getvalue()
     Image.open(file).verify()
-    # Pillow does not look at the last check; zlib does.
-    left, stream = data[8:], b""
-    while left:
-        size, kind = struct.unpack(">I4s", left[:8])
-        stream += left[8 : 8 + size] if kind == b"IDAT" else b""
-        left = left[12 + size :]
+    # Pillow ignores the checksum of the compressed stream; zlib does not.
+    remaining, stream = data[8:], b""
+    while remaining:
+        size, kind = struct.unpack(">I4s", remaining[:8])
+        stream += remaining[8 : 8 + size] if kind == b"IDAT" else b""
+        remaining = remaining[12 + size :]
     zlib.decompress(stream)
     with Image.open(file) as picture:
         assert (picture.format, picture.mode) == ("PNG", "RGB")
@@ -104,7 +118,7 @@ def checked(file) -> np.ndarray:
 @pytest.mark.parametrize("size", [(1, 1), (1, 500), (500, 1), (3, 2), (180, 320), (3, 40_000)])
 def test_pillow_reads_what_was_written(tmp_path, size):
     image = np.random.default_rng(size).uniform(-0.2, 1.2, (*size, 3))
-    image[: size[0] // 2] = 0.25  # and something to compress
+    image[: size[0] // 2] = 0.25  # can be compressed well
     write_png(file := io.BytesIO(), image)
     assert (checked(file) == to_codes(image)).all()
     write_png(path := tmp_path / "picture.png", image)
@@ -115,7 +129,7 @@ def test_pillow_reads_what_was_written(tmp_path, size):
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 50), (7, 50), (300, 50), (1, 17), (1, 1)])
 def test_tiles_make_the_picture(rows, columns):
-    """Whole rows; or parts of one, if they are less than the picture is wide."""
+    """Tiles are whole rows, or parts of one row if they are narrower than the picture."""
     image = np.random.default_rng(rows).uniform(size=(300, 50, 3))
     tiles = (
         compressed(image[top : top + rows, left : left + columns], from_left=left == 0)
