@@ -263,7 +263,7 @@ def test_many_plates_behind_each_other(monkeypatch):
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
     sizes = noted(monkeypatch, radiance_module, "nearest_hits", lambda _, samples: samples.size)
-    monkeypatch.setattr(prepared_scene, "_PAIRS", 40 * 30 * 8)
+    monkeypatch.setattr(prepared_scene, "_MAX_SAMPLE_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
 
@@ -288,11 +288,11 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
     scene = replace(scene, lights=lights)
     groups = noted(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
-    monkeypatch.setattr(prepared_scene, "_LIGHTS", 9)
+    monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 9)
     whole = [render(scene, samples) for samples in (1, 16)]
-    monkeypatch.setattr(prepared_scene, "_LIGHTS", 4)
+    monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 4)
     for kept in (0, 1 << 26):
-        monkeypatch.setattr(prepared_scene, "_KEPT_BYTES", kept)
+        monkeypatch.setattr(prepared_scene, "_MAX_CACHED_BYTES", kept)
         for image, samples in zip(whole, (1, 16), strict=True):
             assert np.array_equal(render(scene, samples), image)
     assert {*groups} == {9, 4, 1}

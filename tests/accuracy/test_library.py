@@ -117,7 +117,7 @@ def test_first_hits_of_many_rays_are_those_of_few(monkeypatch):
     x, y = np.random.default_rng(2).uniform(0, 60, (2, 500))
     scene = random_scene("crowd", 3, 60, 60)
     few = first_hits(scene, x, y)
-    monkeypatch.setattr(first_hits_module, "_RAYS_AT_ONCE", 70)
+    monkeypatch.setattr(first_hits_module, "_RAYS_PER_BATCH", 70)
     many = first_hits(scene, x, y)
     assert np.unique(few.surface).size > 5
     for name in ("surface", "distance", "normal", "point"):

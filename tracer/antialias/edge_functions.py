@@ -39,9 +39,6 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
-EDGES_AT_ONCE = 1 << 16
-"""Edge functions are found for so many pairs of a cell and an edge at a time."""
-
 EdgeValues: TypeAlias = tuple[Ints, Floats]
 """Cells (n,), and edge functions at the six points of each (6, n); NaN where unknown."""
 

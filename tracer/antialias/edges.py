@@ -13,8 +13,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EDGES_AT_ONCE, EdgeValues, InverseDepth, rays, span
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, span
 from tracer.arrays import (
+    BATCH_SIZE,
     Bools,
     Floats,
     Ints,
@@ -41,8 +42,8 @@ _NEARLY = 1e-3
 
 def pieces(index: Ints) -> Iterator[Ints]:
     """Some of an index at a time: edge functions are six numbers for each."""
-    for start in range(0, index.size, EDGES_AT_ONCE):
-        yield index[start : start + EDGES_AT_ONCE]
+    for start in range(0, index.size, BATCH_SIZE):
+        yield index[start : start + BATCH_SIZE]
 
 
 def footprints_of(hits: Hits, size: float) -> Floats:

@@ -29,13 +29,13 @@ from tracer.antialias.classify import Cells, Classification, classify, curvature
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import mixed, stratified
-from tracer.arrays import Bools, Floats, Ints, indices
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum number of samples that are traced together in cells that are not smooth: it limits memory.
-_SAMPLES_PER_BATCH = 1 << 16
+_SAMPLES_PER_BATCH = BATCH_SIZE
 
 # Maximum error of the mean radiance of a cell if one sample per pixel is requested.  If n x n are
 # requested, the limit is divided by n^(3/2): the error of a grid of samples decreases as fast.

@@ -22,7 +22,7 @@ from typing import IO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats
+from tracer.arrays import CACHE_SIZE, Floats
 from tracer.files import atomic_file
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -34,7 +34,7 @@ _MAX_CODE = 255
 _GAMMA = 11, 5
 
 # Number of values that are encoded or compressed together: they stay in the CPU cache.
-_VALUES_PER_BATCH = 1 << 15
+_VALUES_PER_BATCH = CACHE_SIZE
 
 # The largest prime below 2^16 (RFC 1950).
 _ADLER = 65521

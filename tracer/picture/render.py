@@ -31,7 +31,7 @@ import numpy as np
 
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.refine import antialiased, prefers_supersampling
-from tracer.arrays import Floats
+from tracer.arrays import CACHE_SIZE, Floats
 from tracer.geometry.camera import camera_frame
 from tracer.picture.lint import SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
@@ -51,7 +51,7 @@ _QUIET = np.errstate(all="ignore")
 # Maximum number of samples in a tile, and minimum number for which another process is worth it.
 # In classified pictures both are multiplied by `_CLASSIFIED_FACTOR`: few pixels are divided there,
 # and the arrays of their samples should be long, too.
-_MAX_TILE_SAMPLES, _MIN_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 << 15, 1 << 15, 4
+_MAX_TILE_SAMPLES, _MIN_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 * CACHE_SIZE, CACHE_SIZE, 4
 
 # Minimum number of pixels in a tile, because each tile adds some bytes to a PNG file; and minimum
 # number of tiles for each processor, to balance the load, if the other limits allow it.

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracer.arrays import Floats, Ints
+from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.geometry.camera import camera_frame
 from tracer.scene.model import Scene
 from tracer.trace.samples import Scattered
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# So many rays are traced at a time, where objects do not lie behind each other.
-_RAYS_AT_ONCE = 1 << 16
+# Maximum number of rays that are traced together: it limits memory.
+_RAYS_PER_BATCH = BATCH_SIZE
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def first_hits(scene: Scene, x: ArrayLike, y: ArrayLike) -> FirstHits:
     prepared, file_index = PreparedScene(scene, frame), scene.surfaces.file_index
     normal, point = np.full((2, n, 3), np.nan)
     surface, distance = np.full(n, -1), np.full(n, np.inf)
-    step = prepared.at_once(_RAYS_AT_ONCE)
+    step = prepared.at_once(_RAYS_PER_BATCH)
     for start in range(0, n, step):
         samples, order = Scattered.of(across[start : start + step], down[start : start + step])
         seen = nearest_hits(prepared, samples)

@@ -37,6 +37,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import (
+    BATCH_SIZE,
     Bools,
     Floats,
     Ints,
@@ -55,7 +56,7 @@ from tracer.world.prepared_scene import Lights, Shape
 
 # Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
 # are collected before duplicates are removed.  Both limit memory.
-_PACKETS_PER_QUERY, _EDGES_PER_BATCH = 1 << 14, 1 << 19
+_PACKETS_PER_QUERY, _EDGES_PER_BATCH = BATCH_SIZE // 4, 8 * BATCH_SIZE
 
 # A hit with more shadow edges of one light than this is crowded.
 _MAX_EDGES_PER_HIT = 64

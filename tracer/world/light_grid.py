@@ -49,6 +49,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import (
+    BATCH_SIZE,
+    CACHE_SIZE,
     Bools,
     Floats,
     Ints,
@@ -68,11 +70,11 @@ This is far more than all rounding errors together."""
 # have shorter lists, but filling them takes longer.  Cells are larger where objects would be listed
 # more than `_MAX_LISTED` times for each light, or all patches together would have more than
 # `_MAX_CELLS` cells.
-_MAX_SIDE, _MAX_LISTED, _MAX_CELLS = 320, 1 << 21, 1 << 24
+_MAX_SIDE, _MAX_LISTED, _MAX_CELLS = 320, 32 * BATCH_SIZE, 256 * BATCH_SIZE
 
 # Maximum number of pairs of a ball and an entry, and of a rectangle and a cell, in one batch: their
 # arrays stay in the CPU cache.
-_PAIRS_PER_BATCH, _CELLS_PER_BATCH = 1 << 17, 1 << 17
+_PAIRS_PER_BATCH, _CELLS_PER_BATCH = 4 * CACHE_SIZE, 4 * CACHE_SIZE
 
 # On each of its sides, a patch excludes one in this many objects, which are listed in the cells at
 # its border.  Otherwise a single huge object could stretch the patch until all other objects lie in

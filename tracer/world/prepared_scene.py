@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Sides, changes
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, changes
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.sphere import Spheres
@@ -18,9 +18,12 @@ from tracer.world.light_grid import POSITION_ERROR, LightGrid, light_grid
 Shape: TypeAlias = Spheres | Boxes
 """All objects of one kind; see `Spheres` for what they answer."""
 
-# The most pairs of a sample and an object behind it at a time; the most lights at a time, and pairs
-# of a light and an object; and how much memory lights keep that are prepared.
-_PAIRS, _LIGHTS, _LIT_PAIRS, _KEPT_BYTES = 3 << 18, 4, 1 << 18, 1 << 26
+# Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
+# number of lights, and of pairs of a light and an object, in one batch of lights.
+_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
+
+# Maximum memory, in bytes, for prepared lights that are kept for the next batch of samples.
+_MAX_CACHED_BYTES = 1 << 26
 
 # Pixels across a packet, as a part of the side of the square of pixels that each object has if all
 # share the picture evenly.
@@ -117,19 +120,19 @@ class PreparedScene:
 
     def at_once(self, samples: int) -> int:
         """Up to so many samples, or as many as memory allows at a time."""
-        return max(1, min(samples, int(_PAIRS / max(self.depth_complexity, 1.0))))
+        return max(1, min(samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
         """All lights, as many at a time as memory allows."""
-        step = max(1, min(_LIGHTS, _LIT_PAIRS // max(self.curvature.size, 1)))
+        step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // max(self.curvature.size, 1)))
         for number, start in enumerate(range(0, self.light_count, step)):
             if number < len(self._kept):
                 yield self._kept[number]
                 continue
             batch = self.lights(slice(start, start + step))
             # Preparing the others again takes less time than most of what they are prepared for.
-            if sum(kept.nbytes for kept in self._kept) < _KEPT_BYTES:
+            if sum(kept.nbytes for kept in self._kept) < _MAX_CACHED_BYTES:
                 self._kept.append(batch)
             yield batch
 
