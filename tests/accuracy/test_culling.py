@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe import Vector, noted, scene_of
-from random_scenes import KINDS, random_scene
+from random_scenes import FEW_OBJECTS, random_scene, scenes
+from scene_files import hard_scenes
 
 from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
@@ -92,33 +93,25 @@ def scattered(scene: Scene) -> Floats:
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
-@pytest.mark.parametrize(
-    ("kind", "seed", "width", "height"),
-    [
-        *((kind, seed, 23, 31) for kind in KINDS for seed in range(1 if kind == "crowd" else 8)),
-        ("touching", 167, 31, 23),  # a row of pixels in the plane of a face, seen obliquely
-        ("scattered", 170, 160, 120),  # a shadow that ends just beside a row's last sample
-        ("walled", 129, 160, 120),  # the same at the first
-        ("walled", 191, 160, 120),  # a box flat along two axes
-        ("far", 24, 60, 44),  # two faces in one row, at less than a right angle to each other
-        ("enormous", 1632556525, 61, 37),  # a row in the plane of a face with an edge 10^6 as long
-    ],
-)
-def test_random_scenes(kind, seed, width, height):
-    assert_same(random_scene(kind, seed, width, height))
+@settings(max_examples=3 * settings.default.max_examples)
+@given(scenes(FEW_OBJECTS, st.just(23), st.just(31)))
+def test_culling_changes_no_random_scene(scene):
+    assert_same(scene)
+
+
+def test_culling_changes_no_crowd():
+    assert_same(random_scene("crowd", 0, 23, 31))
+
+
+@pytest.mark.parametrize("hard", hard_scenes("culling"))
+def test_culling_changes_no_hard_scene(hard):
+    assert_same(hard.scene)
 
 
 @pytest.mark.slow
-@settings(max_examples=90, deadline=None, derandomize=True)
-@given(
-    kind=st.sampled_from([kind for kind in KINDS if kind != "crowd"]),
-    seed=st.integers(1000, 2**32),
-    width=st.integers(2, 200),
-    height=st.integers(1, 100),
-    zooms=st.integers(0, 5),
-)
-def test_any_scene(kind, seed, width, height, zooms):
-    scene = random_scene(kind, seed, width, height)
+@settings(max_examples=3 * settings.default.max_examples)
+@given(scenes(FEW_OBJECTS, st.integers(2, 200), st.integers(1, 100)), st.integers(0, 5))
+def test_culling_changes_no_scene_however_large(scene, zooms):
     assert_same(scene)
     for _ in range(zooms):
         # On the first pixel that differs most from its neighbour: an outline or the edge of a

@@ -50,7 +50,7 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
                 assert not any(term)
                 continue
             diffuse = np.multiply(light.intensity, pixel.kd) * light.n_dot_l
-            np.testing.assert_allclose(diffuse, light.diffuse, rtol=1e-9)
+            np.testing.assert_allclose(diffuse, light.diffuse, rtol=1e-9, atol=1e-10)
             power = max(light.n_dot_h, 0) ** pixel.exponent
             specular = np.multiply(light.intensity, pixel.ks) * power
             np.testing.assert_allclose(specular, light.specular, rtol=1e-7, atol=1e-9)

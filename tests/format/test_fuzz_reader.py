@@ -67,14 +67,14 @@ def read(content: bytes) -> None:
     assert load_scene(file) == scene
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=20 * settings.default.max_examples)
 @given(mutated())
 @example(VALID)
 def test_mutated_files(content):
     read(content)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=10 * settings.default.max_examples)
 @given(
     st.binary(max_size=200)
     | st.tuples(
@@ -115,7 +115,7 @@ SURFACES = st.builds(Sphere, center=POINTS, radius=SIZES, shader=SHADERS) | st.b
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=7 * settings.default.max_examples)
 @given(CAMERAS, st.lists(LIGHTS, max_size=4), st.lists(SURFACES, max_size=4))
 def test_pictures_of_extremes_are_finite(camera, lights, surfaces):
     scene = Scene(width=4, height=3, camera=camera, lights=lights, surfaces=surfaces)
