@@ -104,7 +104,7 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
             ("shader_index", [0, 7, -1], "must be indices of 2 shaders, has 7"),
             ("shader_index", [-1, 0, 0], "must be indices of 2 shaders, has -1"),
             ("shader_index", [0, 0, 0.5], "must be whole numbers"),
-            ("line", [1, 2], "needs 3, one a surface; has 2"),
+            ("line", [1, 2], "needs 3, one for each surface; has 2"),
             ("file_index", [0, 2, 2], "must be a permutation of 0 ... 2"),
             ("file_index", [-1, 0, 1], "must be a permutation of 0 ... 2"),
         )
@@ -114,8 +114,8 @@ FAULTS: list[tuple[type, dict[str, Any], list[str]]] = [
         ARRAYS | {"radius": [1, -1, 2], "shaders": ()},
         [
             "radius: needs 2, as many as center; has 3",
-            "shader_index: needs 4, one a surface; has 3",
-            "file_index: needs 4, one a surface; has 3",
+            "shader_index: needs 4, one for each surface; has 3",
+            "file_index: needs 4, one for each surface; has 3",
             "shader_index: must be indices of 0 shaders, has 0",
         ],
     ),

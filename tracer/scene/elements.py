@@ -1,7 +1,9 @@
 """Parse a scene file into elements with line numbers.
 
-The file is parsed as a stream, and only a part of its tree is in memory at any time: each child of
-the root is handed on when it ends.  The limits below keep any file from exhausting memory or time.
+The problem is to read files of up to 256 MiB in little memory.  Expat parses the file as a stream.
+Each child of the root is complete when its end tag is parsed; it is then passed on and forgotten,
+so that at most one child is in memory.  Limits on the bytes of a file, on the length of a token,
+and on the elements in one child bound the memory and time that any file can take.
 """
 
 from __future__ import annotations
@@ -13,29 +15,45 @@ from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, short
-from tracer.scene.hints import SCENE, malformed
+from tracer.scene.hints import SCENE, syntax_remedy
 
 MAX_BYTES = 1 << 28
-"""Largest scene file: 256 MiB, about two million objects."""
-MAX_TOKEN = 1 << 20
-"""Longest tag, comment or text, in bytes or characters."""
-MAX_NESTING = 64
-"""Deepest nesting, and most children of anything but the scene."""
+"""Maximum size of a scene file: 256 MiB, about two million objects."""
+MAX_TOKEN_BYTES = 1 << 20
+"""Maximum length of a tag, a comment or a text, in bytes or characters."""
+MAX_DESCENDANTS = 64
+"""Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
-# Bytes parsed at a time, and how many before them are kept to find the cause of an error.
-_READ_BYTES, _TAIL_BYTES = 1 << 14, 1 << 12
+# Bytes that are parsed together, and bytes before these that are kept to diagnose a syntax error.
+_CHUNK_BYTES, _KEPT_BYTES = 1 << 14, 1 << 12
 
-# Elements that hold elements, and no text.
+# Bytes after a syntax error that are enough to diagnose it.
+_LOOKAHEAD_BYTES = 256
+
+# Elements that contain other elements, and no text.
 _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
-class FatalFault(Exception):  # noqa: N818 - a fault of the file, not of the program
-    """A fault that ends the reading of a file: its line, or 0 for none, and the message."""
+class FatalError(Exception):
+    """An error that ends the reading of a file.
+
+    Parameters
+    ----------
+    line : int
+        Line of the file; 0 if the error has none.
+    message : str
+        What is wrong, and a suggested fix.
+    """
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(line, message)
+        self.line, self.message = line, message
 
 
 class Element(list["Element"]):
-    """An element, a list of its children.  The parser sets the slots: faster than `__init__`."""
+    """An element of the file: a list of its children, with its tag, attributes, line and text."""
 
+    # The parser sets the slots one by one, which takes less time than a call of `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
@@ -43,19 +61,29 @@ class Element(list["Element"]):
     text: str
 
 
-def opened(path: str) -> IO[bytes]:
-    """Open a regular file: a pipe or a device may block, or never end."""
+def open_scene(path: str) -> IO[bytes]:
+    """Open a scene file, provided that it is a regular file of at most `MAX_BYTES`.
+
+    Other files, such as pipes and devices, may block or never end.
+
+    Raises
+    ------
+    FatalError
+        If the path does not name such a file.
+    OSError
+        If the file cannot be opened.
+    """
     try:
         status = os.stat(path)
     except ValueError:
-        wrong = "a path cannot hold a NUL or half of a surrogate pair; check the path"
-        raise FatalFault(0, wrong) from None
+        message = "a path cannot hold a NUL or half of a surrogate pair; check the path"
+        raise FatalError(0, message) from None
     if stat.S_ISDIR(status.st_mode):
-        raise FatalFault(0, "is a folder; name a scene file in it")
+        raise FatalError(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
-        raise FatalFault(0, "is not a regular file; save the scene to one")
+        raise FatalError(0, "is not a regular file; save the scene to one")
     if status.st_size > MAX_BYTES:
-        raise FatalFault(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+        raise FatalError(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
 
 
@@ -64,109 +92,187 @@ def parse(
     read_child: Callable[[Element], None],
     report_at: Callable[[int, str, str], None],
 ) -> None:
-    """Parse a scene file: `read_child` gets the root when it begins, each child when it ends.
+    """Parse a scene file, and pass its elements on as they are completed.
 
-    `report_at` gets stray text: its line, the tag around it, and the message.
+    Parameters
+    ----------
+    file : binary file object
+        The scene file, open for reading.
+    read_child : callable
+        Called with the root when its start tag is parsed, without children.  Then called with each
+        child of the root when its end tag is parsed; the child contains all its descendants.
+    report_at : callable
+        Called for each text where no text may stand, with (1) the line of the text, (2) the tag of
+        the element around it and (3) the error message.
 
     Raises
     ------
-    FatalFault
-        Where the file stops being XML or exceeds a limit; children that end before have been read.
+    FatalError
+        If the file stops being XML, or exceeds a limit.  The children that are completed before
+        have been passed on.
     """
-    opened: list[Element] = []
-    # Stray text since the last tag is reported already if this holds it: long texts come in pieces.
-    strayed: Element | None = None
-    encoding = ""
+    parser = _Parser(read_child, report_at)
+    try:
+        parser.parse(file)
+    finally:
+        # The expat parser and its handlers refer to each other; this breaks the cycle.
+        parser.expat = None
 
-    def start(tag: str, attrib: dict[str, str]) -> None:
-        nonlocal strayed
-        strayed = None
+
+class _Parser:
+    """The state of the parser between two events of expat.
+
+    Attributes
+    ----------
+    expat : expat parser
+        Calls the methods `start`, `end`, `text`, `declare` and `refuse_entities`.
+    open_elements : list of Element
+        Elements whose end tags have not been parsed yet, the root first.
+    descendant_count : int
+        Number of elements so far inside the current child of the root.
+    stray_element : Element or None
+        Element whose stray text has been reported since the last start tag.  Long texts come in
+        several events, of which only the first is reported.
+    encoding : str
+        Encoding that the XML declaration names; "" if it names none.
+    parsed : int
+        Number of bytes passed to expat.
+    kept : bytes
+        The last bytes passed to expat: the current chunk, and up to `_KEPT_BYTES` before it.
+    """
+
+    def __init__(
+        self, read_child: Callable[[Element], None], report_at: Callable[[int, str, str], None]
+    ) -> None:
+        self.read_child, self.report_at = read_child, report_at
+        self.open_elements: list[Element] = []
+        self.descendant_count = 0
+        self.stray_element: Element | None = None
+        self.encoding, self.parsed, self.kept = "", 0, b""
+        self.expat: Any = expat.ParserCreate()
+        self.expat.buffer_text = True
+        self.expat.StartElementHandler = self.start
+        self.expat.EndElementHandler = self.end
+        self.expat.CharacterDataHandler = self.text
+        self.expat.XmlDeclHandler = self.declare
+        self.expat.StartDoctypeDeclHandler = self.refuse_entities
+
+    def parse(self, file: IO[bytes]) -> None:
+        """Parse a file to its end; see the function `parse`."""
+        chunk = None
+        while chunk != b"":
+            chunk = file.read(_CHUNK_BYTES)
+            if not isinstance(chunk, bytes):
+                raise TypeError("a scene is read from a binary file, not from text")
+            self.kept = self.kept[-_KEPT_BYTES:] + chunk
+            self.parsed += len(chunk)
+            if not self.parsed:
+                raise FatalError(0, f"is empty; {SCENE}")
+            try:
+                self.expat.Parse(chunk, not chunk)
+            except expat.ExpatError as error:
+                raise self.diagnosed(error, file.read(_LOOKAHEAD_BYTES)) from None
+            except (LookupError, ValueError, Warning):
+                if self.open_elements:
+                    raise
+                # Raised by the codec that the XML declaration names.
+                raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
+            # Versions of expat before 2.6 take quadratic time over one token.
+            if self.parsed - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
+                message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
+                raise FatalError(self.expat.CurrentLineNumber, message)
+            if self.parsed > MAX_BYTES:
+                raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+
+    def diagnosed(self, error: expat.ExpatError, following: bytes) -> FatalError:
+        """Return the error to raise for a syntax error, with a suggested fix.
+
+        Parameters
+        ----------
+        error : ExpatError
+            What expat reports.
+        following : bytes
+            The beginning of the next chunk.
+        """
+        message = expat.ErrorString(error.code)
+        if message == expat.errors.XML_ERROR_NO_MEMORY:
+            raise MemoryError from None
+        position = max(0, self.expat.ErrorByteIndex - self.parsed + len(self.kept))
+        remedy = syntax_remedy(
+            message,
+            error.lineno,
+            before=self.kept[:position],
+            after=(self.kept[position:] + following)[:_LOOKAHEAD_BYTES],
+            open_elements=self.open_elements,
+            encoding=self.encoding,
+        )
+        column = error.offset + 1
+        return FatalError(error.lineno, f"not XML: {message} at column {column}; {remedy}")
+
+    def start(self, tag: str, attrib: dict[str, str]) -> None:
+        """Handle a start tag."""
         element = Element()
         element.tag = tag
         element.attrib = attrib
-        element.line = parser.CurrentLineNumber
+        element.line = self.expat.CurrentLineNumber
         element.text = ""
-        if len(opened) > 1:
-            parent = opened[-1]
-            parent.append(element)
-            if len(opened) == MAX_NESTING or len(parent) > MAX_NESTING:
-                wrong = f"{short(parent.tag)}: more than {MAX_NESTING} elements in another"
-                raise FatalFault(element.line, wrong)
-        elif not opened:
-            read_child(element)
-        opened.append(element)
+        self.stray_element = None
+        open_elements = self.open_elements
+        if len(open_elements) > 1:
+            open_elements[-1].append(element)
+            self.descendant_count += 1
+            if self.descendant_count > MAX_DESCENDANTS:
+                child = short(open_elements[1].tag)
+                remedy = f"close <{child}> of line {open_elements[1].line} earlier, or remove it"
+                message = f"more than {MAX_DESCENDANTS} elements in it; {remedy}"
+                raise FatalError(element.line, f"{child}: {message}")
+        elif open_elements:
+            self.descendant_count = 0
+        else:
+            self.read_child(element)
+        if attrib and len(attrib) > MAX_DESCENDANTS:
+            message = f"more than {MAX_DESCENDANTS} attributes; remove some"
+            raise FatalError(element.line, f"{short(tag)}: {message}")
+        open_elements.append(element)
 
-    def end(_tag: str) -> None:
-        element = opened.pop()
-        if len(opened) == 1:
-            read_child(element)
+    def end(self, _tag: str) -> None:
+        """Handle an end tag."""
+        open_elements = self.open_elements
+        element = open_elements.pop()
+        if len(open_elements) == 1:
+            self.read_child(element)
 
-    def text(text: str) -> None:
-        nonlocal strayed
-        element = opened[-1]
+    def text(self, text: str) -> None:
+        """Handle text between two tags, or a part of a long one."""
+        element = self.open_elements[-1]
         if text.isspace() and not element.text:
             return
         if element.tag not in _CONTAINERS:
             element.text += text
-            if len(element.text) > MAX_TOKEN:
-                wrong = f"{short(element.tag)}: more than {MAX_TOKEN} characters; make it shorter"
-                raise FatalFault(element.line, wrong)
-        elif strayed is not element:
-            # The event comes where the text ends; the fault is where it begins.
-            strayed, text = element, text.lstrip()
-            line = parser.CurrentLineNumber - text.count("\n")
-            report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+            if len(element.text) > MAX_TOKEN_BYTES:
+                message = f"more than {MAX_TOKEN_BYTES} characters; make it shorter"
+                raise FatalError(element.line, f"{short(element.tag)}: {message}")
+        elif self.stray_element is not element:
+            # The event occurs at the end of the text, but the error is at its beginning.
+            self.stray_element, text = element, text.lstrip()
+            line = self.expat.CurrentLineNumber - text.count("\n")
+            self.report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
 
-    def declaration(_version: str, declared: str | None, _standalone: int) -> None:
-        nonlocal encoding
-        encoding = declared or ""
+    def declare(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        """Handle the XML declaration."""
+        self.encoding = encoding or ""
 
-    def doctype(_name: str, system: str | None, _public: str | None, declares: bool) -> None:
-        # Entities in others grow exponentially; those of another file would be skipped.
-        if declares or system is not None:
-            wrong = "are not allowed; write out what entities stand for"
-            if not declares:
-                wrong = "in another file are not allowed; remove the DOCTYPE"
-            raise FatalFault(parser.CurrentLineNumber, f"DOCTYPE: declarations {wrong}")
+    def refuse_entities(
+        self, _name: str, system: str | None, _public: str | None, has_declarations: bool
+    ) -> None:
+        """Handle a DOCTYPE: refuse declarations, in the file or in another one.
 
-    parser: Any = expat.ParserCreate()
-    parser.buffer_text = True
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = text
-    parser.XmlDeclHandler = declaration
-    parser.StartDoctypeDeclHandler = doctype
-    given, latest, chunk = 0, b"", None
-    try:
-        while chunk != b"":
-            chunk = file.read(_READ_BYTES)
-            if not isinstance(chunk, bytes):
-                raise TypeError("a scene is read from a binary file, not from text")
-            latest = latest[-_TAIL_BYTES:] + chunk
-            given += len(chunk)
-            if not given:
-                raise FatalFault(0, f"is empty; {SCENE}")
-            try:
-                parser.Parse(chunk, not chunk)
-            except expat.ExpatError as error:
-                message = expat.ErrorString(error.code)
-                if message == expat.errors.XML_ERROR_NO_MEMORY:
-                    raise MemoryError from None
-                at = max(0, parser.ErrorByteIndex - given + len(latest))
-                after = (latest + file.read(_READ_BYTES))[at : at + 256]
-                right = malformed(message, error.lineno, latest[:at], after, opened, encoding)
-                wrong = f"not XML: {message} at column {error.offset + 1}; {right}"
-                raise FatalFault(error.lineno, wrong) from None
-            except (LookupError, ValueError, Warning):
-                if opened:
-                    raise
-                # Raised by the codec that the file names.
-                raise FatalFault(1, "not XML: unknown encoding; save the file as UTF-8") from None
-            # Versions of expat before 2.6 take quadratic time over one token.
-            if given - parser.CurrentByteIndex > MAX_TOKEN:
-                wrong = f"a tag or comment of more than {MAX_TOKEN} bytes; make it shorter"
-                raise FatalFault(parser.CurrentLineNumber, wrong)
-            if given > MAX_BYTES:
-                raise FatalFault(0, f"has more than {MAX_BYTES} bytes, which are allowed")
-    finally:
-        parser = None  # breaks the cycle of the parser and its handlers
+        Entities in entities grow exponentially; those that another file declares would be skipped.
+        """
+        if has_declarations:
+            message = "declarations are not allowed; write out what entities stand for"
+        elif system is not None:
+            message = "declarations in another file are not allowed; remove the DOCTYPE"
+        else:
+            return
+        raise FatalError(self.expat.CurrentLineNumber, f"DOCTYPE: {message}")

@@ -1,4 +1,8 @@
-"""Remedies: what would make a malformed file XML, and which name or number was meant."""
+"""Suggest fixes for files that are not XML, for unknown names, and for words that are no numbers.
+
+Expat's own messages name the place of a syntax error, but not the mistake.  The table
+`_SYNTAX_REMEDIES` recognises common mistakes by the text on both sides of that place.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,21 @@ from tracer.messages import quoted, short
 
 SCENE = "a scene file holds <scene> ... </scene>"
 
+# Maximum number of known names that are compared with an unknown one: about 30 us for each.
+_MAX_COMPARED = 256
+
+# Maximum number of known names that a message lists.
+_MAX_LISTED = 9
+
 _INVALID, _UNCLOSED = errors.XML_ERROR_INVALID_TOKEN, errors.XML_ERROR_UNCLOSED_TOKEN
 _QUOTED = 'put the value of an attribute in quotes, as in type="Sphere"'
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
-# Expat's message, or "" for any; patterns for the text before and after the error; the remedy.
-# The first row that matches counts.
-_TEXTS = (
+# A row contains (1) expat's message, or "" for any message; (2) a pattern that the text before the
+# error must end with; (3) a pattern that the text from the error on must begin with; (4) the
+# suggested fix, in which `line` is the line where (2) matches, `odd` is the character at the error,
+# and `code` is its code point.  The first row that matches is used.
+_SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE),  # it may be a picture
     ("", rb"", rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])", "save the file as UTF-8"),
@@ -30,7 +42,7 @@ _TEXTS = (
     ("", rb"=\s*", rb"\w", _QUOTED),
     ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
     ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {odd!r} (U+{number:04X})"),
+    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {odd!r} (U+{code:04X})"),
     ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag of line {line} with >"),
     ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes of line {line}"),
     ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes of line {line}"),
@@ -40,8 +52,8 @@ _TEXTS = (
     (_INVALID, rb"", rb"", "in text, < is written &lt; and & is written &amp;"),
 )
 
-# Remedies of other errors, by expat's message alone.
-_ERRORS = {
+# Suggested fixes of the errors whose message alone names the mistake.
+_MESSAGE_REMEDIES = {
     errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
     errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
     errors.XML_ERROR_INCORRECT_ENCODING: "save the file as UTF-8, and declare no other",
@@ -53,94 +65,155 @@ _ERRORS = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
-# Elements of other dialects of the course, in lower case, and what they are here: the first that
-# the element around them may hold, or "" for what this format does not have.
-_DIALECTS = {
+# Names of elements and attributes in other scene formats, in lower case, and their equivalents in
+# this one: names that the element around them may contain, of which the first that it does contain
+# is suggested.  Text after the name belongs to the suggestion.  "" stands for no equivalent.
+_EQUIVALENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
     "up": ("viewUp",),
     "imageplane": ("projDistance, viewWidth and viewHeight", ""),
+    **dict.fromkeys(
+        ("lookat", "target", "to"), ("viewDir: the point looked at, minus viewPoint", "")
+    ),
+    **dict.fromkeys(
+        ("fov", "fovy", "fieldofview"),
+        ("viewHeight: 2 tan(fov / 2) times projDistance; and viewWidth", ""),
+    ),
     **dict.fromkeys(("exposure", "samples", "background", "ambient", "integrator"), ("",)),
     **{name.lower(): (f'<surface type="{name}">',) for name in ("Sphere", "Box")},
     **{name.lower(): (f'<shader type="{name}">',) for name in ("Lambertian", "Phong")},
 }
 
 
-def malformed(
-    message: str, line: int, before: bytes, after: bytes, opened: Sequence[Any], encoding: str
+def syntax_remedy(
+    message: str,
+    line: int,
+    *,
+    before: bytes,
+    after: bytes,
+    open_elements: Sequence[Any],
+    encoding: str,
 ) -> str:
-    """Say what would make a file XML.
+    """Return the suggested fix for a syntax error, which would make the file XML.
 
     Parameters
     ----------
-    message, line
-        What the parser reports, and where.
-    before, after
-        The file around that position, some KiB at most.
-    opened
-        Elements that have not ended there, the root first.
-    encoding
-        As the file declares it; "" if it does not.
+    message : str
+        Expat's message.
+    line : int
+        Line of the error.
+    before, after : bytes
+        The file just before the error, and from the error on.
+    open_elements : sequence of Element
+        Elements whose end tags have not been parsed yet, the root first.
+    encoding : str
+        Encoding that the file declares; "" if it declares none.
+
+    Returns
+    -------
+    remedy : str
     """
-    # UTF-8 in a file that declares another encoding; expat does not know "utf8".
+    # The file is UTF-8, but declares another encoding.  Expat does not know the name "utf8".
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
         return f'write encoding="UTF-8" in the first line, not {quoted(encoding)}'
-    last = f"<{short(opened[-1].tag)}> of line {opened[-1].line}" if opened else None
-    for error, ends, begins, remedy in _TEXTS:
-        text = re.search(rb"(?s:%b)\Z" % ends, before) if error in ("", message) else None
-        if text and re.match(begins, after):
-            begun, odd = line - text[0].count(b"\n"), after.decode(errors="replace")[:1] or " "
-            return remedy.format(line=begun, odd=odd, number=ord(odd))
+    for expected_message, end_of_before, start_of_after, remedy in _SYNTAX_REMEDIES:
+        if expected_message in ("", message):
+            match = re.search(rb"(?s:%b)\Z" % end_of_before, before)
+            if match and re.match(start_of_after, after):
+                odd = after.decode(errors="replace")[:1] or " "
+                return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
+    if not open_elements:
+        return _MESSAGE_REMEDIES.get(message, SCENE)
+    innermost = f"<{short(open_elements[-1].tag)}> of line {open_elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-        if all(name != element.tag for element in opened):
-            return f"only {last} can be closed here: no <{short(name)}> is open"
-    return _ERRORS.get(message) or (f"close {last}" if last else SCENE)
+        if all(name != element.tag for element in open_elements):
+            return f"only {innermost} can be closed here: no <{short(name)}> is open"
+    return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
-def meant(name: str, known: Iterable[str]) -> str | None:
-    """Return which of the `known` names is most similar; None if none is similar."""
-    from difflib import get_close_matches  # imported after a fault only: it takes milliseconds
+def closest_name(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that is most similar to an unknown one; None if none is similar."""
+    from difflib import get_close_matches  # imported after an error only: it takes milliseconds
 
-    # Each takes some 30 us to compare.
-    folded = {short(word).lower(): word for word in islice(known, 256)}
+    folded = {short(word).lower(): word for word in islice(known, _MAX_COMPARED)}
     matches = get_close_matches(short(name).lower(), folded, n=1)
     return folded[matches[0]] if matches else None
 
 
 def suggestion(known: Iterable[str], match: str | None) -> str:
-    """Say what to write for an unknown name: the `match`, or else any that is known."""
-    names = sorted(islice(known, 256))
+    """Return the suggested fix for an unknown name.
+
+    Parameters
+    ----------
+    known : iterable of str
+        Names that are allowed in place of the unknown one.
+    match : str or None
+        The known name that is most similar, if one is.
+
+    Returns
+    -------
+    remedy : str
+        A question for the match, or else a list of the known names.
+    """
+    names = sorted(islice(known, _MAX_COMPARED))
     if match is not None:
         return f"did you mean {quoted(match)}?"
     if not names:
         return "remove it"
-    return f"known: {', '.join(map(short, names[:9]))}{', ...' * (len(names) > 9)}"
+    more = ", ..." if len(names) > _MAX_LISTED else ""
+    return f"known: {', '.join(map(short, names[:_MAX_LISTED]))}{more}"
 
 
 def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
-    """Say what to write for an unknown element, and return the tag that was meant, if any."""
-    for here in _DIALECTS.get(tag.lower(), ()):
-        if not here:
+    """Suggest a fix for an unknown element.
+
+    Parameters
+    ----------
+    tag : str
+        Tag of the unknown element.
+    known : collection of str
+        Tags of the elements that may stand in its place.
+
+    Returns
+    -------
+    remedy : str
+        Suggested fix.
+    intended : str or None
+        Tag of the known element that the unknown one probably stands for, if there is one.
+    """
+    for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
+        if not equivalent:
             return "remove it", None
-        if here.startswith("<") or here.split(",")[0] in known:
-            return f"write {here}", here
-    match = meant(tag, known)
+        if equivalent.startswith("<") or re.split("[,:]", equivalent)[0] in known:
+            return f"write {equivalent}", equivalent
+    match = closest_name(tag, known)
     return suggestion(known, match), match
 
 
-def not_a_number(word: str) -> str:
-    """Say why a word is not a number, and what to write."""
-    odd = next((c for c in word if not c.isascii()), None)
+def number_remedy(word: str) -> str:
+    """Return why a word is not a number of the format, and a suggested fix."""
+    odd = next((character for character in word if not character.isascii()), None)
     if odd is not None:
-        category, right = unicodedata.category(odd), "write a plain character in its place"
+        category, remedy = unicodedata.category(odd), "write a plain character in its place"
         if category == "Cf":
-            right = "remove it"
+            remedy = "remove it"
         elif category.startswith("Z"):
-            right = "write a plain space in its place"
+            remedy = "write a plain space in its place"
         elif category == "Pd" or odd == "\N{MINUS SIGN}":
-            right = "write - in its place"
-        return f"{quoted(word)} contains U+{ord(odd):04X}, {unicodedata.name(odd, '?')}; {right}"
+            remedy = "write - in its place"
+        return f"{quoted(word)} contains U+{ord(odd):04X}, {unicodedata.name(odd, '?')}; {remedy}"
     if "," in word:
         return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"
+    if is_underflow(word):
+        return f"{quoted(word)} is too small, and would count as 0; write 0 in its place"
     return f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"
+
+
+def is_underflow(word: str) -> bool:
+    """Return whether a word is a decimal number other than 0 that float64 rounds to 0: 1e-400."""
+    try:
+        return float(word) == 0 and re.match(r"[-+]?[0.]*[1-9]", word) is not None
+    except ValueError:
+        return False

@@ -1,9 +1,10 @@
 """The scene: frozen dataclasses that validate their fields, and the arrays of its surfaces.
 
-Numbers are finite; all but directions are at most 1e75 in size, and lengths and coordinates other
-than 0 at least 1e-75; colours, intensities and exponents are not negative.  `SceneError` lists
-every fault, not only the first.  The fields' metadata are the table of elements that files are read
-and written by: see `schema.xml_field`.
+All numbers are finite.  The magnitude of all but directions is at most 1e75.  Lengths and
+coordinates other than 0 have a magnitude of at least 1e-75.  Colours, intensities and exponents are
+not negative.  `SceneError` lists every error, not only the first.
+
+The metadata of the fields define the elements of scene files: see `schema.xml_field`.
 """
 
 from __future__ import annotations
@@ -18,22 +19,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Checked, Columns, Fault, Floats, number, xml_field
+from tracer.scene.schema import Checked, Columns, Floats, RowError, number, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
-"""Three numbers.  Scenes take any sequence or array, and keep a tuple of float."""
+"""Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
 
 _ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
-# Below this sine or cosine, too few digits of the camera basis are right.
-_DEGENERATE = 1e-10
+# Minimum sine of the angle between view_up and the window's normal, and minimum cosine of the angle
+# between view_dir and the normal: below, too few digits of the camera's axes are correct.
+_MIN_SINE = _MIN_COSINE = 1e-10
 
 
 @np.errstate(under="ignore")
 def unit(vector: ArrayLike) -> Floats:
-    """Unit vector (3,), scaled first so that no square that matters over- or underflows."""
+    """Return the unit vector (3,) in the direction of a vector (3,) other than 0."""
     array = np.asarray(vector, dtype=np.float64)
-    # By a power of two: exact, so that scaled scenes stay bit-identical.
+    # Scale the vector so that no square that matters overflows or underflows.  A power of two is
+    # exact, so that pictures of scaled scenes stay bit-identical.
     array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
     return array / np.sqrt(array @ array)
 
@@ -47,11 +50,11 @@ class Camera(Checked):
     view_point : (3,)
         Centre of projection.
     view_dir : (3,)
-        From `view_point` to the window's centre; its length is not used.
+        Direction from `view_point` to the window's centre; its length is not used.
     view_up : (3,)
-        Orients the picture.
+        Direction that is up in the picture.
     proj_normal : (3,), optional
-        Normal of the window; length and sign are not used.  The view direction if absent.
+        Normal of the window; its length and sign are not used.  The default is `view_dir`.
     proj_distance : float
         Distance from `view_point` to the window's centre along `view_dir`.
     view_width, view_height : float
@@ -60,7 +63,7 @@ class Camera(Checked):
     Raises
     ------
     SceneError
-        For numbers of the wrong kind, a zero vector, `view_up` parallel to `proj_normal`, or
+        For invalid numbers, a zero vector, `view_up` parallel to `proj_normal`, or
         `proj_normal` perpendicular to `view_dir`.
     """
 
@@ -79,29 +82,31 @@ class Camera(Checked):
     view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
-        """Find vectors that do not go together."""
+    def conflicts(cls, columns: Columns) -> Iterator[RowError]:
+        """Yield errors for vectors that are parallel or perpendicular but must not be."""
         vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
-        for i, (up, ahead, given) in enumerate(zip(*vectors, strict=True)):
-            other, normal = ("view_dir", ahead) if np.isnan(given).all() else ("proj_normal", given)
+        for i, (up, ahead, normal) in enumerate(zip(*vectors, strict=True)):
+            name = "proj_normal"
+            if np.isnan(normal).all():
+                name, normal = "view_dir", ahead
             with np.errstate(all="ignore"):  # vectors may be zero, or not finite
                 up, ahead, normal = map(unit, (up, ahead, normal))
                 sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
-            if sine < _DEGENERATE:
-                yield i, "view_up", f"must not be parallel to {other}; choose another view_up"
-            if cosine < _DEGENERATE:
-                wrong = "must not be perpendicular to view_dir: no ray would meet it"
-                yield i, "proj_normal", wrong
+            if sine < _MIN_SINE:
+                yield i, "view_up", f"must not be parallel to {name}; choose another view_up"
+            if cosine < _MIN_COSINE:
+                message = "must not be perpendicular to view_dir: no ray would meet it"
+                yield i, "proj_normal", message
 
     @property
     def normal(self) -> VectorLike:
-        """The window's normal as given: `proj_normal`, or else `view_dir`."""
+        """The window's normal: `proj_normal` if it is given, otherwise `view_dir`."""
         return self.view_dir if self.proj_normal is None else self.proj_normal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight(Checked):
-    """A point light; its intensity does not fall off with distance.
+    """A point light, whose intensity does not decrease with distance.
 
     Parameters
     ----------
@@ -109,7 +114,7 @@ class PointLight(Checked):
     intensity : (3,)
         Linear RGB.
     line : int, optional
-        In its file; no part of equality.
+        Line number in the source file; ignored by ==.
     """
 
     position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
@@ -122,37 +127,43 @@ class PointLight(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambertian(Checked):
-    """Matt: radiance I kd n.l from each light that is not hidden, of intensity I.
+    """A matte surface: its radiance is I kd n.l for each visible light of intensity I.
 
     See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
 
     Parameters
     ----------
     diffuse : (3,)
-        The colour kd: linear RGB, 1 for all of the light.
+        The colour kd: linear RGB, where 1 reflects all light.
+    line : int, optional
+        Line number in the source file; ignored by ==.
     """
 
     diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    line: int | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phong(Checked):
-    """Blinn-Phong: I (kd n.l + ks (n.h)^exponent) from each light that is not hidden (Blinn 1977).
+    """A shiny surface (Blinn 1977): I (kd n.l + ks (n.h)^exponent) for each visible light.
 
-    A light, of intensity I, that is behind the surface (n.l <= 0) is hidden: it makes no highlight
-    either.
+    I is the light's intensity.  A light behind the surface (n.l <= 0) is not visible, and so causes
+    no highlight either.
 
     Parameters
     ----------
     diffuse, specular : (3,)
-        The colours kd and ks: linear RGB, 1 for all of the light.
+        The colours kd and ks: linear RGB, where 1 reflects all light.
     exponent : float
-        The larger, the smaller the highlight.
+        Size of the highlight: the larger the exponent, the smaller the highlight.
+    line : int, optional
+        Line number in the source file; ignored by ==.
     """
 
     diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
     specular: VectorLike = field(default=_ZERO, metadata=xml_field(schema.COLOR, "specularColor"))
     exponent: float = field(default=1.0, metadata=xml_field(schema.EXPONENT, "exponent"))
+    line: int | None = field(default=None, compare=False, repr=False)
 
 
 Shader: TypeAlias = Lambertian | Phong
@@ -162,7 +173,7 @@ _SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere(Checked):
-    """A sphere; white and Lambertian if it has no shader.
+    """A sphere; by default white and Lambertian.
 
     Parameters
     ----------
@@ -170,7 +181,7 @@ class Sphere(Checked):
     radius : float
     shader : Lambertian or Phong
     line : int, optional
-        In its file; no part of equality.
+        Line number in the source file; ignored by ==.
     """
 
     center: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "center"))
@@ -181,20 +192,20 @@ class Sphere(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box(Checked):
-    """An axis-aligned box; it may be flat.  White and Lambertian if it has no shader.
+    """An axis-aligned box, which may be flat; by default white and Lambertian.
 
     Parameters
     ----------
     min_pt, max_pt : (3,)
-        Opposite corners, with the least and the largest coordinates.
+        Opposite corners, with the minimum and the maximum coordinates.
     shader : Lambertian or Phong
     line : int, optional
-        In its file; no part of equality.
+        Line number in the source file; ignored by ==.
 
     Raises
     ------
     SceneError
-        For values of the wrong kind, or `min_pt` beyond `max_pt` along any axis.
+        For invalid values, or `min_pt` beyond `max_pt` along any axis.
     """
 
     min_pt: VectorLike = field(metadata=xml_field(schema.POINT, "minPt"))
@@ -203,8 +214,8 @@ class Box(Checked):
     line: int | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterator[Fault]:
-        """Find corners in the wrong order."""
+    def conflicts(cls, columns: Columns) -> Iterator[RowError]:
+        """Yield an error for each box whose corners are in the wrong order."""
         low, high = columns["min_pt"], columns["max_pt"]
         for i in np.flatnonzero((low > high).any(axis=1)).tolist():
             has = " and ".join(
@@ -216,25 +227,27 @@ class Box(Checked):
 
 
 class Surfaces(Sequence[Sphere | Box]):
-    """All surfaces of a scene in arrays, and a sequence of `Sphere` and `Box` in the file's order.
+    """All surfaces of a scene: arrays, and a sequence of `Sphere` and `Box` in the file's order.
 
-    The arrays are read-only copies; in those of all surfaces, spheres come first.  Two objects are
-    equal if they are equal as sequences.
+    The arrays are read-only copies.  In arrays of all surfaces, the spheres come first.  Two
+    objects are equal if they are equal as sequences.
 
     Parameters
     ----------
-    center, radius : (S, 3) and (S,)
-        The spheres.
+    center : (S, 3)
+        Centres of the spheres.
+    radius : (S,)
+        Radii of the spheres.
     min_pt, max_pt : (B, 3)
-        The boxes.
+        Opposite corners of the boxes.
     shader_index : (S + B,)
-        Index of each into `shaders`.
+        For each surface, the index of its shader in `shaders`.
     file_index : (S + B,), optional
-        Position of each in the file: a permutation of 0 ... S + B - 1.
-        Of two surfaces at the same distance, the one that comes first in the file is visible.
+        For each surface, its position in the file: a permutation of 0 ... S + B - 1.  If two
+        surfaces are at the same distance, the one with the lower position is visible.
     shaders : tuple of Lambertian or Phong
     line : (S + B,), optional
-        Line of each in its file; 0 if it is not from a file.
+        For each surface, its line number in the source file; 0 if it is not from a file.
 
     Raises
     ------
@@ -265,39 +278,43 @@ class Surfaces(Sequence[Sphere | Box]):
         lines = schema.integers(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
         schema.raise_any(self._conflicts())
-        faults = sorted(self._faults(), key=lambda fault: fault[0])
-        schema.raise_any(f"surface {index}: {wrong}" for index, wrong in faults)
+        errors = sorted(self._errors(), key=lambda error: error[0])
+        schema.raise_any(f"surface {index}: {message}" for index, message in errors)
         self.__setstate__(vars(self))
 
     def _conflicts(self) -> Iterator[str]:
-        """Find arrays whose lengths or indices do not match, so that no more can be validated."""
-        every = "one a surface"
+        """Yield errors for arrays whose lengths or indices do not match.
+
+        After such an error, the numbers cannot be validated.
+        """
+        reason = "one for each surface"
         for name, needed, why in (
             ("radius", len(self.center), "as many as center"),
             ("max_pt", len(self.min_pt), "as many as min_pt"),
-            *((name, len(self), every) for name in ("shader_index", "file_index", "line")),
+            *((name, len(self), reason) for name in ("shader_index", "file_index", "line")),
         ):
             if (count := len(getattr(self, name))) != needed:
                 yield f"{name}: needs {needed}, {why}; has {count}"
         index, count = self.shader_index, len(self.shaders)
-        for wrong in index[(index < 0) | (index >= count)].tolist()[:1]:
-            yield f"shader_index: must be indices of {count} shaders, has {wrong}"
+        for outside in index[(index < 0) | (index >= count)].tolist()[:1]:
+            yield f"shader_index: must be indices of {count} shaders, has {outside}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
             yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
-    def _faults(self) -> Iterator[tuple[int, str]]:
-        """Find invalid numbers; yield the surface's position in the file, and the message."""
-        spheres, boxes = np.split(self.file_index, [self.sphere_count])
-        balls = {"center": self.center, "radius": self.radius[:, None]}
-        corners = {"min_pt": self.min_pt, "max_pt": self.max_pt}
-        for made, index, columns in ((Sphere, spheres, balls), (Box, boxes, corners)):
-            for i, name, wrong in schema.faults(made, columns):
-                yield index.item(i), f"{name}: {wrong}"
+    def _errors(self) -> Iterator[tuple[int, str]]:
+        """Yield the position in the file and the message of each invalid number."""
+        sphere_positions, box_positions = np.split(self.file_index, [self.sphere_count])
+        sphere_columns = {"center": self.center, "radius": self.radius[:, None]}
+        box_columns = {"min_pt": self.min_pt, "max_pt": self.max_pt}
+        for i, name, message in schema.errors(Sphere, sphere_columns):
+            yield sphere_positions.item(i), f"{name}: {message}"
+        for i, name, message in schema.errors(Box, box_columns):
+            yield box_positions.item(i), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy `ufunc.at` takes a
-        # generic path, twenty times as slow, and every array computed from them inherits it.
+        # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
+        # 20 times as long, and every array that is computed from these arrays inherits the copy.
         for name, value in state.items():
             if isinstance(value, np.ndarray):
                 value = value.view(value.dtype.type)
@@ -306,13 +323,13 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
-        """Gather Sphere and Box objects, in order."""
+        """Copy Sphere and Box objects into arrays, in order; return `Surfaces` unchanged."""
         if isinstance(surfaces, Surfaces):
             return surfaces
         items: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
-        # By identity: objects that share a shader keep sharing it.
+        # Shaders are identified by id(), which is fast.  Surfaces that share one continue to do so.
         shaders = {id(item.shader): item.shader for item in items}
-        slot = {key: i for i, key in enumerate(shaders)}
+        shader_index = {key: i for i, key in enumerate(shaders)}
         spheres = [i for i, item in enumerate(items) if isinstance(item, Sphere)]
         boxes = [i for i, item in enumerate(items) if isinstance(item, Box)]
         order = spheres + boxes
@@ -321,7 +338,7 @@ class Surfaces(Sequence[Sphere | Box]):
             radius=[items[i].radius for i in spheres],
             min_pt=[items[i].min_pt for i in boxes],
             max_pt=[items[i].max_pt for i in boxes],
-            shader_index=[slot[id(items[i].shader)] for i in order],
+            shader_index=[shader_index[id(items[i].shader)] for i in order],
             file_index=order,
             shaders=tuple(shaders.values()),
             line=[items[i].line or 0 for i in order],
@@ -347,16 +364,16 @@ class Surfaces(Sequence[Sphere | Box]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
-        found = self.file_order[index].tolist()
+        selected = self.file_order[index].tolist()
         if isinstance(index, slice):
-            return tuple(map(self._surface, found))
-        return self._surface(found)
+            return tuple(map(self._surface, selected))
+        return self._surface(selected)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
         return iter(self[:])
 
     def _surface(self, i: int) -> Sphere | Box:
-        """The surface at index `i` of the arrays."""
+        """Return the surface at index `i` of the arrays."""
         shader, line = self.shaders[self.shader_index[i]], self.line.item(i) or None
         if i < self.sphere_count:
             center, radius = tuple(self.center[i].tolist()), self.radius.item(i)
@@ -373,7 +390,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return len(self) == len(other) and all(map(operator.eq, self, other))
 
     def __hash__(self) -> int:
-        # Of the length and the first surface: hashing all the arrays would take long.
+        # To hash all the arrays would take too long.
         return hash((len(self), self[0] if len(self) else None))
 
     def __repr__(self) -> str:
@@ -398,7 +415,7 @@ class Scene(Checked):
     Raises
     ------
     SceneError
-        For a picture of no pixels or too many, or values of the wrong type.
+        For a picture without pixels or with too many, or values of the wrong type.
     """
 
     camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
@@ -407,7 +424,7 @@ class Scene(Checked):
     width: int = field(metadata=xml_field(schema.size))
     height: int = field(metadata=xml_field(schema.size))
 
-    # Written out, as its parameters accept more types than the fields hold.
+    # Not generated, because the parameters accept more types than the fields have.
     def __init__(
         self,
         *,
@@ -422,14 +439,14 @@ class Scene(Checked):
             object.__setattr__(self, name, value)
         self.__post_init__()
         if (count := self.width * self.height) > schema.MAX_PIXELS:
-            wrong = f"{self.width} x {self.height} pixels are too many: the picture would take"
+            size = f"{self.width} x {self.height} pixels are too many: the picture would take"
             memory = f"{count * 24 / 2**30:.3g} GiB of memory"
-            most = f"at most {schema.MAX_PIXELS} are allowed"
-            raise schema.SceneError([f"width, height: {wrong} {memory}; {most}"])
+            limit = f"at most {schema.MAX_PIXELS} are allowed"
+            raise schema.SceneError([f"width, height: {size} {memory}; {limit}"])
 
     def _repr_png_(self) -> bytes:
         """Show the scene as a picture, in a notebook."""
-        # The one import that goes up: Jupyter asks the scene itself for its picture.
+        # The only import from a higher layer: Jupyter calls this method of the scene itself.
         from tracer.picture.render import to_png
 
         return to_png(self)

@@ -1,7 +1,8 @@
 """Validators of the values in a scene.
 
-The metadata of a dataclass field hold its validator and its tags in a file (`xml_field`).  The same
-rules apply to one object (`Checked`), to arrays (`Surfaces`) and to a file: see `faults`.
+The metadata of a dataclass field contain its validator, and its tags in a file (`xml_field`).  The
+same rules validate the fields of one object (`Checked`), the arrays of `Surfaces`, and the numbers
+in a file (`errors`).
 """
 
 from __future__ import annotations
@@ -15,33 +16,33 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_Made = TypeVar("_Made")
+_Instance = TypeVar("_Instance")
 Floats: TypeAlias = NDArray[np.float64]
 Columns: TypeAlias = Mapping[str, Floats]
 """Numbers (n, count) of n objects of one dataclass, by field; NaN for absent ones."""
-Fault: TypeAlias = tuple[int, str, str]
-"""Index of an object, name of the field, and message."""
+RowError: TypeAlias = tuple[int, str, str]
+"""An invalid number: the index of its object, the name of its field, and the message."""
 
 MAX_PIXELS = 1 << 28
-"""Largest picture, in pixels: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
+"""Maximum number of pixels in a picture: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
 
-# Bounds of the size of lengths and coordinates other than 0, and of colours and exponents from
-# above: float64 holds their fourth powers.
-_SMALLEST, _LARGEST = 1e-75, 1e75
+# Limits for the magnitude of lengths and coordinates other than 0.  The upper one is also that of
+# colours and exponents.  The fourth powers of numbers between them are normal in float64.
+_MIN_LENGTH, _MAX_VALUE = 1e-75, 1e75
 
 
 def number(value: float) -> str:
-    """Write a number without a needless ``.0``: 3, 0.5, 1e+20."""
+    """Return the shortest text of a number, without a final ``.0``: 3, 0.5, 1e+20."""
     return f"{value}".removesuffix(".0")
 
 
 class SceneError(ValueError):
-    """An invalid scene; the message has one line for each fault.
+    """An invalid scene; the message has one line for each error.
 
     Attributes
     ----------
     lines : tuple of str
-        One for each fault: ``parameter: what is wrong; what would be right``.
+        The lines of the message: ``parameter: what is wrong; suggested fix``.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -53,25 +54,34 @@ class SceneError(ValueError):
 
 
 def raise_any(lines: Iterable[str]) -> None:
-    """Raise `SceneError` if there are faults."""
-    if found := tuple(lines):
-        raise SceneError(found)
+    """Raise `SceneError` with these lines, if there are any."""
+    if message := tuple(lines):
+        raise SceneError(message)
 
 
 _Validator: TypeAlias = Callable[[Any, str], Any]
 
 
 def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
-    """Metadata of a field: its validator, and the tags of its elements in a file.
+    """Return the metadata of a dataclass field.
 
-    A validator takes a value and the field's name, and returns the field's value or raises
-    `SceneError`.
+    Parameters
+    ----------
+    validator : callable
+        Takes a value and the field's name; returns the value to store, or raises `SceneError`.
+    *tags : str
+        Tags of the elements that contain the field's value in a file.
+
+    Returns
+    -------
+    metadata : dict
+        The entries "validator" and "tags".
     """
     return {"validator": validator, "tags": tags}
 
 
 class Checked:
-    """A frozen dataclass that validates each field, and then all of them together."""
+    """A frozen dataclass whose fields are validated one by one, and then together."""
 
     __slots__ = ()
 
@@ -85,35 +95,46 @@ class Checked:
                 except SceneError as error:
                     lines += error.lines
         if not lines:
-            one = {name: np.array([getattr(self, name)], np.float64) for name in numeric(self)}
-            lines = [f"{name}: {wrong}" for _, name, wrong in self.conflicts(one)]
+            row = {name: np.array([getattr(self, name)], np.float64) for name in numeric(self)}
+            lines = [f"{name}: {message}" for _, name, message in self.conflicts(row)]
         raise_any(lines)
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterable[Fault]:
-        """Find objects whose values are valid one by one, but not together."""
+    def conflicts(cls, columns: Columns) -> Iterable[RowError]:
+        """Find objects whose values are valid one by one, but not together.
+
+        Parameters
+        ----------
+        columns : mapping of (n, count) float array
+            The numbers of n objects, by field; NaN for absent ones.
+
+        Returns
+        -------
+        errors : iterable of tuple
+            For each error, the index of the object, the field's name, and the message.
+        """
         return ()
 
 
-def construct_unchecked(made: type[_Made], **values: object) -> _Made:
-    """Make an object of a frozen dataclass from all its values, without validation."""
-    new = object.__new__(made)
+def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instance:
+    """Construct an object of a frozen dataclass from the values of all fields, without checks."""
+    instance = object.__new__(dataclass)
     for name, value in values.items():
-        object.__setattr__(new, name, value)
-    return new
+        object.__setattr__(instance, name, value)
+    return instance
 
 
-# A rule: a predicate for values (n, count) that break it, and the message about the first of them.
+# A predicate that is true for invalid values (n, count), and the message about the first of them.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
-_LIMITS = f"lengths other than 0 are from {number(_SMALLEST)} to {number(_LARGEST)}"
+_LIMITS = f"lengths other than 0 are from {number(_MIN_LENGTH)} to {number(_MAX_VALUE)}"
 _FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
-_NOT_LARGE: _Rule = (lambda x: abs(x) > _LARGEST, f"{{}} is too large; {_LIMITS}")
+_NOT_LARGE: _Rule = (lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
 _NOT_HUGE: _Rule = (
-    lambda x: x > _LARGEST,
-    f"{{}} is too large; it is at most {number(_LARGEST)}",
+    lambda x: x > _MAX_VALUE,
+    f"{{}} is too large; it is at most {number(_MAX_VALUE)}",
 )
-_NOT_SMALL: _Rule = (lambda x: (abs(x) < _SMALLEST) & (x != 0), f"{{}} is too small; {_LIMITS}")
+_NOT_SMALL: _Rule = (lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
 _NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
 _POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, is {}")
 _NOT_ZERO: _Rule = (
@@ -123,37 +144,58 @@ _NOT_ZERO: _Rule = (
 
 
 class Numbers:
-    """Validator of `count` numbers that must obey some rules."""
+    """Validator of a field that consists of numbers.
+
+    Parameters
+    ----------
+    count : int
+        How many numbers the field has.
+    *rules : tuple
+        The rules that the numbers must obey.
+    """
 
     def __init__(self, count: int, *rules: _Rule) -> None:
         self.count, self.rules = count, rules
         self.needed = f"needs {count} number{'s' * (count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
-        """Return a tuple, or the single number."""
+        """Validate the value of the field `name`; return a tuple, or the single number."""
         array = _floats(value, name)
         if array.size != self.count or array.ndim > 1:
             has = f"shape {array.shape}" if array.ndim > 1 else array.size
             raise SceneError([f"{name}: {self.needed}, has {has}"])
         row = array.reshape(1, self.count)
-        raise_any(f"{name}: {message}" for _, message in self.faults(row))
+        raise_any(f"{name}: {message}" for _, message in self.errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def rows(self, value: ArrayLike, name: str) -> Floats:
-        """Return a copy (n, count), or (n,) of single numbers, without applying the rules."""
+        """Copy the values of many objects into an array, without applying the rules.
+
+        Parameters
+        ----------
+        value : array_like
+            Numbers of n objects, in rows.
+        name : str
+            Name of the field, for messages.
+
+        Returns
+        -------
+        rows : (n, count) or (n,) float array
+            One-dimensional if the field is a single number.
+        """
         array = _floats(value, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
             raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
-    def faults(self, values: Floats) -> Iterator[tuple[int, str]]:
-        """Find rows of `values` (n, count) that break a rule; yield index and message of each."""
-        found: dict[int, str] = {}
+    def errors(self, values: Floats) -> Iterator[tuple[int, str]]:
+        """Yield the index and the message of each row of `values` (n, count) that breaks a rule."""
+        messages: dict[int, str] = {}
         for is_broken, message in self.rules:
             broken = is_broken(values)
             for i in np.flatnonzero(broken.any(axis=1)).tolist():
-                found.setdefault(i, message.format(number(values[i, broken[i]][0])))
-        yield from found.items()
+                messages.setdefault(i, message.format(number(values[i, broken[i]][0])))
+        yield from messages.items()
 
 
 POINT = Numbers(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
@@ -163,33 +205,45 @@ LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
 EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
-def numeric(made: Any) -> dict[str, Numbers]:
-    """Return the validators of a dataclass's fields of numbers, by name."""
-    validators = {field.name: field.metadata.get("validator") for field in fields(made)}
+def numeric(dataclass: Any) -> dict[str, Numbers]:
+    """Return the validators of those fields of a dataclass that consist of numbers, by name."""
+    validators = {field.name: field.metadata.get("validator") for field in fields(dataclass)}
     return {
         name: validator for name, validator in validators.items() if isinstance(validator, Numbers)
     }
 
 
-def faults(made: type[Checked], columns: Columns) -> Iterator[Fault]:
-    """Find objects of a dataclass that are invalid, in columns of their numbers."""
-    for name, validator in numeric(made).items():
-        yield from ((i, name, wrong) for i, wrong in validator.faults(columns[name]))
-    yield from made.conflicts(columns)
+def errors(dataclass: type[Checked], columns: Columns) -> Iterator[RowError]:
+    """Find invalid objects of a dataclass.
+
+    Parameters
+    ----------
+    dataclass : subclass of Checked
+    columns : mapping of (n, count) float array
+        The numbers of n objects, by field.
+
+    Yields
+    ------
+    error : tuple
+        The index of the object, the name of the field, and the message.
+    """
+    for name, validator in numeric(dataclass).items():
+        yield from ((i, name, message) for i, message in validator.errors(columns[name]))
+    yield from dataclass.conflicts(columns)
 
 
 def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
-    """Return a copy (n,) of whole numbers."""
-    given = _floats(value, name).ravel()
+    """Validate whole numbers; return a copy (n,)."""
+    floats = _floats(value, name).ravel()
     with np.errstate(invalid="ignore"):
-        array = given.astype(np.intp)
-    if not np.array_equal(array, given):
+        array = floats.astype(np.intp)
+    if not np.array_equal(array, floats):
         raise SceneError([f"{name}: must be whole numbers"])
     return array
 
 
 def size(value: int, name: str) -> int:
-    """Validate a number of pixels; return a Python int, as products of NumPy's may overflow."""
+    """Validate a number of pixels; return it as a Python int, whose products do not overflow."""
     try:
         count = int(operator.index(value))
     except TypeError:
@@ -202,38 +256,38 @@ def size(value: int, name: str) -> int:
 
 
 def list_of(*types: type) -> _Validator:
-    """Make a validator of any number of objects of these types; it returns a tuple."""
-    right = " or ".join(each.__name__ for each in types)
+    """Return a validator of any number of objects of these types; it returns a tuple."""
+    allowed = " or ".join(each.__name__ for each in types)
 
     def validator(values: Iterable[object], name: str) -> tuple[object, ...]:
         try:
-            parts = tuple(values)
+            items = tuple(values)
         except TypeError:
-            wrong = f"{name}: must be a list, is of type {type(values).__name__}"
-            raise SceneError([wrong]) from None
-        others = dict.fromkeys(type(part).__name__ for part in parts if not isinstance(part, types))
-        raise_any(f"{name}: must be of type {right}, is of type {other}" for other in others)
-        return parts
+            message = f"{name}: must be a list, is of type {type(values).__name__}"
+            raise SceneError([message]) from None
+        others = dict.fromkeys(type(item).__name__ for item in items if not isinstance(item, types))
+        raise_any(f"{name}: must be of type {allowed}, is of type {other}" for other in others)
+        return items
 
     return validator
 
 
 def one_of(*types: type) -> _Validator:
-    """Make a validator of one object of these types."""
-    many = list_of(*types)
-    return lambda value, name: many([value], name)[0]
+    """Return a validator of one object of these types."""
+    validate = list_of(*types)
+    return lambda value, name: validate([value], name)[0]
 
 
 def _floats(value: ArrayLike, name: str) -> Floats:
-    """Copy numbers into an array."""
+    """Copy numbers into an array; raise `SceneError` for anything but real numbers."""
     try:
         array = np.asarray(value)
-        # NumPy would parse text, turn None and times into NaN, and drop imaginary parts.
+        # NumPy would parse text, convert None and times to NaN, and drop imaginary parts.
         if value is None or array.dtype.kind in "USmMc":
             raise TypeError
         return np.array(array, dtype=np.float64)
     except OverflowError:
-        wrong = "must be finite"
+        message = "must be finite"
     except (TypeError, ValueError):
-        wrong = f"must be given in numbers, is {reprlib.repr(value)}"
-    raise SceneError([f"{name}: {wrong}"])
+        message = f"must be given in numbers, is {reprlib.repr(value)}"
+    raise SceneError([f"{name}: {message}"])
