@@ -292,7 +292,7 @@ def test_nearly_exact(hard):
 
 def test_more_lights_than_bits(monkeypatch):
     # A key says what a pixel sees, and which lights reach it: the first of them counts, too.
-    keys = noted(monkeypatch, antialias, "curvature", lambda _, key, width: key)
+    keys = noted(monkeypatch, antialias, "means_of_pixels", lambda center, width: center.id)
     first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)] * 66
     lights = [first, *(replace(each, position=(0, 0, 0)) for each in others)]
     scene = seen(lights, wall(60, -5), red(ball((0, 0, -4), 1.2)), size=(9, 9))

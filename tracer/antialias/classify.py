@@ -33,6 +33,7 @@ import numpy as np
 from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, fit_lines, rays
 from tracer.antialias.edges import Apexes, CellSurfaces, footprints_of, pieces, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
+from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.lighting import Shading, light_geometry, narrow_highlights
@@ -137,11 +138,8 @@ class Classification(NamedTuple):
     ----------
     cells : Cells
         The cells.
-    radiance : (3, n) float array
-        Linear RGB radiance of the sample at the centre of each cell.
-    center_id : (n,) int array
-        Id of this sample.  Two samples have the same id if they see the same face of the same
-        object, and the same lights reach both; -1 for the background.
+    center : CenterSamples
+        Radiance and id of the samples through the centres of the cells.
     lines : Lines
         Straight lines that divide the cells, at most `MAX_LINES` for each cell, sorted by cell.
     unresolved : (n,) bool array
@@ -151,8 +149,7 @@ class Classification(NamedTuple):
     """
 
     cells: Cells
-    radiance: Floats
-    center_id: Ints
+    center: CenterSamples
     lines: Lines
     unresolved: Bools
     crowded: Bools
@@ -180,10 +177,9 @@ def classify(
     Returns
     -------
     classification : Classification
-        Its fields `radiance` (3, n) and `center_id` (n,) describe the sample of each cell; `lines`
-        contains straight lines along the edges; `unresolved` (n,) is True for cells with other
-        edges; and `crowded` (n,) is True for cells with too many edges.  A cell is smooth if it has
-        no lines and is not unresolved.
+        Its field `center` describes the sample of each cell; `lines` contains straight lines along
+        the edges; `unresolved` (n,) is True for cells with other edges; and `crowded` (n,) is True
+        for cells with too many edges.  A cell is smooth if it has no lines and is not unresolved.
     """
     count = sample_cell.size
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
@@ -209,7 +205,8 @@ def classify(
     max_lines = MAX_LINES if prepared.light_count > _MANY_LIGHTS else _MAX_LINES_FOUND
     crowded |= np.bincount(lines.cell, minlength=count) > max_lines
     lines = lines.first(MAX_LINES)
-    return Classification(cells, radiance, center_id, lines, unresolved, crowded)
+    center = CenterSamples(radiance, center_id)
+    return Classification(cells, center, lines, unresolved, crowded)
 
 
 def _add_lights(
@@ -304,84 +301,3 @@ def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
         return lights.position, lights.local
     position = lights.grid.light[:, :, 0].T
     return position, np.column_stack(frame.to_camera(position))
-
-
-def curvature(radiance: Floats, center_id: Ints, width: int) -> tuple[Floats, Floats]:
-    """Estimate the mean radiance of smooth pixels from samples at the centres of pixels.
-
-    The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, with the value and the
-    second derivatives at the centre, plus terms of higher order.  Second differences between the
-    pixel and its two neighbours, in the row and in the column, replace the second derivatives.
-    They are added where both neighbours have the same id as the pixel.
-
-    Parameters
-    ----------
-    radiance : (3, n) float array
-        Linear RGB radiance of the center samples of a rectangle of pixels, row by row.
-    center_id : (n,) int array
-        Ids of these samples.  Two samples have the same id if they see the same face of the same
-        object, and the same lights reach both.
-    width : int
-        Number of pixels in each row of the rectangle.
-
-    Returns
-    -------
-    mean : (3, n) float array
-        Estimated mean radiance of each pixel, if it is smooth.
-    error : (n,) float array
-        Estimated error of `mean`: the larger of the absolute second differences in the row and in
-        the column, divided by 24, in the colour channel where it is largest.  Where only one of the
-        two neighbours has the pixel's id, the difference to it replaces the second difference.
-        If neither has it, in the row or in the column, the error is NaN, for unknown.
-
-    Notes
-    -----
-    Both results are meaningless for the pixels at the border of the rectangle.
-    """
-    correction, error = np.zeros(radiance.shape), np.zeros(center_id.size)
-    for stride in (1, width):
-        inner = slice(stride, -stride)
-        is_same = center_id[stride:] == center_id[:-stride]
-        difference = (radiance[:, stride:] - radiance[:, :-stride]) * is_same
-        second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
-        same_before, same_after = is_same[:-stride], is_same[stride:]
-        largest = np.abs(second_difference).max(axis=0)
-        line_error = np.where(same_before | same_after, largest, np.nan)
-        error[inner] = np.maximum(error[inner], line_error)
-        correction[:, inner] += second_difference * (same_before & same_after)
-    return radiance + correction, error
-
-
-def extrapolated(
-    radiance: Floats, center_id: Ints, quarters: Classification
-) -> tuple[Floats, Floats]:
-    """Estimate the mean radiance of the quarters of cells from samples at their centres.
-
-    This is Richardson extrapolation: the difference between the mean of the four quarter samples
-    and the cell's own sample, divided by 3, is added to the sample of each quarter.  It is valid if
-    the five samples have the same id, that is, if they see the same face of the same object, and
-    the same lights reach all of them.
-
-    Parameters
-    ----------
-    radiance : (3, n) float array
-        Linear RGB radiance of the sample at the centre of each cell.
-    center_id : (n,) int array
-        Ids of these samples.
-    quarters : Classification
-        Radiance and ids at the centres of the 4 n quarters, in the order of their cells.
-
-    Returns
-    -------
-    mean : (3, 4 n) float array
-        Estimated mean radiance of each quarter, if it is smooth.
-    error : (4 n,) float array
-        Estimated error of `mean`, which is half of the correction; NaN, for unknown, if the five
-        samples do not have the same id.
-    """
-    quarter_radiance = quarters.radiance.reshape(3, -1, 4)
-    is_same = (quarters.center_id.reshape(-1, 4) == center_id[:, None]).all(axis=1)
-    correction = np.where(is_same, (quarter_radiance.mean(axis=2) - radiance) / 3, 0)
-    # The remaining error is of higher order in the cell's width than the correction.
-    error = np.where(is_same, np.abs(correction).max(axis=0) / 2, np.nan)
-    return quarters.radiance + correction.repeat(4, axis=1), error.repeat(4)

@@ -22,13 +22,15 @@ They decide how the mean radiance of the cell is computed:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, Classification, classify, curvature, extrapolated
+from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.regions import mixed, stratified
+from tracer.antialias.smooth import SmoothMeans, means_of_pixels, means_of_quarters
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
@@ -42,14 +44,8 @@ _SAMPLES_PER_BATCH = BATCH_SIZE
 _TOLERANCE = 8e-3
 
 # Cells in which at most this many samples along each side are requested are sampled, not divided:
-# to classify their quarters would cost more than it saves.  Up to twice this number, cells that
-# contain nothing but straight lines are sampled, too.
+# to classify their quarters would cost more than it saves.
 _MAX_SAMPLED_SIDE = 3
-
-# Numbers of samples on the first lattice: in pixels, in parts of pixels that will not be divided,
-# and in cells that may be divided.  The second lattice in a part of a pixel that will not be
-# divided is as accurate as a grid of _FINER_SIDE x _FINER_SIDE samples.
-_PIXEL_SAMPLES, _PART_SAMPLES, _DIVISIBLE_SAMPLES, _FINER_SIDE = 5, 13, 25, 5
 
 # Maximum number of pairs of silhouettes in a pixel, divided by the number of samples per pixel: in
 # pictures with more, samples in all pixels cost less than classification.
@@ -73,6 +69,49 @@ def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     """
     density = prepared.bounds.silhouette_density(prepared.frame)
     return density > _MAX_SILHOUETTE_PAIRS * per_side**2
+
+
+class _Plan(NamedTuple):
+    """Ways to compute the mean radiance of cells that are not smooth.
+
+    Attributes
+    ----------
+    first : Lattice or None
+        Lattice on which cells are sampled first; None if no cell is.  The result is final in cells
+        where the samples show no missed edge.
+    first_for_all : bool
+        Whether all cells that are not smooth are sampled first.  Otherwise only cells are that
+        contain nothing but straight lines.
+    last : Lattice or None
+        Lattice on which all remaining cells are sampled; None if these are divided into quarters.
+    """
+
+    first: Lattice | None
+    first_for_all: bool
+    last: Lattice | None
+
+    @classmethod
+    def for_cells(cls, cells: Cells) -> _Plan:
+        """Return the cheapest plan by which cells have the accuracy of a grid of n x n samples.
+
+        Here n is the field `samples_per_side` of the cells.  These are all cases:
+
+        =================  =======================================  ==================
+        cells              first                                    remaining cells
+        =================  =======================================  ==================
+        n > 6              no lattice                               are divided
+        3 < n <= 6         25 samples where lines are straight      are divided
+        n <= 3, pixels     5 samples where lines are straight       lattice for n x n
+        n <= 3, parts      13 samples in all cells                  lattice for 5 x 5
+        =================  =======================================  ==================
+        """
+        if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
+            return cls(None, False, None)
+        if cells.samples_per_side > _MAX_SAMPLED_SIDE:
+            return cls(Lattice(1, 25), False, None)
+        if cells.width == 1:
+            return cls(Lattice(1, 5), False, Lattice.of(cells.samples_per_side))
+        return cls(Lattice(1, 13), True, Lattice.of(5))
 
 
 def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
@@ -104,14 +143,11 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     tolerance = _TOLERANCE / per_side**1.5
     pixels = Cells(1.0, per_side, tolerance, *samples.at(every_pixel), pixel, object_index)
     classified = classify(prepared, pixels, samples, every_pixel)
-    smooth_mean, error = curvature(classified.radiance, classified.center_id, width)
+    smooth = means_of_pixels(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    is_refinable, crowded = is_inner & ~classified.crowded, indices(is_inner & classified.crowded)
-    # Pixels at the border, and crowded pixels, are treated as smooth, so that none is divided.
-    lines = classified.lines.take(indices(is_refinable[classified.lines.cell]))
-    unresolved = classified.unresolved & is_refinable
-    refinable = classified._replace(lines=lines, unresolved=unresolved)
-    mean = _mean_of_cells(prepared, refinable, smooth_mean, np.where(is_refinable, error, 0))
+    crowded = indices(is_inner & classified.crowded)
+    refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.crowded)
+    mean = _mean_of_cells(prepared, *refinable)
     mean[:, crowded], _ = _mean_of_samples(
         prepared, classified, crowded, Lattice.of(per_side, more=1)
     )
@@ -119,12 +155,39 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
+def _treat_as_smooth(
+    classified: Classification, smooth: SmoothMeans, is_treated: Bools
+) -> tuple[Classification, SmoothMeans]:
+    """Return copies in which some cells are smooth, whatever edges cross them.
+
+    Parameters
+    ----------
+    classified : Classification
+        The n cells (pixels, or square parts of pixels), and the edges that may cross them.
+    smooth : SmoothMeans
+        Mean radiance of each cell, valid if no edge crosses the cell.
+    is_treated : (n,) bool array
+        Whether the cell is smooth in the results.
+
+    Returns
+    -------
+    classified : Classification
+        The same cells; those that are treated as smooth have no lines, and are not unresolved.
+    smooth : SmoothMeans
+        The same means; the error of cells that are treated as smooth is 0.
+    """
+    lines = classified.lines.take(indices(~is_treated[classified.lines.cell]))
+    unresolved = classified.unresolved & ~is_treated
+    error = np.where(is_treated, 0, smooth.error)
+    return classified._replace(lines=lines, unresolved=unresolved), smooth._replace(error=error)
+
+
 def _mean_of_cells(
-    prepared: PreparedScene, classified: Classification, smooth_mean: Floats, error: Floats
+    prepared: PreparedScene, classified: Classification, smooth: SmoothMeans
 ) -> Floats:
     """Compute the mean radiance of classified cells, with more samples where edges cross them.
 
-    Smooth cells keep `smooth_mean`.  Other cells are sampled on a lattice, or divided into
+    Smooth cells keep their smooth mean.  Other cells are sampled on a lattice, or divided into
     quarters, whichever costs less.
 
     Parameters
@@ -133,37 +196,32 @@ def _mean_of_cells(
         The scene, prepared for the camera.
     classified : Classification
         The n cells (pixels, or square parts of pixels), and the edges that may cross them.
-    smooth_mean : (3, n) float array
+    smooth : SmoothMeans
         Mean radiance of each cell, valid if no edge crosses the cell.
-    error : (n,) float array
-        Estimated error of `smooth_mean`; NaN if it is unknown, and only the cell's quarters can
-        show whether the cell is smooth.
 
     Returns
     -------
     mean : (3, n) float array
         Mean radiance of each cell.
     """
-    cells, mean = classified.cells, smooth_mean.copy()
-    is_pixel, is_smallest = cells.width == 1, cells.samples_per_side <= _MAX_SAMPLED_SIDE
-    has_lines = np.zeros(error.size, dtype=np.bool_)
+    cells, mean, plan = classified.cells, smooth.radiance.copy(), _Plan.for_cells(classified.cells)
+    has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
     has_lines[classified.lines.cell] = True
-    is_pending = has_lines | classified.unresolved | ~(error <= cells.tolerance)
-    if cells.samples_per_side <= 2 * _MAX_SAMPLED_SIDE:
-        has_only_lines = has_lines & ~(classified.unresolved | (error > cells.tolerance))
-        index = indices(is_pending if is_smallest and not is_pixel else has_only_lines)
-        smallest_samples = _PIXEL_SAMPLES if is_pixel else _PART_SAMPLES
-        lattice = Lattice(1, smallest_samples if is_smallest else _DIVISIBLE_SAMPLES)
-        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, lattice)
+    # An unknown error (NaN) is neither within the tolerance nor above it.
+    is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
+    is_pending = has_lines | classified.unresolved | ~is_accurate
+    if plan.first is not None:
+        has_only_lines = has_lines & ~(classified.unresolved | is_inaccurate)
+        index = indices(is_pending if plan.first_for_all else has_only_lines)
+        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, plan.first)
         index = index[~missed_edge]
         mean[:, index], is_pending[index] = sampled_mean[:, ~missed_edge], False
     index = indices(is_pending)
-    if is_smallest:
-        lattice = Lattice.of(cells.samples_per_side if is_pixel else _FINER_SIDE)
-        mean[:, index], _ = _mean_of_samples(prepared, classified, index, lattice)
+    if plan.last is not None:
+        mean[:, index], _ = _mean_of_samples(prepared, classified, index, plan.last)
         return mean
     for batch in _batches(prepared, index, samples_per_cell=4):
-        mean[:, batch] = _mean_of_quarters(prepared, classified, error, batch)
+        mean[:, batch] = _mean_of_quarters(prepared, classified, smooth.error, batch)
     return mean
 
 
@@ -260,71 +318,23 @@ def _mean_of_quarters(
     mean : (3, m) float array
         Mean radiance of each indexed cell.
     """
-    cells, tolerance = classified.cells, classified.cells.tolerance
-    quarters = cells.quarters(index)
+    quarters, tolerance = classified.cells.quarters(index), classified.cells.tolerance
     samples, order = Scattered.of(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
-    smooth_mean, own_error = extrapolated(
-        classified.radiance[:, index], classified.center_id[index], classified_quarters
+    smooth = means_of_quarters(
+        classified.center.take(index), error[index], classified_quarters.center, tolerance
     )
-    quarter_error = _error_of_quarters(classified, classified_quarters, error, own_error, index)
     all_unresolved = classified_quarters.unresolved.reshape(-1, 4).all(axis=1)
     lines_per_cell = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
     tested = indices(all_unresolved & (lines_per_cell == 0))
-    lattice = Lattice.of(cells.samples_per_side, more=1)
+    lattice = Lattice.of(classified.cells.samples_per_side, more=1)
     sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
-    expected_mean = smooth_mean.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
+    expected_mean = smooth.radiance.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(index.size, dtype=np.bool_)
     is_smooth[tested[agrees]] = True
-    is_done = is_smooth.repeat(4)
-    refinable = classified_quarters._replace(unresolved=classified_quarters.unresolved & ~is_done)
-    quarter_mean = _mean_of_cells(
-        prepared, refinable, smooth_mean, np.where(is_done, 0, quarter_error)
-    )
+    refinable = _treat_as_smooth(classified_quarters, smooth, is_smooth.repeat(4))
+    quarter_mean = _mean_of_cells(prepared, *refinable)
     mean: Floats = quarter_mean.reshape(3, index.size, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, agrees]
     return mean
-
-
-def _error_of_quarters(
-    classified: Classification,
-    classified_quarters: Classification,
-    error: Floats,
-    own_error: Floats,
-    index: Ints,
-) -> Floats:
-    """Estimate the error of the mean radiance of each quarter of divided cells.
-
-    The result is the larger of two estimates, or the only one that is known:
-
-    1. The error of the cell, divided by 4, because the error decreases with the square of the
-       width.  If the second estimate is unknown, an edge may be near.  Towards an edge, light may
-       decrease like a square root, so the error of the cell is divided by 2 only.
-    2. The quarter's own error, from `extrapolated`.
-
-    The first estimate counts as unknown if it is small, but the quarter sees another surface, or is
-    reached by other lights, than the centre of the cell.
-
-    Parameters
-    ----------
-    classified, classified_quarters : Classification
-        All cells, and the 4 m quarters of the indexed cells.
-    error : (n,) float array
-        Estimated error of each cell; NaN if unknown.
-    own_error : (4 m,) float array
-        Estimated error of each quarter; NaN if unknown.
-    index : (m,) int array
-        Indices of the cells that were divided.
-
-    Returns
-    -------
-    quarter_error : (4 m,) float array
-        Estimated error of each quarter; NaN if both estimates are unknown.
-    """
-    parent = index.repeat(4)
-    inherited_error = error[parent] / np.where(np.isnan(own_error), 2, 4)
-    quarter_id = classified_quarters.center_id
-    sees_other = (quarter_id != classified.center_id[parent]) & (quarter_id >= 0)
-    inherited_error[sees_other & (inherited_error <= classified.cells.tolerance)] = np.nan
-    return np.fmax(inherited_error, own_error)
