@@ -251,7 +251,7 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
 )  # fmt: skip
 def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, draw, error):
     """However it comes about: a line, and not a traceback."""
-    monkeypatch.setattr("tracer.picture.render._RenderJob.radiance", draw)
+    monkeypatch.setattr("tracer.picture.render.RenderJob.render_tile", draw)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
     assert names(scene.parent) == []

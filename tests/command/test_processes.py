@@ -12,7 +12,6 @@ from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,10 +19,12 @@ from PIL import Image
 from probe import scene_of
 from running import SCENE, run, started, wait_until
 
-from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer import Camera, PointLight, Scene, Sphere, render, save_scene
+from tracer.command import cli
 from tracer.picture import parallel
 from tracer.picture import render as render_module
-from tracer.picture.render import render_tiles
+from tracer.picture.parallel import WorkerPool
+from tracer.picture.render import RenderJob, render_tiles
 
 
 def picture(width: int = 300, height: int = 200) -> Scene:
@@ -34,7 +35,10 @@ def picture(width: int = 300, height: int = 200) -> Scene:
 
 
 class Counting(Executor):
-    """Another executor that keeps its futures; the first of them, or all, fail in a certain way."""
+    """Another executor that keeps its futures, and waits for the first of them.
+
+    The first calls, or all, fail in a certain way.
+    """
 
     def __init__(
         self, executor: Executor, fail: Callable[[], object] = len, failures: int = 0
@@ -46,6 +50,7 @@ class Counting(Executor):
         if len(self.futures) < self.failures:
             fn, args = self.fail, ()
         self.futures.append(self.executor.submit(fn, *args, **kwargs))
+        self.futures[0].exception()
         return self.futures[-1]
 
 
@@ -85,8 +90,8 @@ def test_any_executor_draws_the_same_picture(kind, small_tiles, capfd):
             alone = render(scene, samples)
             counting.futures.clear()
             assert np.array_equal(render(scene, samples, executor=counting), alone)
-            assert counting.futures
-            assert all(future.exception() is None for future in counting.futures)
+            assert counting.futures[0].exception() is None
+            assert all(f.cancelled() or f.exception() is None for f in counting.futures)
     if kind != "dask":  # which logs what it likes
         assert capfd.readouterr() == ("", "")
 
@@ -119,39 +124,44 @@ def test_what_an_executor_fails_to_do_is_done_here(fail, times, small_tiles, cap
     assert capfd.readouterr() == ("", "")
 
 
-class Late(Executor):
-    """An executor of which each result is late; counts how many are out at a time."""
+class Waiting(Executor):
+    """An executor whose results come when this process waits for them; counts unfinished calls."""
 
-    out = most = 0
+    def __init__(self) -> None:
+        self.unfinished = list[tuple[Future[Any], Callable[[], Any]]]()
+        self.max_unfinished = 0
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        self.out += 1
-        self.most = max(self.most, self.out)
         future = Future[Any]()
-
-        def result(_timeout: float | None = None) -> Any:
-            self.out -= 1
-            return fn(*args, **kwargs)
-
-        future.result = result  # type: ignore[method-assign]
+        future.set_running_or_notify_cancel()
+        self.unfinished.append((future, partial(fn, *args, **kwargs)))
+        self.max_unfinished = max(self.max_unfinished, len(self.unfinished))
         return future
 
+    def finish(self, *_: Any) -> bool:
+        future, call = self.unfinished.pop(0)
+        future.set_result(call())
+        return True
 
-@pytest.mark.parametrize("processors", [1, 2, 6])
+
+@pytest.mark.parametrize("processors", [1, 2, 6, 100])
 def test_an_executor_has_work_for_all_processors_and_no_more(processors, small_tiles, monkeypatch):
     for module in (parallel, render_module):
         monkeypatch.setattr(module, "processors", lambda: processors)
-    late = Late()
-    assert np.array_equal(render(picture(), executor=late), render(picture()))
-    assert (late.most, late.out) == (2 * processors, 0)
+    waiting = Waiting()
+    monkeypatch.setattr(parallel.Distribution, "_wait", waiting.finish)
+    assert np.array_equal(render(picture(), executor=waiting), render(picture()))
+    tiles = len(RenderJob(picture()).tiles(shared=True))
+    share = tiles * processors // (processors + 1)
+    assert waiting.max_unfinished == min(2 * processors, share)
+    assert waiting.unfinished == []
 
 
 @pytest.mark.parametrize("processors", [2, 16])
 def test_all_processors_have_tiles(processors, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: processors)
     monkeypatch.setattr(render_module, "_MIN_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render_module, "worker_pool", lambda *_: None)
-    assert len(tiles_of(picture(), processes=processors)) >= 4 * processors
+    assert len(RenderJob(picture()).tiles(shared=True)) >= 4 * processors
 
 
 def test_a_program_with_threads_is_not_forked(monkeypatch):
@@ -160,9 +170,8 @@ def test_a_program_with_threads_is_not_forked(monkeypatch):
     thread = threading.Thread(target=wait.wait)
     thread.start()
     try:
-        pool: Any = parallel.worker_pool(1, len, ())
-        assert pool._mp_context.get_start_method() == "spawn"
-        pool.shutdown()
+        executor: Any = WorkerPool(1)._started()
+        assert executor._mp_context.get_start_method() == "spawn"
     finally:
         wait.set()
         thread.join()
@@ -180,35 +189,33 @@ def test_an_error_here_is_raised_here(small_tiles, monkeypatch):
         render(picture(), executor=pool)
 
 
-def tiles_of(scene: Scene, **options: Any) -> list[bytes]:
-    return [tile.data.data for tile in render_tiles(scene, **options)]
+def tiles_of(scene: Scene, samples: int, workers: int) -> list[bytes]:
+    with closing(WorkerPool(workers)) as pool:
+        return [tile.data.data for tile in render_tiles(RenderJob(scene, samples), pool)]
 
 
 @pytest.mark.parametrize("samples", [1, 16])
-def test_the_pool_of_the_command_draws_the_same(samples, small_tiles, monkeypatch):
-    monkeypatch.setattr(render_module, "processors", lambda: 3)
-    pool = Mock(wraps=parallel.worker_pool)
-    monkeypatch.setattr(render_module, "worker_pool", pool)
-    drawn = [tiles_of(picture(), samples=samples, processes=n) for n in (1, 2, 3, 9)]
-    assert [call.args[0] for call in pool.call_args_list] == [0, 1, 2, 2]
+def test_the_pool_of_the_command_draws_the_same(samples, small_tiles):
+    drawn = [tiles_of(picture(), samples, workers) for workers in (0, 1, 2, 8)]
     # With one process tiles are larger: only those that several share can be compared so.
     assert drawn[1] == drawn[2] == drawn[3]
     assert len(drawn[1]) > 3
 
 
-def test_a_small_picture_starts_no_process(monkeypatch):
-    monkeypatch.setattr(render_module, "processors", lambda: 2)
+@pytest.mark.parametrize(("size", "workers"), [((320, 180), 0), ((3000, 2000), 1)])
+def test_a_small_picture_starts_no_process(size, workers, monkeypatch, tmp_path):
+    monkeypatch.setattr(cli, "processors", lambda: 2)
     pools: list[int] = []
-    monkeypatch.setattr(render_module, "worker_pool", lambda count, *_: pools.append(count))
-    for size in ((320, 180), (3000, 2000)):
-        tiles_of(picture(*size))
-    assert pools == [0, 1]
+    pool = lambda count: pools.append(count) or WorkerPool(0)  # noqa: E731
+    monkeypatch.setattr(cli, "WorkerPool", pool)
+    save_scene(picture(*size), tmp_path / "scene.xml")
+    assert cli.main([str(tmp_path / "scene.xml"), "--quiet"]) == 0
+    assert pools == [workers]
 
 
 def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
-    monkeypatch.setattr(render_module, "processors", lambda: 2)
-    with closing(render_tiles(picture(), processes=2)) as tiles:
-        next(tiles)
+    with closing(WorkerPool(1)) as pool:
+        next(render_tiles(RenderJob(picture()), pool))
     wait_until(lambda: not multiprocessing.active_children())
 
 

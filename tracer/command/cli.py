@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from time import perf_counter, sleep
 from typing import Any
@@ -18,8 +18,9 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.explanation import explain
 from tracer.picture.lint import scene_warnings
+from tracer.picture.parallel import WorkerPool, processors
 from tracer.picture.png import PNG, write_tiles
-from tracer.picture.render import Tile, render_tiles
+from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, Tile, render_tiles
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
@@ -245,7 +246,11 @@ def _render_tiles(scene: Scene, path: str, arguments: argparse.Namespace) -> Ite
     with errors_as_failure(
         path, "rendered", _BUG, memory_remedy=memory_remedy, errors=(ValueError,)
     ):
-        yield from render_tiles(scene, arguments.samples, processes=arguments.processes)
+        job = RenderJob(scene, arguments.samples)
+        wanted = arguments.processes or (processors() if job.seconds >= MIN_POOL_SECONDS else 1)
+        workers = min(wanted, processors(), len(job.tiles(shared=True))) - 1
+        with closing(WorkerPool(workers)) as pool:
+            yield from render_tiles(job, pool)
 
 
 class _Progress:

@@ -1,4 +1,9 @@
-"""Distribute work to other processes: those of any executor, or of a pool for the command line.
+"""Distribute work between this process and others: those of any executor, or a command's own pool.
+
+The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  So all
+items of work can be processed in any process, with the same result, and this process never depends
+on another one: when no item is left that nobody has begun, it processes itself those that workers
+still have.  A worker that fails costs time, but no result.
 
 Processes are used rather than threads.  Between two operations on arrays, a thread needs the lock
 of the Python interpreter, so threads would often wait for each other.
@@ -10,20 +15,23 @@ import os
 import signal
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Future, ProcessPoolExecutor
+    from multiprocessing.process import BaseProcess
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-# Maximum number of items, for each processor, that are submitted to an executor and not yet
-# collected: enough to keep all processors busy.
-_QUEUED_PER_PROCESSOR = 2
+# Number of items for each worker that are submitted and not yet finished: enough to keep it busy.
+_ITEMS_PER_WORKER = 2
+
+# Maximum number of times that a pool is started: again if a worker has died.
+_MAX_STARTS = 4
 
 
 def processors() -> int:
@@ -31,96 +39,229 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def map_unordered(
-    function: Callable[[_Item], _Result],
-    items: Sequence[_Item],
-    executor: Executor | None,
-    remote_function: Callable[[_Item], _Result],
-) -> Iterator[tuple[int, _Result]]:
-    """Apply a function to all items, partly in other processes, and yield the results in any order.
+class Submitter(Protocol):
+    """The part of an executor that `Distribution` uses."""
 
-    This process takes items from the front of the sequence, and the executor from the back, until
-    they meet.  If the executor fails to process an item, for whatever reason, this process applies
-    `function` to the item.
+    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Schedule the call ``fn(*args)``, and return the future of its result."""
+
+
+class Distribution(Generic[_Item, _Result]):
+    """Work that this process shares with an executor; iterate over it for the results.
+
+    Both take the next item from the front.  When all items are taken, this process repeats those
+    that the executor has not finished: first the items that no worker has begun; then, after
+    waiting for as long as the longest item has taken in this process, also the others.  If the
+    executor fails to process an item, for whatever reason, this process does it.
+
+    Iterating yields pairs of the index of an item and its result.  The order is nearly that of the
+    items; `in_order` restores it.
 
     Parameters
     ----------
     function : callable
-        Called in this process; its exceptions are passed on.
+        Called with an item, in this process.  Its exceptions are passed on.
     items : sequence
         The arguments of the calls.
-    executor : concurrent.futures.Executor or None
+    executor : Submitter or None
         If None, this process does all the work.
     remote_function : callable
-        Called instead of `function` by the executor; must be picklable if `items` are sent to other
-        processes.
-
-    Yields
-    ------
-    index : int
-        Index of an item.
-    result : object
-        The result of `function` or `remote_function` for this item.
+        Called with an item by the executor.  If the executor has processes, the function and the
+        items must be picklable.
+    accepts : callable
+        Called with an item and what the executor returned for it.  If it returns False, the
+        executor counts as having failed.
+    workers : int
+        Number of workers that the executor is supposed to have.
+    reserved : int
+        Number of items at the end that are not given to the executor, because `function` itself
+        shares each of them with the executor.
     """
-    front, back, max_queued = 0, len(items), _QUEUED_PER_PROCESSOR * processors()
-    queue = deque[tuple[int, "Future[_Result]"]]()
-    while front < back or queue:
-        while executor is not None and front < back and len(queue) < max_queued:
+
+    def __init__(
+        self,
+        function: Callable[[_Item], _Result],
+        items: Sequence[_Item],
+        executor: Submitter | None,
+        remote_function: Callable[[_Item], _Result],
+        accepts: Callable[[_Item, Any], bool],
+        *,
+        workers: int,
+        reserved: int = 0,
+    ) -> None:
+        self._function, self._remote_function = function, remote_function
+        self._items, self._accepts = items, accepts
+        self._executor, self._workers = executor, workers
+        self._submittable, self._next_index = len(items) - reserved, 0
+        # Futures that are not yet collected, by the index of their item, in order of submission.
+        self._futures = dict[int, "Future[_Result]"]()
+        # The item that this process is repeating, and its future.
+        self._repeated: tuple[int, Future[_Result]] | None = None
+        self._longest_seconds = 0.0
+
+    def __iter__(self) -> Iterator[tuple[int, _Result]]:
+        try:
+            while self._next_index < len(self._items) or self._futures:
+                self.submit()
+                if self._next_index < len(self._items):
+                    self._next_index += 1
+                    yield self._process(self._next_index - 1)
+                elif self._futures:
+                    # The item submitted last is the least likely to be begun.
+                    index, future = next(reversed(self._futures.items()))
+                    if future.cancel() or not self._wait():
+                        self._repeated = index, self._futures.pop(index)
+                        yield self._process(index)
+                        self._repeated = None
+                for index in [index for index, f in self._futures.items() if f.done()]:
+                    future = self._futures.pop(index)
+                    is_accepted = self._is_accepted(index, future)
+                    yield (index, future.result()) if is_accepted else self._process(index)
+        finally:
+            for future in self._futures.values():
+                future.cancel()
+
+    def submit(self) -> None:
+        """Submit items to the executor until all its workers are busy.
+
+        A `function` that takes long should call this method from time to time.
+        """
+        pending = sum(not future.done() for future in self._futures.values())
+        # This process leaves its own share of the items to itself.
+        share = (self._submittable - self._next_index) * self._workers // (self._workers + 1)
+        for _ in range(min(_ITEMS_PER_WORKER * self._workers - pending, share)):
+            if self._executor is None:
+                return
+            index = self._next_index
             try:
-                queue.append((back - 1, executor.submit(remote_function, items[back - 1])))
-                back -= 1
-            except (RuntimeError, OSError):  # a worker has died, or none can be started
-                executor = None
-        if front < back:
-            yield front, function(items[front])
-            front += 1
-        while queue and (front >= back or queue[0][1].done()):
-            index, future = queue.popleft()
-            try:
-                result = future.result()
-            except Exception:
-                result = function(items[index])
-            yield index, result
+                future = self._executor.submit(self._remote_function, self._items[index])
+            except Exception:  # a worker has died, none can be started, or anything else
+                self._executor = None
+                return
+            self._futures[index] = future
+            self._next_index += 1
+
+    @property
+    def is_obsolete(self) -> bool:
+        """Whether a worker has finished the item that this process is repeating.
+
+        If so, `function` may return at once: the worker's result is taken instead of its own.
+        """
+        return self._repeated is not None and self._is_accepted(*self._repeated)
+
+    def _process(self, index: int) -> tuple[int, _Result]:
+        """Process an item in this process, and return its index and result."""
+        start = perf_counter()
+        result = self._function(self._items[index])
+        self._longest_seconds = max(self._longest_seconds, perf_counter() - start)
+        if self._repeated is not None and self.is_obsolete:
+            result = self._repeated[1].result()
+        return index, result
+
+    def _is_accepted(self, index: int, future: Future[_Result]) -> bool:
+        """Test whether a future has a result, and `accepts` does not refuse it."""
+        # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
+        if not future.done() or future.cancelled() or future.exception() is not None:
+            return False
+        return self._accepts(self._items[index], future.result())
+
+    def _wait(self) -> bool:
+        """Wait until a future is done, but no longer than the longest item has taken here.
+
+        Returns
+        -------
+        is_done : bool
+            Whether a future is done.
+        """
+        from concurrent.futures import FIRST_COMPLETED, wait
+
+        futures = self._futures.values()
+        return bool(wait(futures, self._longest_seconds, return_when=FIRST_COMPLETED).done)
 
 
-def worker_pool(count: int, initializer: Callable[..., None], *arguments: Any) -> Executor | None:
-    """Start a pool of worker processes.
+def in_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
+    """Yield results in the order of their indices 0, 1, 2, ..., from pairs of index and result."""
+    finished, next_index = dict[int, _Result](), 0
+    for index, result in results:
+        finished[index] = result
+        while next_index in finished:
+            yield finished.pop(next_index)
+            next_index += 1
 
-    For the command line only, because this function forks the process where this is safe.  Workers
-    ignore SIGINT: when the user presses Ctrl-C, the terminal sends it to all processes, and this
-    process ends the workers.  Workers end by themselves if this process has ended.
+
+class WorkerPool:
+    """Worker processes of a command, started when the first work is submitted.
+
+    For the command line only, because the pool forks this process where this is safe.  A forked
+    worker already has all modules, and whatever this process has prepared for it.  Workers ignore
+    SIGINT: when the user presses Ctrl-C, the terminal sends it to all processes, and this process
+    ends the workers.  Workers end by themselves if this process has ended.
 
     Parameters
     ----------
-    count : int
+    workers : int
         Number of worker processes.
-    initializer : callable
-        Called once in each worker, with `arguments`, before any work.
-    *arguments
-        Arguments of `initializer`.
+    initializer : callable, optional
+        Called once in each worker before any work.
 
-    Returns
-    -------
-    pool : Executor or None
-        None if `count` is less than 1, or if the system cannot start a pool.
+    Attributes
+    ----------
+    workers : int
+        Number of worker processes.
     """
-    if count < 1:
-        return None
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
 
-    # A forked worker already has all modules and the prepared scene.  It is not safe to fork while
-    # other threads run.
-    method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
-    context = multiprocessing.get_context(method)
-    try:
-        return ProcessPoolExecutor(count, context, _begin_worker, (initializer, arguments))
-    except (OSError, ImportError):  # no semaphores, or too many open files
-        return None
+    def __init__(self, workers: int, initializer: Callable[[], None] | None = None) -> None:
+        self.workers, self._initializer = workers, initializer
+        self._executor: ProcessPoolExecutor | None = None
+        self._other_children: set[BaseProcess] = set()
+        self._starts = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Schedule the call ``fn(*args)`` in a worker, and return the future of its result.
+
+        Raises
+        ------
+        OSError, ImportError
+            If the system has no semaphores, or too few files can be open.
+        RuntimeError
+            If no worker can be started, or workers have died several times.
+        """
+        if self._executor is None:
+            if self._starts == _MAX_STARTS:
+                raise RuntimeError("workers cannot be started, or have died several times")
+            self._starts += 1
+            self._executor = self._started()
+        try:
+            return self._executor.submit(fn, *args)
+        except Exception:  # a worker has died, or none can be started
+            self.close()
+            return self.submit(fn, *args)
+
+    def _started(self) -> ProcessPoolExecutor:
+        """Return a new pool, which starts its processes when work is submitted."""
+        import multiprocessing
+        from concurrent.futures import ProcessPoolExecutor
+
+        # It is not safe to fork while other threads run: they may hold locks.
+        method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
+        context = multiprocessing.get_context(method)
+        self._other_children = {*multiprocessing.active_children()}
+        return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
+
+    def close(self) -> None:
+        """End the workers without waiting for them, whatever they do; nothing is left behind."""
+        if self._executor is None:
+            return
+        import multiprocessing
+
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in {*multiprocessing.active_children()} - self._other_children:
+            process.kill()
+        self._executor = None
 
 
-def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Prepare a worker process, and call `initializer` with `arguments`.
+def _begin_worker(initializer: Callable[[], None] | None) -> None:
+    """Prepare a worker process, and call `initializer`, if there is one.
 
     The worker ignores SIGINT, other signals end it immediately, and a thread ends it when the
     parent process has ended.
@@ -128,8 +269,12 @@ def _begin_worker(initializer: Callable[..., None], arguments: tuple[Any, ...]) 
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if number := getattr(signal, name, None):
             signal.signal(number, signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    initializer(*arguments)
+    try:
+        threading.Thread(target=end_with_parent, daemon=True).start()
+    except RuntimeError:  # the system has no thread left
+        os._exit(1)
+    if initializer:
+        initializer()
 
 
 def end_with_parent() -> None:

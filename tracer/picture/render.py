@@ -22,7 +22,7 @@ import operator
 import pickle
 import warnings
 from collections.abc import Iterator
-from functools import cached_property, lru_cache, partial
+from functools import cached_property
 from itertools import product
 from math import isqrt
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -35,7 +35,7 @@ from tracer.arrays import CACHE_SIZE, Floats
 from tracer.geometry.camera import camera_frame
 from tracer.picture.lint import SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
-from tracer.picture.parallel import map_unordered, processors, worker_pool
+from tracer.picture.parallel import Distribution, WorkerPool, in_order, processors
 from tracer.picture.png import Compressed, compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
@@ -62,13 +62,17 @@ _MIN_TILE_PIXELS, _TILES_PER_PROCESSOR = 1 << 10, 4
 # `_CLASSIFIED_SAMPLES` samples.
 _SECONDS_PER_SAMPLE, _MAX_COSTLY_OBJECTS, _CLASSIFIED_SAMPLES = 1e-8, 8, 10
 
-# Minimum estimated time of rendering, in seconds, for which a pool of processes is started.
-_MIN_POOL_SECONDS = 0.1
+MIN_POOL_SECONDS = 0.1
+"""Minimum estimated time of rendering, in seconds, for which starting a pool is worth it."""
 
-# Maximum number of samples per pixel, and of processes.
+# Maximum number of samples per pixel.
 _MAX_COUNT = 999_999_999
 
-_Rectangle: TypeAlias = tuple[slice, slice]
+# Maximum number of jobs that a process remembers: several pictures may be rendered at the same time
+# on one executor, and to prepare a scene for each tile would take longer than to render the tile.
+_MAX_REMEMBERED_JOBS = 4
+
+Rectangle: TypeAlias = tuple[slice, slice]
 """Rows and columns of a picture."""
 
 
@@ -103,7 +107,7 @@ def render(
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, or `samples` is not an integer.
+        If `scene` is not a Scene, `samples` is not an integer, or `executor` is not an executor.
     ValueError
         If `samples` is less than 1 or more than 999,999,999, or `offset` is not two finite numbers.
 
@@ -115,26 +119,56 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
-    job = _RenderJob(scene, samples, offset, distributed=executor is not None)
-    render_remotely = partial(_RenderJob.radiance, job)
+    if not (executor is None or callable(getattr(executor, "submit", None))):
+        raise TypeError(f"executor must be a concurrent.futures.Executor, is {executor!r}")
+    job = RenderJob(scene, samples, offset)
+    tiles = job.tiles(shared=executor is not None)
     # NumPy gets zeros from calloc: pages of memory in which nothing is rendered cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
 
-    def render_here(rectangle: _Rectangle) -> None:
-        job.render_into(image[rectangle], rectangle)
+    def render_here(rectangle: Rectangle) -> None:
+        job.render_tile(rectangle, out=image[rectangle])
 
-    for index, radiance in map_unordered(render_here, job.tiles, executor, render_remotely):
+    def accepts(rectangle: Rectangle, result: object) -> bool:
+        return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
+
+    work = Distribution[Rectangle, Any](
+        render_here, tiles, executor, job.render_tile, accepts, workers=processors()
+    )
+    for index, radiance in work:
         if radiance is not None:
-            image[job.tiles[index]] = radiance
+            image[tiles[index]] = radiance
     # Row by row, because this search ends at the first row that is not black.
     for warning in scene_warnings(scene, black=not any(row.any() for row in image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
-def to_png(scene: Scene) -> bytes:
-    """Render a scene at one sample per pixel, and return the bytes of a PNG file."""
-    write_png(file := io.BytesIO(), render(scene))
+def to_png(scene: Scene, samples: int = 1) -> bytes:
+    """Render a scene, and return the bytes of a PNG file.
+
+    Many pictures are rendered fastest by several processes, of which each renders whole pictures::
+
+        pool.map(partial(tracer.to_png, samples=4), scenes)
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene to render.
+    samples : int
+        Number of samples per pixel, as in `render`.
+
+    Returns
+    -------
+    png : bytes
+        The content of an 8-bit RGB PNG file, as `write_png` writes it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As in `render`.
+    """
+    write_png(file := io.BytesIO(), render(scene, samples))
     return file.getvalue()
 
 
@@ -156,51 +190,38 @@ class Tile(NamedTuple):
     black: bool
 
 
-def render_tiles(scene: Scene, samples: int = 1, *, processes: int | None = None) -> Iterator[Tile]:
-    """Render a scene, and yield its tiles in order, from top to bottom and from left to right.
-
-    For the command line only, because this function may fork the process: it may start a pool of
-    worker processes.
+def render_tiles(job: RenderJob, pool: WorkerPool | None = None) -> Iterator[Tile]:
+    """Render a picture, and yield its tiles in order, from top to bottom and from left to right.
 
     Parameters
     ----------
-    scene : Scene
-        The scene to render.
-    samples : int
-        Number of samples per pixel, as in `render`.
-    processes : int, optional
-        Maximum number of processes, including the calling process.  By default, small pictures are
-        rendered by one process, and other pictures by one process for each processor.
+    job : RenderJob
+        The picture to render.
+    pool : WorkerPool, optional
+        Worker processes that render tiles, too.  By default this process renders the whole picture.
 
     Yields
     ------
     tile : Tile
         A rectangle of pixels, compressed for a PNG file.
-
-    Raises
-    ------
-    TypeError
-        If `samples` or `processes` is not an integer.
-    ValueError
-        If `samples` or `processes` is less than 1 or more than 999,999,999.
     """
-    job = _RenderJob(scene, samples, (0.0, 0.0), distributed=processes != 1)
-    if processes is None:
-        processes = processors() if job.seconds >= _MIN_POOL_SECONDS else 1
-    count = min(_validated_count(processes, "processes"), processors(), len(job.tiles))
-    if count > 1:
+    workers = pool.workers if pool else 0
+    if workers:
         _ = [*job.prepared.light_batches]  # prepares the lights once, before the process forks
-    pool = worker_pool(count - 1, _begin_job, job)
-    finished, next_index = dict[int, Tile](), 0
+        _remember(job)
+    tiles = Distribution(
+        job.compressed_tile,
+        job.tiles(shared=workers > 0),
+        pool,
+        job.compressed_tile,
+        lambda _, result: isinstance(result, Tile),
+        workers=workers,
+    )
     try:
-        for index, tile in map_unordered(job.tile, job.tiles, pool, _tile_of_job):
-            finished[index] = tile
-            while next_index in finished:
-                yield finished.pop(next_index)
-                next_index += 1
+        yield from in_order(tiles)
     finally:
-        if pool:
-            pool.shutdown(cancel_futures=True)
+        if workers:
+            _remembered_jobs.pop(job.pickled, None)
 
 
 def _validated_count(value: int, name: str) -> int:
@@ -233,11 +254,11 @@ def _validated_count(value: int, name: str) -> int:
     return number
 
 
-class _RenderJob:
-    """A picture to render, divided into tiles (rectangles of pixels).
+class RenderJob:
+    """A picture to render, which can be divided into tiles (rectangles of pixels).
 
     A pickled job contains only its arguments: the process that unpickles the job prepares the scene
-    again.
+    again, unless it remembers the job.
 
     Parameters
     ----------
@@ -247,24 +268,25 @@ class _RenderJob:
         Number of samples per pixel, as in `render`.
     offset : (float, float)
         Moves every sample by this number of pixels to the right, and down.
-    distributed : bool
-        Whether several processes may render tiles: then the tiles are smaller and more numerous.
 
     Attributes
     ----------
     prepared : PreparedScene
         The scene, prepared for its camera.
-    tiles : list of (slice, slice)
-        Rows and columns of each tile, from top to bottom and from left to right.
     seconds : float
         Rough estimate of the time that one process would need for the picture.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As in `render`.
     """
 
     @_QUIET
     def __init__(
-        self, scene: Scene, samples: int, offset: tuple[float, float], *, distributed: bool
+        self, scene: Scene, samples: int = 1, offset: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        self._arguments = scene, samples, offset, distributed
+        self._arguments = scene, samples, offset
         samples_per_side = isqrt(_validated_count(samples, "samples") - 1) + 1
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
@@ -279,12 +301,14 @@ class _RenderJob:
         is_supersampled = samples_per_side > 1 and not self._is_classified
         self._lattice = Lattice.of(samples_per_side) if is_supersampled else CENTRES
         self.seconds = self._estimated_seconds(scene)
-        factor = _CLASSIFIED_FACTOR if self._is_classified else 1
-        self._max_samples = _MAX_TILE_SAMPLES * factor
-        min_samples = _MIN_TILE_SAMPLES * factor if distributed else self._max_samples
+        self._max_samples = _MAX_TILE_SAMPLES * self._size_factor
         block_samples = self.prepared.at_once(self._max_samples)
         self._max_block_pixels = max(1, block_samples // self._lattice.size)
-        self.tiles = self._divide_picture(scene.width, scene.height, min_samples)
+
+    @property
+    def _size_factor(self) -> int:
+        """Factor by which tiles of a classified picture are larger than others."""
+        return _CLASSIFIED_FACTOR if self._is_classified else 1
 
     def _estimated_seconds(self, scene: Scene) -> float:
         """Estimate how many seconds one process needs to render the picture.
@@ -299,22 +323,22 @@ class _RenderJob:
         cost_per_pixel = cost_per_sample * samples_per_pixel
         return _SECONDS_PER_SAMPLE * scene.width * scene.height * cost_per_pixel
 
-    def _divide_picture(self, width: int, height: int, min_samples: int) -> list[_Rectangle]:
+    def tiles(self, *, shared: bool) -> list[Rectangle]:
         """Divide the picture into tiles: rectangles of whole rows, or parts of one row.
 
         Parameters
         ----------
-        width, height : int
-            Size of the picture, in pixels.
-        min_samples : int
-            Minimum number of samples in a tile.  If it is less than the maximum, tiles are made
-            smaller, down to this minimum, so that each processor gets several tiles.
+        shared : bool
+            Whether several processes render tiles.  If so, tiles are smaller, so that each
+            processor gets several tiles.
 
         Returns
         -------
         tiles : list of (slice, slice)
             Rows and columns of each tile, from top to bottom and from left to right.
         """
+        width, height = self.prepared.frame.width, self.prepared.frame.height
+        min_samples = _MIN_TILE_SAMPLES * self._size_factor if shared else self._max_samples
         balanced_pixels = width * height // (_TILES_PER_PROCESSOR * processors())
         min_pixels = min_samples // self._lattice.size
         max_pixels = self._max_samples // self._lattice.size
@@ -324,69 +348,58 @@ class _RenderJob:
         return list(product(row_ranges, _divide(slice(0, width), pixels)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _job_from_pickle, (self._pickled,)
+        """Pickle the arguments only."""
+        return _job_from_pickle, (self.pickled,)
 
     @cached_property
-    def _pickled(self) -> bytes:
+    def pickled(self) -> bytes:
+        """The pickled arguments, which identify the job in all processes."""
         return pickle.dumps(self._arguments)
 
-    def tile(self, rectangle: _Rectangle) -> Tile:
+    def compressed_tile(self, rectangle: Rectangle) -> Tile:
         """Render one tile, given by its rows and columns, and compress it for a PNG file."""
-        radiance = self.radiance(rectangle)
+        radiance = self.render_tile(rectangle)
         data = compressed(radiance, from_left=rectangle[1].start == 0)
         return Tile(data, radiance.size // 3, not radiance.any())
 
-    def radiance(self, rectangle: _Rectangle) -> Floats:
+    @_QUIET
+    def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
         """Render one tile, and return its linear RGB radiance.
 
         Parameters
         ----------
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
+        out : (rows, columns, 3) float array, optional
+            Receives the radiance.  It must be all zeros: pixels in which no object is visible are
+            not written.
 
         Returns
         -------
         radiance : (rows, columns, 3) float array
-            Linear RGB radiance of each pixel in the tile.
-        """
-        rows, columns = rectangle
-        out = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3))
-        self.render_into(out, rectangle)
-        return out
-
-    @_QUIET
-    def render_into(self, out: Floats, rectangle: _Rectangle) -> None:
-        """Render one tile into an array, block by block.
-
-        A block is a part of the tile whose samples fit into memory.
-
-        Parameters
-        ----------
-        out : (rows, columns, 3) float array
-            Receives the linear RGB radiance.  It must be all zeros: rows in which no object is
-            visible are not written.
-        rectangle : (slice, slice)
-            Rows and columns of the tile in the picture.
+            Linear RGB radiance of each pixel in the tile: `out`, if it is given.
         """
         keep_heap()
         rows, columns = rectangle
+        width = columns.stop - columns.start
+        radiance = np.zeros((rows.stop - rows.start, width, 3)) if out is None else out
         visible_rows = _overlap(rows, self.prepared.window[0])
-        block_height = max(1, self._max_block_pixels // out.shape[1])
-        row_ranges = _divide(visible_rows, block_height)
+        row_ranges = _divide(visible_rows, max(1, self._max_block_pixels // width))
         for block in product(row_ranges, _divide(columns, self._max_block_pixels)):
-            out_rows, out_columns = map(_relative_to_start, block, rectangle)
-            self._render_block(out[out_rows, out_columns], *block)
+            block_rows, block_columns = map(_relative_to_start, block, rectangle)
+            self._render_block(*block, out=radiance[block_rows, block_columns])
+        return radiance
 
-    def _render_block(self, out: Floats, rows: slice, columns: slice) -> None:
-        """Render a rectangle of pixels whose samples fit into memory.
+    def _render_block(self, rows: slice, columns: slice, out: Floats) -> None:
+        """Render a block: a rectangle of pixels whose samples fit into memory.
 
         Parameters
         ----------
+        rows, columns : slice
+            Rows and columns of the block in the picture.
         out : (rows, columns, 3) float array
             Receives the linear RGB radiance.  It must be all zeros: pixels in which no object is
             visible are not written.
-        rows, columns : slice
-            Rows and columns of the rectangle in the picture.
         """
         if self._is_classified:
             visible = _overlap(columns, self.prepared.window[1])
@@ -401,29 +414,22 @@ class _RenderJob:
             radiance_at(self.prepared, samples, out=out.reshape(-1, 3).T)
 
 
-@lru_cache(maxsize=1)
-def _job_from_pickle(pickled: bytes) -> _RenderJob:
-    """Create a render job from its pickled arguments, in the process that unpickles the job.
-
-    The latest job is cached, because a process usually renders several tiles of the same job.
-    """
-    scene, samples, offset, distributed = pickle.loads(pickled)
-    return _RenderJob(scene, samples, offset, distributed=distributed)
+_remembered_jobs = dict[bytes, RenderJob]()
+"""The latest jobs of this process, by their pickled arguments, in order of last use."""
 
 
-_job: _RenderJob
-"""The job whose tiles this process renders, if it is a worker process of a pool."""
+def _remember(job: RenderJob) -> None:
+    """Keep a job, so that this process and its forks need not prepare its scene again."""
+    _remembered_jobs[job.pickled] = job
+    if len(_remembered_jobs) > _MAX_REMEMBERED_JOBS:
+        _remembered_jobs.pop(next(iter(_remembered_jobs)), None)
 
 
-def _begin_job(job: _RenderJob) -> None:
-    """Set the job whose tiles this worker process will render."""
-    global _job
-    _job = job
-
-
-def _tile_of_job(rectangle: _Rectangle) -> Tile:
-    """Render one tile, given by its rows and columns, of this worker process's job."""
-    return _job.tile(rectangle)
+def _job_from_pickle(pickled: bytes) -> RenderJob:
+    """Return the job with these pickled arguments: the one that is remembered, or a new one."""
+    job = _remembered_jobs.pop(pickled, None) or RenderJob(*pickle.loads(pickled))
+    _remember(job)
+    return job
 
 
 def _overlap(a: slice, b: slice) -> slice:
