@@ -8,13 +8,15 @@ objects touch, so that they touch exactly.
 
 import math
 from collections.abc import Callable, Iterable
+from io import BytesIO
 from random import Random
 from typing import NamedTuple
 
+from hypothesis import note
 from hypothesis import strategies as st
 from probe import Surface, Vector
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere, save_scene
 
 
 class Setting(NamedTuple):
@@ -34,23 +36,27 @@ def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scen
     return _scene(kind, Random(f"{kind} {seed}"), width, height)
 
 
+@st.composite
 def scenes(
+    draw: st.DrawFn,
     kinds: Iterable[str],
     width: st.SearchStrategy[int],
     height: st.SearchStrategy[int],
-) -> st.SearchStrategy[Scene]:
-    """Return a strategy for scenes of some kinds; a crowd has too many numbers for Hypothesis.
+) -> Scene:
+    """Draw a scene of one of some kinds.  If a test fails, the scene is printed as a scene file.
 
     Parameters
     ----------
     kinds : iterable of str
-        Names in `FEW_OBJECTS`.
+        Names in `FEW_OBJECTS`: a crowd has too many numbers for Hypothesis.
     width, height : strategy of int
         Size of the picture in pixels.
     """
-    return st.builds(
-        _scene, st.sampled_from([*kinds]), st.randoms(use_true_random=False), width, height
-    )
+    kind, random = draw(st.sampled_from([*kinds])), draw(st.randoms(use_true_random=False))
+    scene = _scene(kind, random, draw(width), draw(height))
+    save_scene(scene, file := BytesIO())
+    note(file.getvalue().decode())
+    return scene
 
 
 def _scene(kind: str, random: Random, width: int, height: int) -> Scene:
