@@ -50,7 +50,7 @@ def _error(text: str) -> Fraction:
 
 def _report(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
     """What is known of a picture, in lines."""
-    off, certain = certificate.error, certificate.certain
+    off, certain = certificate.error, certificate.is_certain
     wide, of = off > float(error), f"of {off.size} pixels"
     lines = [
         f"{np.count_nonzero(~wide)} {of} are within {error}; all within {off.max():.2g}",

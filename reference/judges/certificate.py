@@ -1,34 +1,51 @@
-"""Antialiased pictures with a proof: bounds on the mean radiance of every pixel.
+"""Render a picture with a proof: an upper and a lower bound on the mean radiance of every pixel.
 
-Objects are convex and lights are points, so edges in the picture are zeros of smooth functions, and
-radiance is smooth between them.  Cells of the picture are divided (`cells`) until every pixel is
-known as well as asked:
+The idea: objects are convex and lights are points.  So every edge in the picture is the zero of a
+smooth function, and radiance is smooth between edges.  Enclose the radiance by a polynomial where
+it is smooth, enclose each edge in a narrow strip, and count the worst case inside the strips.
+Where the bounds are too wide, divide the picture into smaller cells.
 
-- A light that reaches all that a cell shows of a face adds a *form* (`forms`) with a known mean.
-  X^2 counts as its mean, not as the middle of its bounds: so the estimate is much better than the
-  bounds.  What such lights add to a face is kept, and its parts inherit it.
-- A cell that shows nothing else is done: so are all pixels of a large one.
-- Else, the zero of each edge function lies in a *strip* between two parallel lines (`regions`).
-- The middle lines of strips divide a cell into *regions*.  In a region nothing changes outside of
-  the strips: a sample in its centroid tells which face is seen, and which other lights reach it.
-- In a strip, radiance is off by no more than may change across its edge: what one light adds, or
-  all that the cell may show.
-- A region of which the sample lies in a strip may be off by the strip's change as a whole.
-- Other edges divide nothing, if there are many.  Whatever side of such an edge a centroid is on,
-  beyond the edge is no more than 5/9 of a convex region (Winternitz's theorem): radiance is off by
-  the edge's change in so much of the cell, and in the strip.
+Sources: the subdivision is that of Warnock (1969; see `cells`), the bounds are affine arithmetic of
+second order (Comba and Stolfi, 1993; see `forms`), and one of them is Winternitz's theorem (see
+below).  Their combination is this project's own.
 
-The error of a pixel is at most the sum of these over its cells, weighted by their areas.  Cells
-that err no more than what is left of the pixel may on average are done; the others are divided.
+A cell of the picture is treated as follows:
 
-Single samples of the tracer are trusted as to what they see, not as to radiance.  A sample that
-sees what its cell rules out proves an error in one of them, and raises one.
+1. A light that reaches all of a face in the cell adds a form.  The mean of the form's polynomial
+   over the cell is computed exactly, so that the estimate is much better than the bounds.  Quarters
+   of the cell inherit what such lights add.
+2. If nothing else is visible in the cell, it is finished, and so are all pixels in it.
+3. Otherwise each edge lies in a *strip* between two parallel lines (see `regions`).  The centre
+   lines of the strips divide the cell into convex *regions*.  Outside the strips, nothing changes
+   within a region.  So one sample at the centroid of a region shows which face is visible and which
+   lights reach it.
+4. If there are many edges, those with the largest jumps of radiance divide the cell; the others are
+   *loose*.
 
-Rounding: samples and the coordinates of cells are off by less than the forms' radii, which hold
-1e-13 of the coordinates involved.  Areas and means of regions are some hundred roundings off, and
-sums over at most 4^10 cells of a pixel, each at most the radiance R there, another 4^10 e R for
-e = 2^-53, if all roundings go the same way, and those over n lights n e R: the bounds are widened
-by 1e-9 R.
+Why the bounds are sound: without loose edges, each point of a region either shows what the centroid
+shows, or lies in a strip.  Three errors remain:
+
+- In a strip, radiance differs from that of the region by at most the strip's *jump*: the radiance
+  of one light, or all radiance that the cell may show.
+- If the centroid itself is in a strip, it may be on the wrong side of the edge.  Then all of the
+  region may be wrong by the jump: this is the region's *doubt*.
+- A loose edge may make a region wrong by its jump in two places: in its strip, and beyond the
+  strip's centre line as seen from the centroid.  A line cuts off at most 5/9 of a convex region on
+  the side that does not contain the centroid (Winternitz's theorem; Grünbaum, Partitions of
+  mass-distributions and of convex bodies by hyperplanes, 1960).
+
+The error of a pixel is at most the sum of these over its cells, weighted by areas.  Cells whose
+error is at most the average that remains to the pixel are finished; the others are divided.
+
+Samples are traced by the tracer, but only for the question of what they see, not for radiance.  If
+a sample shows a face that the cell rules out, then the certificate or the tracer has an error, and
+a RuntimeError is raised.
+
+Rounding: positions of samples and cells have rounding errors smaller than the forms' radii, which
+contain 1e-13 times the coordinates involved.  Areas and means of regions take about a hundred
+roundings.  Let radiance be at most R, and e = 2^-53.  Then the sum over at most 4^10 cells of a
+pixel errs by 4^10 e R if all roundings have the same sign, and the sum over n lights by n e R.
+Therefore the bounds are widened by 1e-9 R.
 """
 
 from __future__ import annotations
@@ -40,43 +57,64 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import Bools, Floats, Ints, add_runs, places, segments, sums
-from reference.judges.cells import LARGEST, CellForms, Cells, Shades, first_cells
+from reference.judges.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    add_runs,
+    positions,
+    segment_indices,
+    sums_by_index,
+)
+from reference.judges.cell_forms import CellForms, Contributions
+from reference.judges.cells import MAX_WIDTH, Cells, first_cells
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, Z, constant
-from reference.judges.regions import NO_AREA, Regions, Strips, divide, strips
+from reference.judges.regions import MIN_AREA, Regions, Strips, divide, strips
 from tracer import Scene, to_codes
 
-# So many pairs, rows, and lights of pairs are worked on at a time: their arrays stay in cache.  So
-# many lines at most divide a cell.
-_AT_ONCE, _MOST_LINES = 12000, 5
+MAX_AREA_BEYOND = 5 / 9
+"""Maximum fraction of a convex region on the side of a line that does not contain its centroid
+(Winternitz's theorem).  A triangle attains it: half would not be a bound."""
 
-# Lights that reach all of a face are kept if each errs by no more than an even share of this part
-# of the error.
-_SMOOTH = 0.25
+# Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays stay in
+# the CPU cache.  Tuned on scenes of this project; half or twice this number changes little.
+_ITEMS_PER_BATCH = 12000
 
-# Cells are no smaller than this part of a pixel across.
-_SMALLEST = 2.0**-10
+# Maximum number of edges that divide a cell; others are loose.  Each may double the number of
+# regions.
+_MAX_LINES = 5
 
-# A pixel that is left with so many cells of one size is given up: all of it stays unknown, as
-# through a lens so long that rounding hides every edge, and parts would stay so as well.
-_MOST_CELLS = 1 << 11
+# A strip that covers more than this fraction of its cell is loose: to divide by it would not help.
+_MAX_STRIP_AREA = 0.999
 
-_ROUNDING = 1e-9
+# The settled lights of a pair may take this fraction of the permitted error.
+_SETTLED_ERROR = 0.25
+
+# Minimum width of a cell in pixels.
+_MIN_WIDTH = 2.0**-10
+
+# A pixel with this many pending cells of one width is given up, and its bounds stay wide.  This
+# happens if the focal length is so large that rounding errors hide every edge.
+_MAX_PENDING_CELLS = 1 << 11
+
+# The bounds are widened by this fraction of the largest radiance, for rounding errors: see above.
+# The rest of the permitted error is available to the cells.
+_ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Every pixel's mean radiance, between two bounds.
+    """A picture, with bounds on the mean radiance of every pixel.
 
     Attributes
     ----------
-    low, high : (height, width, 3)
-        Linear RGB; the mean of a pixel lies between these.
-    image : (height, width, 3)
-        The best estimate, which does as well.
+    low, high : (height, width, 3) float arrays
+        Lower and upper bounds on the mean linear RGB radiance of each pixel.
+    image : (height, width, 3) float array
+        The best estimate, which lies between the bounds.
     cells : int
-        Number of cells that were measured.
+        Number of cells that were examined.
     """
 
     low: Floats
@@ -86,36 +124,39 @@ class Certificate:
 
     @property
     def error(self) -> Floats:
-        """By how much (height, width) the mean may differ from the image in any channel."""
+        """Bound (height, width) on the error of the image, in any channel."""
         return np.asarray((self.high - self.image).max(axis=2))
 
     @property
     def codes(self) -> NDArray[np.uint8]:
-        """The image in 8 bits (height, width, 3)."""
+        """8-bit codes (height, width, 3) of the image."""
         return to_codes(self.image)
 
     @property
-    def certain(self) -> Bools:
-        """Whether the codes of a pixel (height, width) are the only ones possible."""
+    def is_certain(self) -> Bools:
+        """Whether both bounds have the same 8-bit codes, for each pixel (height, width)."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 
 class Enclosure(NamedTuple):
-    """Radiance in cells (c,), by regions (n,).
+    """Enclosures of the radiance in c cells, which edges divide into n regions.
 
     Attributes
     ----------
     lines : Strips
+        The edges that divide cells.
     regions : Regions
-    radiance : Form (8, 3, n)
-    doubt : (n,)
-        By how much more radiance may be off, as the region's sample lies in a strip.
-    loose : (c,)
-        The same anywhere in a cell, for edges that do not divide it.
-    most : (3, c)
-        No point shows more.
-    mean, error : (3, c) and (c,)
-        Mean radiance, and by how much it may be off in any channel.
+        The regions.
+    radiance : Form
+        Radiance (8, 3, n) in each region, unless the point is in a strip.
+    doubt : (n,) float array
+        Additional error of the radiance anywhere in a region, because its sample is in a strip.
+    loose : (c,) float array
+        Additional error of the radiance anywhere in a cell, because of loose edges.
+    max_radiance : (3, c) float array
+        Bound on the radiance of all points in a cell.
+    mean, error : (3, c) and (c,) float arrays
+        Mean radiance of each cell, and the bound on its error in any channel.
     """
 
     lines: Strips
@@ -123,158 +164,310 @@ class Enclosure(NamedTuple):
     radiance: Form
     doubt: Floats
     loose: Floats
-    most: Floats
+    max_radiance: Floats
     mean: Floats
     error: Floats
 
 
-def enclose(forms: CellForms, shades: Shades, unknown: Bools, error: float) -> Enclosure:
-    """Enclose radiance in cells; those of no use for an `error` of their pixel stay `unknown`.
+def enclose(
+    forms: CellForms, contributions: Contributions, is_unknown: Bools, error: float
+) -> Enclosure:
+    """Enclose the mean radiance of cells.
 
-    `shades`: of all lights that are not done; `unknown` (c,): cells that are not asked for.
+    Parameters
+    ----------
+    forms : CellForms
+        The cells, with their edge functions.
+    contributions : Contributions
+        Radiance of all lights that are not settled.
+    is_unknown : (c,) bool array
+        Cells to skip: the result for them has only the bounds 0 and `max_radiance`.
+    error : float
+        Permitted error of a pixel's mean.  Cells that would exceed it alone, because of loose
+        edges, are skipped, too.
+
+    Returns
+    -------
+    enclosure : Enclosure
+        Bounds in all cells.
     """
-    cells, count, unknown = forms.cells, forms.cells.x.size, unknown.copy()
-    each, most = shades.radiance.size, np.zeros((3, count))
-    tops = cells.known.bounds()[1]
-    add_runs(tops, shades.pair, each)
-    for channel, top in zip(most, tops, strict=True):
-        np.maximum.at(channel, cells.cell, top)
-    # The strips of edges, except in black cells.
-    lights = cells.done.shape[1]
-    keys = shades.pair * lights + shades.light
+    cells, count = forms.cells, forms.cells.x.size
+    max_radiance = _max_radiance(cells, contributions)
+    edges = _strips_of_edges(forms, contributions, max_radiance, is_unknown)
+    is_loose = _is_loose(edges)
+    loose_edges = edges.take(is_loose)
+    loose = sums_by_index(loose_edges.cell, loose_edges.jump, count)
+    wrong_area = np.minimum(loose_edges.area + MAX_AREA_BEYOND, 1)
+    loose_error = sums_by_index(loose_edges.cell, wrong_area * loose_edges.jump, count)
+    is_black = max_radiance.max(axis=0) == 0
+    is_unknown = is_unknown | (loose_error * cells.width**2 > error) | is_black
+    lines = edges.take(~is_loose & ~is_unknown[edges.cell])
+    known, new_index = np.flatnonzero(~is_unknown), np.cumsum(~is_unknown) - 1
+    regions = divide(lines._replace(cell=new_index[lines.cell]), known.size)
+    regions = regions._replace(cell=known[regions.cell])
+    doubt = _doubt(lines, regions, count)
+    radiance = _radiance(forms, contributions, regions)
+    value = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
+    max_difference = np.maximum(value, max_radiance[:, regions.cell] - value)
+    region_error = np.minimum(radiance.radius + doubt, max_difference)
+    mean = np.array([sums_by_index(regions.cell, regions.area * m, count) for m in value])
+    mean[:, is_unknown] = max_radiance[:, is_unknown] / 2
+    bound = sums_by_index(regions.cell, regions.area * region_error.max(axis=0), count)
+    bound += sums_by_index(lines.cell, lines.area * lines.jump, count) + loose_error
+    bound[is_unknown] = np.inf
+    bound = np.fmin(bound, np.maximum(mean, max_radiance - mean).max(axis=0))
+    return Enclosure(lines, regions, radiance, doubt, loose, max_radiance, mean, bound)
+
+
+def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
+    """Bound the radiance (3, c) of all points in each cell: the brightest face, fully lit."""
+    bound_of_pair, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
+    add_runs(bound_of_pair, contributions.pair, contributions.radiance.size)
+    for channel, bound in zip(max_radiance, bound_of_pair, strict=True):
+        np.maximum.at(channel, cells.cell, bound)
+    return max_radiance
+
+
+def _strips_of_edges(
+    forms: CellForms, contributions: Contributions, max_radiance: Floats, is_unknown: Bools
+) -> Strips:
+    """Enclose all edges in strips, with bounds on the jump of radiance across each edge.
+
+    Parameters
+    ----------
+    forms, contributions, is_unknown
+        As in `enclose`.
+    max_radiance : (3, c) float array
+        Bound on the radiance in each cell, which bounds jumps where another face is visible.
+
+    Returns
+    -------
+    strips : Strips
+        The strips, except those without a jump and those in skipped cells.
+    """
+    lights = forms.cells.is_settled.shape[1]
     pair, light, form = forms.edge_functions()
-    shade, cell = places(keys, pair * lights + light), cells.cell[pair]
-    jump = np.where(light < 0, most.max(axis=0)[cell], np.append(each.max(axis=0), 0)[shade])
-    at = np.flatnonzero((jump > 0) & ~unknown[cell])
-    lines = strips(cell[at], form[at], jump[at])
-    # Too wide, or too many: then those with the least changes.
-    wide = lines.share > 0.999
-    by = np.lexsort((-lines.jump, wide, lines.cell))
-    wide[by] |= np.arange(by.size) - lines.cell.searchsorted(lines.cell) >= _MOST_LINES
-    loose = sums(lines.cell[wide], lines.jump[wide], count)
-    beyond = np.minimum(lines.share[wide] + 5 / 9, 1) * lines.jump[wide]
-    beyond = sums(lines.cell[wide], beyond, count)
-    unknown |= (beyond * cells.size**2 > error) | (most.max(axis=0) == 0)
-    lines, inside = lines.take(~wide & ~unknown[lines.cell]), np.flatnonzero(~unknown)
-    place = np.cumsum(~unknown) - 1
-    regions = divide(lines._replace(cell=place[lines.cell]), inside.size)
-    regions = regions._replace(cell=inside[regions.cell])
+    keys = contributions.pair * lights + contributions.light
+    position, cell = positions(keys, pair * lights + light), forms.cells.cell[pair]
+    # The last element is for lights without a contribution.
+    jump_of_light = np.append(contributions.radiance.size.max(axis=0), 0)[position]
+    jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
+    index = np.flatnonzero((jump > 0) & ~is_unknown[cell])
+    return strips(cell[index], form[index], jump[index])
+
+
+def _is_loose(edges: Strips) -> Bools:
+    """Choose the edges (n,) that do not divide their cell.
+
+    These are edges whose strips cover nearly all of the cell, and all edges but the `_MAX_LINES`
+    with the largest jumps.
+    """
+    is_loose = edges.area > _MAX_STRIP_AREA
+    order = np.lexsort((-edges.jump, is_loose, edges.cell))
+    rank_in_cell = np.arange(order.size) - edges.cell.searchsorted(edges.cell)
+    is_loose[order] |= rank_in_cell >= _MAX_LINES
+    return is_loose
+
+
+def _doubt(lines: Strips, regions: Regions, count: int) -> Floats:
+    """Bound the error of the radiance in regions whose centroid lies in strips.
+
+    Parameters
+    ----------
+    lines : Strips
+        The edges that divide cells.
+    regions : Regions
+        The n regions.
+    count : int
+        Number of cells.
+
+    Returns
+    -------
+    doubt : (n,) float array
+        Sum of the jumps of all strips that contain the centroid.  Infinite if the region is so
+        small that its centroid is unknown because of rounding errors.
+    """
     _, x, y, *_ = regions.mean
-    first = lines.cell.searchsorted(np.arange(count + 1))
-    which, line = segments(np.diff(first)[regions.cell], first[regions.cell])
-    z = lines.a[line] * x[which] + lines.b[line] * y[which] + lines.c[line]
-    doubt = sums(which, (np.abs(z) <= lines.half[line]) * lines.jump[line], x.size)
-    doubt[regions.area < NO_AREA] = np.inf
-    pairs, lit = _sampled(forms, regions.cell, x, y)
-    radiance = cells.known[pairs].m
-    radiance[..., pairs < 0] = 0
-    region, light = np.nonzero(lit.T)
-    of = places(keys, pairs[region] * lights + light)
-    add_runs(radiance, region, shades.radiance[of].m)
-    value = (radiance[:Z] * regions.mean[:, None]).sum(axis=0)
-    worst = np.maximum(value, most[:, regions.cell] - value)
-    off = np.minimum(Form(radiance).radius + doubt, worst)
-    mean = np.array([sums(regions.cell, regions.area * m, count) for m in value])
-    mean[:, unknown] = most[:, unknown] / 2
-    bound = sums(regions.cell, regions.area * off.max(axis=0), count)
-    bound += sums(lines.cell, lines.share * lines.jump, count) + beyond
-    bound[unknown] = np.inf
-    bound = np.fmin(bound, np.maximum(mean, most - mean).max(axis=0))
-    return Enclosure(lines, regions, Form(radiance), doubt, loose, most, mean, bound)
+    first_line = lines.cell.searchsorted(np.arange(count + 1))
+    length = np.diff(first_line)[regions.cell]
+    region, line = segment_indices(length, first_line[regions.cell])
+    z = lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line]
+    is_in_strip = np.abs(z) <= lines.half_width[line]
+    doubt = sums_by_index(region, is_in_strip * lines.jump[line], x.size)
+    doubt[regions.area < MIN_AREA] = np.inf
+    return doubt
 
 
-def _sampled(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Pairs (n,) that samples at X and Y in cells see, or -1; which lights reach them (lights, n).
+def _radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
+    """Enclose the radiance (8, 3, n) of n regions, as their centroids show it."""
+    _, x, y, *_ = regions.mean
+    pair, is_lit = _traced(forms, regions.cell, x, y)
+    radiance = forms.cells.radiance[pair].coef
+    radiance[..., pair < 0] = 0
+    lights = forms.cells.is_settled.shape[1]
+    region, light = np.nonzero(is_lit.T)
+    keys = contributions.pair * lights + contributions.light
+    position = positions(keys, pair[region] * lights + light)
+    add_runs(radiance, region, contributions.radiance[position].coef)
+    return Form(radiance)
 
-    Only lights count of which it is not known yet.
+
+def _traced(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
+    """Trace one sample for each region, and find which pair it shows and which lights reach it.
+
+    Parameters
+    ----------
+    forms : CellForms
+        The cells.
+    cell : (n,) int array
+        The cell of each sample.
+    x, y : (n,) float arrays
+        Position of each sample in its cell, from -1 to 1.
+
+    Returns
+    -------
+    pair : (n,) int array
+        The pair whose face is visible, or -1 for the background.
+    is_lit : (lights, n) bool array
+        Whether the light reaches the face there; False for lights that are settled.
 
     Raises
     ------
     RuntimeError
-        If what is seen contradicts a cell: the certificate or the tracer is wrong.
+        If a sample shows a face that the cell rules out.
     """
-    cells, faces, half = forms.cells, forms.faces, forms.cells.size / 2
-    hits, at, face = faces.see(cells.x[cell] + half * x, cells.y[cell] + half * y)
-    keys = cells.cell * faces.owner.size + cells.face
-    by, pairs = keys.argsort(), np.full(cell.size, -1)
-    found = places(keys[by], cell[at] * faces.owner.size + face)
-    if (found < 0).any():
+    cells, faces, half = forms.cells, forms.faces, forms.cells.width / 2
+    hits, sample, face = faces.visible(cells.x[cell] + half * x, cells.y[cell] + half * y)
+    keys = cells.cell * faces.object_index.size + cells.face
+    order, pair = keys.argsort(), np.full(cell.size, -1)
+    position = positions(keys[order], cell[sample] * faces.object_index.size + face)
+    if (position < 0).any():
         wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
         raise RuntimeError(wrong)
-    pairs[at] = found = by[found]
-    lit = np.zeros((cells.done.shape[1], cell.size), dtype=np.bool_)
-    lit[:, at] = faces.lit(hits, ~cells.done[found].T)
-    return pairs, lit
+    pair[sample] = visible_pair = order[position]
+    is_lit = np.zeros((cells.is_settled.shape[1], cell.size), dtype=np.bool_)
+    is_lit[:, sample] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
+    return pair, is_lit
 
 
 class _Picture:
-    """A picture of which some is known: means of pixels, and how far off these are."""
+    """A picture to which finished cells are added.
+
+    Attributes
+    ----------
+    image : (3, rows, columns) float array
+        For each pixel, mean radiance of its finished cells, weighted by their areas.  Cells may
+        reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
+    bound : (rows, columns) float array
+        Bound on the error of `image`.
+    cells : int
+        Number of cells that were examined.
+    """
 
     def __init__(self, scene: Scene, error: float, codes: bool) -> None:
+        """Begin a picture in which every pixel may err by `error`; for `codes` see `certify`."""
         self.faces, self.error, self.by_codes, self.cells = Faces(scene), error, codes, 0
-        self.width, self.height = scene.width, scene.height
-        size = scene.height + LARGEST, scene.width + LARGEST  # cells may reach beyond the picture
+        size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def halves(self, cells: Cells) -> list[Cells]:
-        """Cells in two parts, if they are many, with all cells of a pixel in one of these."""
-        if cells.cell.size + cells.rows.shape[1] + np.count_nonzero(~cells.done) <= _AT_ONCE:
+        """Divide cells into two groups if they have many pairs; a pixel's cells stay together."""
+        items = cells.cell.size + cells.triples.shape[1] + np.count_nonzero(~cells.is_settled)
+        if items <= _ITEMS_PER_BATCH:
             return [cells]
         pixel = self.pixels(cells)
-        first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        return [cells.take(first), cells.take(~first)] if first.any() else [cells]
+        is_first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
+        return [cells.take(is_first), cells.take(~is_first)] if is_first.any() else [cells]
 
     def pixels(self, cells: Cells) -> Ints:
-        """The pixel (c,) of each cell; of cells larger than that, the first."""
-        half = cells.size / 2 if cells.size > 1 else 0
+        """Return the flat index (c,) of each cell's pixel; the upper left one in wider cells."""
+        half = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(m - half).astype(np.intp) for m in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
-    def add(self, cells: Cells, which: Ints, radiance: Form) -> None:
-        """Add the radiance (8, 3, n) of some cells (n,) to their pixels."""
-        n, share = max(int(cells.size), 1), min(cells.size, 1) ** 2
-        row, column = np.divmod(self.pixels(cells)[which][:, None, None], self.bound.shape[1])
-        down, across = np.indices((n, n))
-        pixel, third = (row + down, column + across), 1 / (3 * n * n)
-        x, y = ((2 * m + 1) / n - 1 for m in (across, down))
-        mean = np.array([x * 0 + 1, x, y, x * x + third, x * y, y * y + third])
-        for channel, m in zip(self.image, radiance.m.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixel, share * np.tensordot(m[:Z], mean, ((0,), (0,))))
-        np.add.at(self.bound, pixel, share * radiance.radius.max(axis=0)[:, None, None])
+    def add(self, cells: Cells, index: Ints, radiance: Form) -> None:
+        """Add finished cells to their pixels.
+
+        Parameters
+        ----------
+        cells : Cells
+            All cells.
+        index : (n,) int array
+            The finished ones.
+        radiance : Form
+            Their radiance (8, 3, n).
+        """
+        pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
+        first = self.pixels(cells)[index][:, None, None]
+        row, column = np.divmod(first, self.bound.shape[1])
+        down, across = np.indices((pixels_across, pixels_across))
+        pixel = row + down, column + across
+        # Means of the powers of X and Y over each pixel of a cell: X^2 varies about its centre.
+        x, y = ((2 * m + 1) / pixels_across - 1 for m in (across, down))
+        variance = 1 / (3 * pixels_across * pixels_across)
+        mean = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
+        for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
+            np.add.at(channel, pixel, area * np.tensordot(coef[:Z], mean, ((0,), (0,))))
+        np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
     def refine(self, cells: Cells) -> Cells:
-        """Add what is known of cells; return the others."""
+        """Examine cells, add those that are accurate enough, and return the others."""
         self.cells += cells.x.size
         forms = CellForms(self.faces, cells)
         cells = forms.cells
-        number = np.bincount(cells.cell, minlength=cells.x.size)
-        alone, remain = cells.covers & (number[cells.cell] == 1), number > 0
-        alone &= cells.size <= LARGEST
-        shades = forms.settle(alone | (cells.size <= 1), _SMOOTH * self.error)
-        smooth = np.flatnonzero(alone & cells.done.all(axis=1))
-        remain[cells.cell[smooth]] = False
-        self.add(cells, cells.cell[smooth], cells.known[smooth])
-        if cells.size <= 1:
-            enclosed = enclose(forms, shades, ~remain, self.error)
-            done = np.flatnonzero(remain & self.accepted(cells, enclosed, remain))
-            self.add(cells, done, constant(enclosed.mean[:, done], enclosed.error[done]))
-            remain[done] = False
-        return cells.take(remain)
+        pair_count = np.bincount(cells.cell, minlength=cells.x.size)
+        is_pending = pair_count > 0  # other cells are black
+        fills_cell = cells.covers & (pair_count[cells.cell] == 1) & (cells.width <= MAX_WIDTH)
+        contributions = forms.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
+        smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
+        is_pending[cells.cell[smooth]] = False
+        self.add(cells, cells.cell[smooth], cells.radiance[smooth])
+        if cells.width <= 1:
+            enclosed = enclose(forms, contributions, ~is_pending, self.error)
+            is_accurate = self.is_accurate(cells, enclosed.mean, enclosed.error, is_pending)
+            finished = np.flatnonzero(is_pending & is_accurate)
+            radiance = constant(enclosed.mean[:, finished], enclosed.error[finished])
+            self.add(cells, finished, radiance)
+            is_pending[finished] = False
+        return cells.take(is_pending)
 
-    def accepted(self, cells: Cells, enclosed: Enclosure, remain: Bools) -> Bools:
-        """Of the cells of a pixel that remain, those that err no more than it may on average."""
-        share, bound = remain * np.float64(cells.size**2), self.bound.reshape(-1)
-        at, place = np.unique(self.pixels(cells), return_inverse=True)
-        area, left = sums(place, share, at.size), self.error - bound[at]
-        total = sums(place, share * enclosed.error, at.size)
+    def is_accurate(self, cells: Cells, mean: Floats, error: Floats, is_pending: Bools) -> Bools:
+        """Decide which cells need not be divided.
+
+        A cell is accurate enough if one of these is true:
+
+        1. With all pending cells of its pixel as they are, the pixel's error is within the limit,
+           or (if 8-bit codes are sought) the pixel's codes are certain.
+        2. Its error is at most the average that remains to the pixel's pending cells.
+        3. It has the minimum width, or its pixel has `_MAX_PENDING_CELLS` pending cells.
+
+        Parameters
+        ----------
+        cells : Cells
+            The c cells, at most one pixel wide.
+        mean, error : (3, c) and (c,) float arrays
+            Mean radiance of each cell, and the bound on its error.
+        is_pending : (c,) bool array
+            The cells that are not finished.
+
+        Returns
+        -------
+        is_accurate : (c,) bool array
+            Whether the cell is accurate enough.
+        """
+        weight, bound = is_pending * np.float64(cells.width**2), self.bound.reshape(-1)
+        pixel, index = np.unique(self.pixels(cells), return_inverse=True)
+        area, remaining = sums_by_index(index, weight, pixel.size), self.error - bound[pixel]
+        total_error = sums_by_index(index, weight * error, pixel.size)
         if self.by_codes:
-            mean = np.array([sums(place, channel * share, at.size) for channel in enclosed.mean])
-            mean = (mean + self.image.reshape(3, -1)[:, at]).T[None]
-            off = (bound[at] + total)[None, :, None]
-            left[(to_codes(mean - off) == to_codes(mean + off)).all(axis=(0, 2))] = np.inf
-        most = np.where(total <= left, np.inf, left / area)
-        most[np.bincount(place) >= _MOST_CELLS] = np.inf
-        return np.asarray((enclosed.error <= most[place]) | (cells.size <= _SMALLEST))
+            pending = [sums_by_index(index, channel * weight, pixel.size) for channel in mean]
+            value = (np.array(pending) + self.image.reshape(3, -1)[:, pixel]).T[None]
+            radius = (bound[pixel] + total_error)[None, :, None]
+            is_certain = to_codes(value - radius) == to_codes(value + radius)
+            remaining[is_certain.all(axis=(0, 2))] = np.inf
+        max_error = np.where(total_error <= remaining, np.inf, remaining / area)
+        max_error[np.bincount(index) >= _MAX_PENDING_CELLS] = np.inf
+        return np.asarray((error <= max_error[index]) | (cells.width <= _MIN_WIDTH))
 
 
 @np.errstate(all="ignore")
@@ -283,43 +476,52 @@ def certify(
     error: float,
     *,
     codes: bool = False,
-    progress: Callable[[float], object] = lambda part: None,
+    progress: Callable[[float], object] = lambda fraction: None,
 ) -> Certificate:
-    """Enclose the mean radiance of every pixel.
+    """Render a scene, and bound the mean radiance of every pixel.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     error : float
-        Pixels are divided until their mean is known as well as that.  Where edges graze each other,
-        some may stay wider: `Certificate.error` tells.
+        Permitted error of a pixel's mean, in linear radiance.  Pixels are divided until their
+        bounds are so narrow.  Where edges touch each other, they may stay wider: see
+        `Certificate.error`.
     codes : bool
-        Whether pixels are done, too, as soon as their 8-bit codes are certain.
+        If True, a pixel is also finished as soon as only one 8-bit code per channel is possible.
     progress : callable
-        Is called, now and then, with the part of the picture that is done since.
+        Called repeatedly, with the fraction of the picture that was finished since the last call.
+
+    Returns
+    -------
+    certificate : Certificate
+        The picture with its bounds.
 
     Raises
     ------
     ValueError
-        If `error` is not positive, the eye is on a surface, or a light is more than 1e14 times as
-        far away as an object is large.
+        If (1) `error` is not positive, (2) the eye is on a surface, or (3) a light is more than
+        1e14 times as far away as an object is large.
+    RuntimeError
+        If a sample contradicts the bounds, so that the certificate or the tracer is wrong.
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
-    picture = _Picture(scene, 0.999 * error, codes)  # the rest is for rounding
-    todo = [first_cells(picture.faces, scene.width, scene.height)]
-    everything = todo[0].area
-    while todo:
-        cells = todo.pop()
+    picture = _Picture(scene, _ERROR_FOR_CELLS * error, codes)
+    stack = [first_cells(picture.faces, scene.width, scene.height)]
+    total_area = stack[0].area
+    while stack:
+        cells = stack.pop()
         halves = picture.halves(cells)
         if len(halves) > 1:
-            todo += halves
+            stack += halves
             continue
-        remain = picture.refine(cells.parts(scene.width, scene.height))
-        progress((cells.area - remain.area) / everything)
-        if remain.x.size:
-            todo.append(remain)
-    image, bound = (m[..., : scene.height, : scene.width] for m in (picture.image, picture.bound))
-    image = image.transpose(1, 2, 0).copy()
-    bound = bound[:, :, None] + _ROUNDING * image.max(initial=0)
+        pending = picture.refine(cells.quarters(scene.width, scene.height))
+        progress((cells.area - pending.area) / total_area)
+        if pending.x.size:
+            stack.append(pending)
+    size = slice(scene.height), slice(scene.width)
+    image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy()
+    bound = picture.bound[size][:, :, None] + _ROUNDING * image.max(initial=0)
     return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cells)

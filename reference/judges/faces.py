@@ -1,21 +1,27 @@
-"""A scene as its certificate takes it: faces, lights and occluders, in the camera's axes.
+"""The scene as the certificate sees it: faces, lights and shadows, in the camera's axes.
 
-All that is taken of the tracer's inside is taken here: the prepared scene, its light grid, and
-single samples, of which only *what* they see counts, and *which* lights reach that.
+Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
+rectangular side of a box.  Everything that the certificate needs to know about a face is linear or
+quadratic in the direction of a camera ray, if it is divided by the distance:
 
-A face is a sphere or a rectangle of a box.  A ray d from the eye meets it at t d.  For a sphere
-around c of radius r let p = |c|^2 - r^2 (`power`).  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)), the
-near hit from outside and the far one from inside, so that
+- A ray from the eye with direction d meets a face at t d.  Let a sphere have centre c and radius r,
+  and let p = |c|^2 - r^2 be the power of the eye.  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)): the
+  near intersection if the eye is outside the sphere, the far one if it is inside.  Hence
 
-    1 / t = k.d + s    with k = c / p and s^2 = w^2 (r^2 d^2 - |c x d|^2), w = 1 / p.
+      1 / t = k.d + s    with k = c / p, s^2 = w^2 (r^2 d^2 - |c x d|^2) and w = 1 / p.
 
-For a plane e.p = l it is k.d with k = e / l.
+  For a plane e.x = l, 1 / t = k.d with k = e / l, and s = 0.
+- A *half-space* is the set of points x with n.x + b >= 0.  The point t d is inside if
+  n.d + b / t >= 0.  A half-space is stored as five numbers: n, b, and the size of the terms of
+  which b is a sum, for bounds on rounding errors.
+- The height of a light at q above the tangent plane of a face, divided by t, is also of the form
+  n.d + b / t.  The normal of a sphere is g (t d - c) / r, with g = 1 outside and g = -1 inside.
+  With t^2 d^2 = 2 t c.d - p follow n = g (q - c) / r and b = g (p - c.q) / r.  Above a rectangle,
+  n = 0.
 
-A *half-space* n.p + b >= 0 is five numbers: n, b, and the size of the terms that b is a sum of.
-Of the point t d, n.d + b / t tells whether it is inside.  Such is, too, the height of a point q
-over the tangent plane, divided by t.  With the normal g (t d - c) / r, where g = 1 outside and -1
-inside, and t^2 d^2 = 2 t c.d - p, it has n = g (q - c) / r and b = g (p - c.q) / r.  Over a
-rectangle it has n = 0.
+This module is the only one in the certificate that uses internals of the tracer: the prepared
+scene, its light grid, and single samples.  Of a sample, the certificate uses only *which* face is
+visible and *which* lights reach it, never the radiance.
 """
 
 from __future__ import annotations
@@ -36,155 +42,212 @@ from tracer.trace.samples import Scattered
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# The most that a light may be away, as a multiple of the least object's size.
-_FARTHEST = 1e14
+# Maximum distance of a light, relative to the size of the smallest object.  Farther away, both ends
+# of an object may round to the same direction from the light.
+_MAX_LIGHT_DISTANCE = 1e14
 
 
 class Faces:
-    """The faces (f,) and lights (m,) of a scene, and its objects (n,), spheres first.
+    """The f faces, m lights and n objects (spheres first) of a scene, in the camera's axes.
+
+    Faces are numbered as follows: all spheres, then all boxes' low sides along x, all boxes' high
+    sides along x, and the same for y and z.
 
     Attributes
     ----------
-    given : Lights
-    lights : (m, 3)
-        Their positions in the camera's axes.
-    center, radius, power : (3, spheres) and (spheres,)
-    owner, flat, seen : (f,)
-        The object that a face is of, whether it is a rectangle, and whether it may be seen at all.
-        After the spheres come, of all boxes, the low sides along x, the high ones, along y, ...
-    plane : (2, f)
-        The same numbers for rectangles in one plane: the first in the file is seen.
-    k, w : (3, f) and (f,)
-        See the module.
-    surface : (5, f)
-        Half-spaces, beyond planes; of spheres, all of the equation that two do not share.
-    height : (5, m + 1, f)
-        Half-spaces that tell the heights of lights and the eye over the face.
-    rim : (5, 4, f)
-        Half-spaces that share a rectangle.
-    bounds : (2, 3, f)
+    frame, prepared : CameraFrame, PreparedScene
+        The camera, and the scene that the tracer prepared for it.
+    prepared_lights : Lights
+        The lights that the tracer prepared.
+    spheres, count : int
+        Number of spheres, and of all objects.
+    light_position : (m, 3) float array
+        Positions of the lights relative to the eye.
+    center, radius, power : (3, spheres), (spheres,) and (spheres,) float arrays
+        Centres and radii of the spheres, and the power p of the eye: see the module.
+    object_index : (f,) int array
+        The object to which a face belongs.
+    is_planar, may_be_visible : (f,) bool arrays
+        Whether the face is a rectangle; whether the eye can see it if nothing is in between.
+    plane : (2, f) float array
+        Faces in the same plane have the same two numbers.  Where two of them overlap, the first in
+        the file is visible.
+    k, w : (3, f) and (f,) float arrays
+        Coefficients of the inverse distance: see the module.
+    equation : (5, f) float array
+        For a rectangle, the half-space beyond its plane.  For a sphere, the part of its equation
+        that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
+    height : (5, m + 1, f) float array
+        Half-spaces whose functions are the heights of the m lights and of the eye above the face.
+    rim : (5, 4, f) float array
+        Four half-spaces whose intersection with the plane of a rectangle is the rectangle.
+    bounding_box : (2, 3, f) float array
         Lower and upper corners of bounding boxes, in the scene's axes.
-    dead : (m, f)
-        Whether a light reaches nothing of a face that is seen, as it is beyond an object around the
-        eye, or inside another, or behind the face's plane.
-    to_center : (3, m, spheres)
-        From lights.
-    shadow : (5, 9, m, boxes)
-        Half-spaces that share what a box keeps a light from: behind its three planes towards the
-        light, and beside the six through the light and its silhouette.
-    edge : (9, m, boxes)
-        Whether the shadow may end there.  What crosses a plane towards the light is in the box,
-        unless the light is on the plane.
+    is_unlit : (m, f) bool array
+        Whether a light reaches no visible point of the face, because it is (1) outside an object
+        around the eye, (2) inside any other object, or (3) behind the face's plane.
+    to_center : (3, m, spheres) float array
+        Vectors from the lights to the spheres' centres.
+    shadow : (5, 9, m, boxes) float array
+        Nine half-spaces whose intersection is the shadow volume of a box: the points behind its
+        three planes that face the light, and inside six planes through the light and the box's
+        silhouette.
+    has_shadow_edge : (9, m, boxes) bool array
+        Whether the plane of the half-space may be an edge of the shadow.  The planes that face the
+        light are none, unless the light is on them: where the shadow volume meets them, it meets
+        the box itself.
     """
 
     def __init__(self, scene: Scene) -> None:
+        """Compute everything above.
+
+        Raises
+        ------
+        ValueError
+            If the eye is on a surface, or a light is too far away.
+        """
         self.frame = frame = camera_frame(scene.camera, scene.width, scene.height)
         self.prepared = prepared = PreparedScene(scene, frame)
-        self.given = given = prepared.lights()
-        balls, boxes, inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.spheres, self.count, self.lights = balls.count, inside.size, given.local
+        self.prepared_lights = lights = prepared.lights()
+        balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
+        self.spheres, self.count = balls.count, eye_inside.size
+        self.light_position = lights.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
-        low, high = (m - frame.eye[:, None] for m in (boxes.min_pt, boxes.max_pt))
-        on = inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
-        if np.any(self.power == 0) or on.any():
+        low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
+        on_box = eye_inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
+        if np.any(self.power == 0) or on_box.any():
             raise ValueError("the eye is on a surface; move it off")
-        # Farther away, the two ends of an object may round to one as seen from the light.
         sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
-        if np.abs(self.lights).max(initial=0) > _FARTHEST * sizes[sizes > 0].min(initial=np.inf):
-            wrong = f"a light is more than {_FARTHEST:g} times as far as an object is large"
-            raise ValueError(f"{wrong}; move it nearer")
+        max_distance = _MAX_LIGHT_DISTANCE * sizes[sizes > 0].min(initial=np.inf)
+        if np.abs(self.light_position).max(initial=0) > max_distance:
+            wrong = f"a light is more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object"
+            raise ValueError(f"{wrong} is large; move it closer")
         self._add_faces(low, high)
-        self.to_center = self.center[:, None] - self.lights.T[:, :, None]
+        self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._add_shadows(low, high)
-        # A light on a box's face is not beyond it.
-        side, (x, y, z) = given.side.copy(), given.position.T[:, :, None]
-        some = np.arange(self.spheres, self.count)
-        side[:, some] *= boxes.signed_distance(some, (x, y, z)) != 0
-        dead = np.any(np.where(inside, side > 0, side < 0), axis=1, keepdims=True)
-        # It reaches nothing, though, of that box itself, if the eye is inside.
-        dead = dead | (inside & (given.side >= 0))[:, self.owner]
-        self.dead = dead | (self.flat & (self.height[3, :-1] <= 0))
+        # A light on a side of a box counts as inside for `side`, but reaches what it faces.
+        side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
+        box = np.arange(self.spheres, self.count)
+        side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
+        is_dark = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
+        # With the eye inside a box, such a light does not reach this box from within.
+        is_unlit = is_dark | (eye_inside & (lights.side >= 0))[:, self.object_index]
+        self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
     def _add_faces(self, low: Floats, high: Floats) -> None:
-        """List spheres, then sides of boxes, of which corners are `low` and `high` (3, boxes)."""
+        """Set the attributes of faces, from the corners (3, boxes) of boxes relative to the eye."""
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
-        c, r, power, c_scene = self.center, self.radius, self.power, prepared.spheres.center
-        points = np.append(self.given.position, self.frame.eye[None], axis=0)[:, :, None, None]
-        q = np.append(self.lights, np.zeros((1, 3)), axis=0).T[:, :, None]
+        c, r, power, scene_center = self.center, self.radius, self.power, prepared.spheres.center
+        # Lights, then the eye.
+        points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
+        points = points[:, :, None, None]
+        q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
         b, size = power - c_q.sum(axis=0), np.abs(power) + np.abs(c_q).sum(axis=0)
-        over_balls = np.array([*(g * (q - c[:, None])), g * b, size]) / r
-        # Of boxes by axis, side and number.
+        sphere_height = np.array([*(g * (q - c[:, None])), g * b, size]) / r
+        # Arrays of boxes have three axes: along x, y or z; low or high side; number of the box.
         corner = np.stack([low, high], axis=1)
         place = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
         inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
-        wide = low < high
-        seen = (corner * inward > 0) & (wide[[1, 2, 0]] & wide[[2, 0, 1]])[:, None]
+        has_extent = low < high
+        has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         above = np.sign(corner) * (place - points)
-        over_sides = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
-        sides = np.empty((5, *corner.shape))  # the half-spaces that share a box
-        sides[:3] = axes[:, :, None, None] * [[1], [-1]]
-        sides[3:] = corner * [[-1], [1]], np.abs(corner)
-        rim = sides[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
+        side_height = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
+        side = np.empty((5, *corner.shape))  # half-spaces whose intersection is the box
+        side[:3] = axes[:, :, None, None] * [[1], [-1]]
+        side[3:] = corner * [[-1], [1]], np.abs(corner)
+        rim = side[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
         plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], place.shape), place])
+        bounding_box = np.empty((2, 3, *corner.shape))
+        bounding_box[:] = place.swapaxes(0, 1)[:, :, None, None]
+        for axis in range(3):
+            bounding_box[:, axis, axis] = place[axis]
 
-        def joined(balls: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
-            return np.append(balls, boxes.reshape(*balls.shape[:-1], -1), axis=-1)
+        def joined(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
+            """Append sides of boxes to spheres, along the last axis."""
+            return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        within = np.empty((2, 3, *corner.shape))
-        within[:] = place.swapaxes(0, 1)[:, :, None, None]
-        for k in range(3):
-            within[:, k, k] = place[k]
-        self.bounds = joined(np.array([c_scene - r, c_scene + r]), within)
-        self.surface = joined(np.array([*(-2 * c), power, np.abs(power)]), sides)
+        self.bounding_box = joined(np.array([scene_center - r, scene_center + r]), bounding_box)
+        self.equation = joined(np.array([*(-2 * c), power, np.abs(power)]), side)
         self.k = joined(c / power, axes[:, :, None, None] / corner)
         self.w = joined(1 / power, 0 * corner)
-        self.height = joined(over_balls, over_sides)
+        self.height = joined(sphere_height, side_height)
         self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
         self.plane = joined(np.array([np.full(n, 3), np.arange(n)]), plane)
-        self.owner = joined(np.arange(n), np.broadcast_to(np.arange(n, self.count), corner.shape))
-        self.flat = self.owner >= n
-        self.seen = joined(np.ones(n, np.bool_), seen) & ~prepared.repeated[self.owner]
+        box = np.broadcast_to(np.arange(n, self.count), corner.shape)
+        self.object_index = joined(np.arange(n), box)
+        self.is_planar = self.object_index >= n
+        may_be_visible = joined(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
+        self.may_be_visible = may_be_visible & ~prepared.repeated[self.object_index]
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
-        """Find shadows of boxes, of which corners are `low` and `high` (3, boxes).
+        """Set the attributes of boxes' shadows, from the corners (3, boxes) relative to the eye.
 
-        Each half-space touches its box: there, of all corners, n.p is least.  From the eye, nothing
-        cancels in that, however far the light.
+        Each half-space touches its box: the minimum of n.x over the box's corners is -b.  The
+        corners are relative to the eye, not to the light, so that nothing cancels in n.x, however
+        distant the light is.
         """
-        lights = (self.given.position - self.frame.eye).T[:, :, None]
-        low, high, a, b = low[:, None], high[:, None], low[:, None] - lights, high[:, None] - lights
+        lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
+        low, high = low[:, None], high[:, None]
+        a, b = low - lights, high - lights
         cone = np.array(silhouette_planes(a.reshape(3, -1), b.reshape(3, -1)))
-        edge_on, on = (a == 0) & (b == 0), (a == 0) | (b == 0)
-        side = np.where(edge_on, 0, np.where(a >= 0, 1, np.where(b <= 0, -1, 0)))
-        near = np.eye(3)[:, :, None, None] * side
-        n = np.append(near, cone.reshape(3, 6, *a.shape[1:]), axis=1)
+        is_edge_on, is_on_plane = (a == 0) & (b == 0), (a == 0) | (b == 0)
+        side = np.where(is_edge_on, 0, np.where(a >= 0, 1, np.where(b <= 0, -1, 0)))
+        facing = np.eye(3)[:, :, None, None] * side
+        n = np.append(facing, cone.reshape(3, 6, *a.shape[1:]), axis=1)
         ends = np.array([n * low[:, None], n * high[:, None]])
         offset, size = -ends.min(axis=0).sum(axis=0), np.abs(ends).max(axis=0).sum(axis=0)
-        offset[:3] -= edge_on  # a flat box shades nothing from a light in its plane
+        offset[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
         u, v, w = self.frame.vector_to_camera((n[0], n[1], n[2]))
         self.shadow = np.array([u, v, w, offset, size])
-        self.edge = np.append(
-            on, np.ones(cone.shape[1:], np.bool_).reshape(6, *on.shape[1:]), axis=0
-        )
+        cone_edges = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
+        self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
 
-    def blockers(self, middle: Floats, half: Floats, face: Ints, asked: Bools) -> Ints:
-        """Boxes, lights and occluders (3, q) that may come between boxes around faces and lights.
+    def occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
+        """List the objects that may lie between parts of faces and lights.
 
-        `middle`, `half` (3, n), `face` (n,); `asked` (lights, n): which lights.
+        Parameters
+        ----------
+        center, half_size : (3, k) float arrays
+            Bounding boxes of the parts, in the scene's axes.
+        face : (k,) int array
+            The face of each part.
+        active : (m, k) bool array
+            Whether to search for occluders between a light and a part.
+
+        Returns
+        -------
+        triples : (3, q) int array
+            Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.
         """
-        prepared, grid, found = self.prepared, self.given.grid, [np.zeros(0, dtype=np.intp)]
-        may_block, shape = ~prepared.eye_inside & ~prepared.repeated, (*asked.T.shape, self.count)
-        if grid is not None and asked.any():
-            owner = self.owner[face]
-            for light, box, obj in grid.query(middle, half[:, None], owner, asked):
-                rows = np.ravel_multi_index((box, light, obj), shape)
-                found.append(rows[may_block[obj]])
-        # In several octants the grid may find the same.
-        return np.array(np.unravel_index(np.unique(np.concatenate(found)), shape))
+        prepared, grid, codes = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
+        may_block = ~prepared.eye_inside & ~prepared.repeated
+        shape = (*active.T.shape, self.count)
+        if grid is not None and active.any():
+            owner = self.object_index[face]
+            for light, part, obj in grid.query(center, half_size[:, None], owner, active):
+                code = np.ravel_multi_index((part, light, obj), shape)
+                codes.append(code[may_block[obj]])
+        # The grid may find an object in several octants, so duplicates are removed.
+        return np.array(np.unravel_index(np.unique(np.concatenate(codes)), shape))
 
-    def see(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
-        """Hits (n,) of samples at points of the picture; of each, which point, and the face."""
+    def visible(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
+        """Trace samples, and find the faces that they hit.
+
+        Parameters
+        ----------
+        x, y : (k,) float arrays
+            Positions of the samples in the picture, in pixels from the upper left corner.
+
+        Returns
+        -------
+        hits : Hits
+            Where h of the samples hit an object.
+        sample : (h,) int array
+            The sample of each hit, as an index into `x`.
+        face : (h,) int array
+            The face of each hit.
+        """
         samples, order = Scattered.of(x, y)
         hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
         face = np.empty(hits.sample.size, dtype=np.intp)
@@ -194,7 +257,20 @@ class Faces:
             face[group.part] = group.repeat_runs(side)
         return hits, order[hits.sample], face
 
-    def lit(self, hits: Hits, asked: Bools) -> Bools:
-        """Whether lights reach hits (lights, n), of those that are asked about."""
-        reached = asked & (light_geometry(hits, self.given).n_dot_l > 0)
-        return reached & ~occlusion(hits, self.given, reached)
+    def is_lit(self, hits: Hits, active: Bools) -> Bools:
+        """Test which of the `active` lights reach hits.
+
+        Parameters
+        ----------
+        hits : Hits
+            The h hits.
+        active : (m, h) bool array
+            Whether to test a pair of a light and a hit.
+
+        Returns
+        -------
+        is_lit : (m, h) bool array
+            Whether the pair is active, and the light reaches the hit.
+        """
+        may_reach = active & (light_geometry(hits, self.prepared_lights).n_dot_l > 0)
+        return may_reach & ~occlusion(hits, self.prepared_lights, may_reach)

@@ -1,18 +1,29 @@
-"""Quadratic forms: affine arithmetic (Comba and Stolfi, 1993), taken to second order.
+"""Enclose functions on a cell of the picture by quadratic polynomials with an error bound.
 
-A cell of the picture has coordinates -1 <= X, Y <= 1.  A *form* encloses a quantity that depends on
-them, as interval arithmetic (Moore, 1966) does, but keeps track of how:
+The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell.
+Interval arithmetic (Moore, 1966) does so by two numbers, but forgets that two quantities depend on
+the same position, so that its bounds soon become useless.  Affine arithmetic (Comba and Stolfi,
+1993) keeps the linear dependence.  This module keeps the quadratic dependence as well.
 
-    m[C] + m[X] X + m[Y] Y + m[XX] X^2 + m[XY] X Y + m[YY] Y^2 + m[Z] Z + [-m[R], m[R]].
+A cell has coordinates X and Y from -1 to 1.  A *form* represents a quantity by eight coefficients:
+for some Z between -1 and 1, the quantity differs by at most coef[R] from
 
-Z, from -1 to 1, is what is not known of the inverse distance of a surface: one symbol for each
-surface, so that what is linear in the distance cancels.  It has no meaning between surfaces.
+    coef[C] + coef[X] X + coef[Y] Y
+        + coef[XX] X^2 + coef[XY] X Y + coef[YY] Y^2 + coef[Z] Z.
 
-Rounding.  With e = 2^-53, an operation on floats errs by at most e of its result.  A product of
-forms adds at most three products to each coefficient, and at most twenty to the radius, hence errs
-by less than 30 e of the sum of all |a_i b_j|.  Its radius is widened by `ROUNDING`, 900 e, of that
-sum.  The sum of forms, or the product with a number, errs by e of each coefficient: of coefficients
-that their own products have been widened by 900 e of.  At most four follow each other.
+Z stands for the unknown part of the inverse distance of a surface.  All forms about one surface
+share the same Z, so unknown parts that are linear in the distance cancel.  Forms about different
+surfaces have different Z: see `difference`.
+
+Why the result is right: each operation moves what it cannot represent (terms of degree three or
+four, products with Z, rounding errors) to the radius coef[R], with its largest absolute value.
+
+Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  A product of
+forms adds at most three products to each coefficient, and at most twenty to the radius.  So its
+rounding error is less than 30 e times the sum of all |a_i b_j|.  Its radius is widened by
+`ROUNDING`, which is 900 e, times this sum.  Sums of forms, and products of a form with a number,
+err by e of each coefficient and widen nothing: at most four of them follow a product, whose
+widening of 900 e covers them.
 """
 
 from __future__ import annotations
@@ -22,155 +33,224 @@ import numpy as np
 from reference.judges.arrays import Floats, Index
 
 C, X, Y, XX, XY, YY, Z, R = range(8)
-"""Rows of a form's coefficients."""
+"""Indices of a form's coefficients; R is the radius."""
 
 ROUNDING = 1e-13
-"""The part of each term that its rounding is less than."""
+"""Bound on the rounding error of each term, relative to the term: about 900 roundings."""
+
+# A power is enclosed by a line along its chord, instead of Taylor's polynomial, if the polynomial's
+# remainder is more than this fraction of the power's range.
+_MAX_REMAINDER_RATIO = 1 / 16
+
+# In intervals with a smaller ratio of half width to centre, the slope of the chord is lost in
+# rounding errors, and Taylor's polynomial is always accurate enough.
+_MIN_CHORD_WIDTH = 1e-6
 
 
 class Form:
-    """Forms (n,), each of one quantity in one cell.
+    """Forms: n quantities, each enclosed in one cell by a quadratic polynomial.
 
     Attributes
     ----------
-    m : (8, n), or (8, 3, n) of radiance
-        The coefficients; m[R] >= 0.
+    coef : (8, n) float array, or (8, 3, n) for the three channels of radiance
+        The coefficients, in the order C, X, Y, XX, XY, YY, Z, R; coef[R] is at least 0.
     """
 
-    __slots__ = ("m",)
+    __slots__ = ("coef",)
 
-    def __init__(self, m: Floats) -> None:
-        self.m = m
+    def __init__(self, coef: Floats) -> None:
+        self.coef = coef
 
     def __getitem__(self, index: Index) -> Form:
+        """Select forms by indices or a mask (n,)."""
         # `take` needs half the time of indexing.
-        at = np.flatnonzero(index) if index.dtype == np.bool_ else index
-        return Form(self.m.take(at, axis=-1))
+        index = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Form(self.coef.take(index, axis=-1))
 
     @property
     def radius(self) -> Floats:
-        """By how much a quantity may differ from the quadratic."""
-        radius: Floats = np.abs(self.m[Z]) + self.m[R]
+        """Bound (n,) on the difference between a quantity and its quadratic polynomial."""
+        radius: Floats = np.abs(self.coef[Z]) + self.coef[R]
         return radius
 
     @property
     def size(self) -> Floats:
-        """The sum of the coefficients' absolute values: no quantity is larger."""
-        size: Floats = np.abs(self.m).sum(axis=0)
+        """Sum (n,) of the absolute coefficients, which bounds the quantity's absolute value."""
+        size: Floats = np.abs(self.coef).sum(axis=0)
         return size
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and greatest value in the cell."""
-        a, m = np.abs(self.m), self.m
-        either = a[X] + a[Y] + a[XY] + a[Z] + m[R]
-        low = m[C] - either + np.minimum(m[XX], 0) + np.minimum(m[YY], 0)
-        return low, m[C] + either + np.maximum(m[XX], 0) + np.maximum(m[YY], 0)
+        """Bound each quantity from below (n,) and from above (n,) in its cell."""
+        a, coef = np.abs(self.coef), self.coef
+        either_sign = a[X] + a[Y] + a[XY] + a[Z] + coef[R]  # X^2 and Y^2 are never negative
+        low = coef[C] - either_sign + np.minimum(coef[XX], 0) + np.minimum(coef[YY], 0)
+        high = coef[C] + either_sign + np.maximum(coef[XX], 0) + np.maximum(coef[YY], 0)
+        return low, high
 
     def __add__(self, other: Form | Floats | float) -> Form:
+        """Add forms about the same surfaces, or numbers."""
         if isinstance(other, Form):
-            return Form(self.m + other.m)
-        m = self.m.copy()
-        m[C] += other
-        m[R] += ROUNDING * np.abs(other)
-        return Form(m)
+            return Form(self.coef + other.coef)
+        coef = self.coef.copy()
+        coef[C] += other
+        coef[R] += ROUNDING * np.abs(other)
+        return Form(coef)
 
     def __sub__(self, other: Form) -> Form:
+        """Subtract forms about the same surfaces."""
         return self + other * -1.0
 
     def __mul__(self, other: Form | Floats | float) -> Form:
+        """Multiply by forms about the same surfaces, or by numbers."""
         if not isinstance(other, Form):
-            m = self.m * other
-            m[R] = np.abs(m[R])
-            return Form(m)
-        a, b = self.m, other.m
-        m = b * a[C]
-        m += a * b[C]
-        m[C] = a[C] * b[C]
-        m[XX] += a[X] * b[X]
-        m[XY] += a[X] * b[Y] + a[Y] * b[X]
-        m[YY] += a[Y] * b[Y]
-        # What is left out has the third degree or the fourth, or two symbols of which one is Z.
+            coef = self.coef * other
+            coef[R] = np.abs(coef[R])
+            return Form(coef)
+        a, b = self.coef, other.coef
+        coef = b * a[C]
+        coef += a * b[C]
+        coef[C] = a[C] * b[C]
+        coef[XX] += a[X] * b[X]
+        coef[XY] += a[X] * b[Y] + a[Y] * b[X]
+        coef[YY] += a[Y] * b[Y]
+        # The radius bounds all other products: of degree three or four, or with a Z.
         a, b = np.abs(a), np.abs(b)
         a1, b1, a2, b2 = a[X] + a[Y], b[X] + b[Y], a[XX:Z].sum(axis=0), b[XX:Z].sum(axis=0)
-        m[R] = a1 * b2 + a2 * (b1 + b2) + a[Z] * (b1 + b2 + b[Z]) + b[Z] * (a1 + a2)
+        coef[R] = a1 * b2 + a2 * (b1 + b2) + a[Z] * (b1 + b2 + b[Z]) + b[Z] * (a1 + a2)
         a_size, b_size = a[C] + a1 + a2 + a[Z], b[C] + b1 + b2 + b[Z]
-        m[R] += a[R] * (b_size + b[R]) + b[R] * a_size + ROUNDING * a_size * b_size
-        return Form(m)
+        coef[R] += a[R] * (b_size + b[R]) + b[R] * a_size + ROUNDING * a_size * b_size
+        return Form(coef)
 
-    def power(self, s: Floats | float, least: float = 0.0, most: float = np.inf) -> Form:
-        """z^s of quantities that are known to lie between `least` >= 0 and `most`.
+    def power(
+        self, exponent: Floats | float, minimum: float = 0.0, maximum: float = np.inf
+    ) -> Form:
+        """Raise quantities z to a power, f(z) = z^exponent.
 
-        In the middle c of what z may be, [c - w, c + w], Taylor's polynomial of degree 2 errs by at
-        most |f'''| w^3 / 6, with the third derivative at one end, as it is monotonic.  Where that
-        is too coarse: a line parallel to the chord.  From the chord, f differs most where f' is its
-        slope, for f is convex or concave; the line runs two thirds of the way to there, where a
-        parabola has its mean.
+        Two enclosures are computed, and the one with the smaller radius is returned:
 
-        Rounding: a power errs by some e, relatively, and every coefficient by some e of itself.
-        These are multiplied by no more than |f'| w, f'' w^2 < |f'| w, or z^s.
+        1. Taylor's polynomial of degree 2 around the centre c of the interval [c - w, c + w] of z.
+           Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
+           interval, because f''' is monotonic.
+        2. If the remainder is large: a line parallel to the chord of f.  As f is convex or concave,
+           it lies between the chord and the parallel tangent.  The line is at two thirds of the way
+           from the chord to the tangent, where a parabola has its mean.
+
+        Rounding: the power and each coefficient have a relative error of a few e.  They are
+        multiplied by at most |f'| w, f'' w^2 < |f'| w, or f.
+
+        Parameters
+        ----------
+        exponent : float, or (n,) float array
+            The exponents.
+        minimum, maximum : float
+            Bounds on z that are known from elsewhere; minimum is at least 0.
+
+        Returns
+        -------
+        power : Form
+            Enclosures (8, n) of the powers.
         """
-        a, b = (np.clip(end, least, most) for end in self.bounds())
-        middle, w = 0.5 * (a + b), 0.5 * (b - a)
-        f_a, f_b, f = (_power(z, s) for z in (a, b, middle))
-        first = s * f / middle
-        second = 0.5 * (s - 1) * first / middle
-        off = np.abs(s * (s - 1) * (s - 2)) / 6 * np.maximum(f_a / a**3, f_b / b**3) * w**3
-        d = self + -middle
+        low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
+        center, w = 0.5 * (low + high), 0.5 * (high - low)
+        f_low, f_high, f = (_power(z, exponent) for z in (low, high, center))
+        first = exponent * f / center
+        second = 0.5 * (exponent - 1) * first / center
+        third = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
+        remainder = third * np.maximum(f_low / low**3, f_high / high**3) * w**3
+        d = self + -center
         result = d * d * second + d * first + f
-        result.m[R] += off + ROUNDING * (np.maximum(f_a, f_b) + np.abs(first) * b)
-        coarse = ~(off < np.abs(f_b - f_a) / 16) & (w > 1e-6 * middle) | ~(off < np.inf)
-        at = np.flatnonzero(coarse)
-        t, (a, b, f_a, f_b) = np.broadcast_to(s, w.shape)[at], (m[at] for m in (a, b, f_a, f_b))
-        slope = np.where(b > a, (f_b - f_a) / (b - a), 0)
-        z = (slope / t) ** (1 / (t - 1))
-        z = np.clip(np.where(np.isfinite(z), z, 0.5 * (a + b)), a, b)
-        chord, tangent = f_a - slope * a, z**t - slope * z
-        line = self[at] * slope
-        line.m[C] += (chord + 2 * tangent) / 3
-        line.m[R] += np.abs(chord - tangent) * (2 / 3)
-        line.m[R] += ROUNDING * (np.maximum(f_a, f_b) + np.abs(slope) * b)
-        better = ~(result.m[R, at] < line.m[R])
-        result.m[:, at[better]] = line.m[:, better]
+        result.coef[R] += remainder + ROUNDING * (np.maximum(f_low, f_high) + np.abs(first) * high)
+        is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
+        is_coarse = is_coarse & (w > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
+        index = np.flatnonzero(is_coarse)
+        low, high, f_low, f_high = (values[index] for values in (low, high, f_low, f_high))
+        line = self[index]._line(
+            np.broadcast_to(exponent, w.shape)[index], low, high, f_low, f_high
+        )
+        is_better = ~(result.coef[R, index] < line.coef[R])
+        result.coef[:, index[is_better]] = line.coef[:, is_better]
         return result
 
+    def _line(
+        self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
+    ) -> Form:
+        """Enclose the powers of quantities by a line parallel to the chord; see `power`.
+
+        Parameters
+        ----------
+        exponent : (n,) float array
+            The exponents.
+        low, high : (n,) float arrays
+            Bounds on the quantities.
+        f_low, f_high : (n,) float arrays
+            The powers of these bounds.
+
+        Returns
+        -------
+        line : Form
+            Enclosures (8, n) of the powers, linear in the quantities.
+        """
+        slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
+        z = (slope / exponent) ** (1 / (exponent - 1))  # there the tangent has this slope
+        z = np.clip(np.where(np.isfinite(z), z, 0.5 * (low + high)), low, high)
+        chord, tangent = f_low - slope * low, z**exponent - slope * z
+        line = self * slope
+        line.coef[C] += (chord + 2 * tangent) / 3
+        line.coef[R] += np.abs(chord - tangent) * (2 / 3)
+        line.coef[R] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
+        return line
+
     def unit(self) -> Form:
-        """The same, or [0, 1] where that says more, of quantities that lie there."""
-        loose = ~(self.size < 2)
-        m = np.where(loose, 0, self.m)
-        m[C, loose] = m[R, loose] = 0.5
-        return Form(m)
+        """Replace forms that are wider than [0, 1] by [0, 1], for quantities that lie there."""
+        is_loose = ~(self.size < 2)
+        coef = np.where(is_loose, 0, self.coef)
+        coef[C, is_loose] = coef[R, is_loose] = 0.5
+        return Form(coef)
 
     def quarters(self) -> Form:
-        """The same in the four quarters of each cell, whose own X and Y run from -1 to 1.
+        """Express each quantity in the four quarters of its cell.
 
-        Z is another there; each coefficient is a sum of at most six terms, and errs by 6 e of them.
+        Returns
+        -------
+        quarters : Form
+            Forms (8, ..., 4 n), quarter after quarter: upper left, upper right, lower left, lower
+            right.  In each quarter, X and Y run from -1 to 1.  The unknown Z becomes part of the
+            radius.  Each coefficient is a sum of at most six terms, and errs by 6 e of them.
         """
-        c, x, y, xx, xy, yy, _, _ = self.m.repeat(4, axis=-1)
-        part = np.arange(c.shape[-1]) % 4
-        a, b = (part & 1) - 0.5, (part >> 1) - 0.5
-        off = (self.radius + ROUNDING * self.size).repeat(4, axis=-1)
-        middle = c + a * (x + a * xx + b * xy) + b * (y + b * yy)
+        c, x, y, xx, xy, yy, _, _ = self.coef.repeat(4, axis=-1)
+        quarter = np.arange(c.shape[-1]) % 4
+        a, b = (quarter & 1) - 0.5, (quarter >> 1) - 0.5  # the quarter's centre
+        radius = (self.radius + ROUNDING * self.size).repeat(4, axis=-1)
+        center = c + a * (x + a * xx + b * xy) + b * (y + b * yy)
         across, down = x / 2 + a * xx + b * xy / 2, y / 2 + b * yy + a * xy / 2
-        return Form(np.array([middle, across, down, xx / 4, xy / 4, yy / 4, 0 * c, off]))
+        return Form(np.array([center, across, down, xx / 4, xy / 4, yy / 4, 0 * c, radius]))
 
 
-def _power(z: Floats, s: Floats | float) -> Floats:
-    """z^s; roots are much faster than powers."""
-    if isinstance(s, float) and abs(s) == 0.5:
-        return np.sqrt(z) if s > 0 else 1 / np.sqrt(z)
-    power: Floats = z**s
+def _power(z: Floats, exponent: Floats | float) -> Floats:
+    """Compute z^exponent; square roots are much faster than other powers."""
+    if isinstance(exponent, float) and abs(exponent) == 0.5:
+        return np.sqrt(z) if exponent > 0 else 1 / np.sqrt(z)
+    power: Floats = z**exponent
     return power
 
 
 def constant(value: Floats, radius: Floats | float = 0.0) -> Form:
-    """Quantities (..., n) that are the same in all of a cell, or differ by no more than that."""
-    m = np.zeros((8, *value.shape))
-    m[C], m[R] = value, radius
-    return Form(m)
+    """Make forms (8, ..., n) of quantities that are constant in a cell, within a radius.
+
+    Parameters
+    ----------
+    value : (..., n) float array
+        The constants.
+    radius : float, or array that broadcasts to (..., n)
+        Bound on the difference between each quantity and its constant.
+    """
+    coef = np.zeros((8, *value.shape))
+    coef[C], coef[R] = value, radius
+    return Form(coef)
 
 
 def difference(form: Form, other: Form) -> Form:
-    """The difference of quantities of two surfaces, each with a Z of its own."""
-    m = form.m - other.m
-    m[R], m[Z] = form.radius + other.radius, 0
-    return Form(m)
+    """Subtract quantities of different surfaces: their Z are independent, so they do not cancel."""
+    coef = form.coef - other.coef
+    coef[R], coef[Z] = form.radius + other.radius, 0
+    return Form(coef)

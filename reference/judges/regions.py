@@ -1,93 +1,160 @@
-"""Where edges lie in a cell: strips that hold them, and the regions between."""
+"""Locate edges in cells: enclose each edge in a strip, and divide the cell along the strips.
+
+An edge of the picture is the zero of an *edge function*, which a quadratic form encloses (see
+`forms`).  Two ideas make areas computable:
+
+strip
+    The part of a cell between two parallel lines.  The edge certainly lies inside.
+region
+    A convex part of a cell.  The centre lines of all strips in a cell divide it into regions.
+    Outside the strips, a region contains no point of an edge.
+
+A cell has coordinates X and Y from -1 to 1, so its area is 4; areas here are fractions of it.
+
+The tracer's antialiasing divides cells by the same two algorithms (the foot of the centre on a
+curve; cutting triangles).  They are repeated here on purpose: a reference that shares code with
+what it validates would repeat its errors.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from reference.judges.arrays import Floats, Index, Ints, sums
+from reference.judges.arrays import Floats, Index, Ints, sums_by_index
 from reference.judges.forms import XX, XY, YY, C, Form, X, Y
 
-NO_AREA = 1e-12
-"""Regions that are smaller, as parts of a cell, are little but rounding."""
+MIN_AREA = 1e-12
+"""Minimum area of a region, as a fraction of its cell; smaller ones are mostly rounding errors."""
 
 
 class Strips(NamedTuple):
-    """Strips (n,) around lines c + a X + b Y = 0, |a| + |b| = 1, sorted by cell.
+    """Strips (n,) around lines a X + b Y + c = 0 with |a| + |b| = 1, sorted by cell.
 
     Attributes
     ----------
-    cell, a, b, c : (n,)
-    half : (n,)
-        A point is in the strip if |c + a X + b Y| is no more.
-    jump : (n,)
-        By how much radiance may change there.
+    cell : (n,) int array
+        The cell that each strip crosses.
+    a, b, c : (n,) float arrays
+        Coefficients of the strip's centre line.
+    half_width : (n,) float array
+        A point is in the strip if |a X + b Y + c| is at most this.
+    jump : (n,) float array
+        Bound on the change of radiance across the edge, in any channel.
     """
 
     cell: Ints
     a: Floats
     b: Floats
     c: Floats
-    half: Floats
+    half_width: Floats
     jump: Floats
 
     def take(self, index: Index) -> Strips:
-        """Some of them."""
-        return self._replace(**{name: m[index] for name, m in self._asdict().items()})
+        """Select strips by indices or a mask (n,)."""
+        return self._replace(**{name: values[index] for name, values in self._asdict().items()})
 
     @property
-    def share(self) -> Floats:
-        """The part (n,) of its cell that each covers, at most."""
-        return np.asarray(np.fmin(self.half / np.maximum(np.abs(self.a), np.abs(self.b)), 1))
+    def area(self) -> Floats:
+        """Upper bound (n,) on the fraction of its cell that each strip covers."""
+        steepness = np.maximum(np.abs(self.a), np.abs(self.b))
+        return np.asarray(np.fmin(self.half_width / steepness, 1))
+
+
+def _foot_of_center(coef: Floats) -> tuple[Floats, Floats]:
+    """Find a point near the zero of quadratic functions, along the gradient at the cell's centre.
+
+    Parameters
+    ----------
+    coef : (8, n) float array
+        Coefficients of the functions: see `forms`.
+
+    Returns
+    -------
+    x, y : (n,) float arrays
+        The zero of the function's second-order expansion along the gradient, moved into the cell.
+        Any point would be valid; the better this one is, the narrower the strip.
+    """
+    steepness2 = coef[X] ** 2 + coef[Y] ** 2
+    bend = coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
+    bend = 2 * bend / steepness2
+    root = np.sqrt(np.abs(steepness2 * (steepness2 - 2 * coef[C] * bend)))
+    step = -2 * coef[C] / (steepness2 + root)
+    max_step = 1 / np.maximum(np.abs(coef[X]), np.abs(coef[Y]))
+    step = np.where(steepness2 > 0, np.clip(step, -max_step, max_step), 0)
+    return step * coef[X], step * coef[Y]
 
 
 def strips(cell: Ints, form: Form, jump: Floats) -> Strips:
-    """Enclose the zeros of edge functions (n,), where radiance may `jump`, between parallel lines.
+    """Enclose the zeros of edge functions in strips.
 
-    At the foot of the cell's middle on the zero, let n run along the gradient, of length g, and t
-    across it.  A quadratic is v + g n (1 + e) + h t^2 / 2, with |e| <= k, where k bounds
-    (f_tn t + f_nn n / 2) / g in the cell.  With T = max |t|, h t^2 / 2 is h T^2 / 6, give or take
-    |h| T^2 / 3; that and the form's radius make d.  With w = v + h T^2 / 6, the function is zero
-    only where |w + g n| <= d + (|w| + d) k / (1 - k).
+    At a point near the zero (`_foot_of_center`), let n be the coordinate along the gradient of
+    length g, and t the coordinate across it.  Without the form's radius, the function equals
+    v + g n (1 + e) + h t^2 / 2, where v is its value at that point and h its second derivative
+    along t.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
+
+    Let T be the maximum of |t|.  Then h t^2 / 2 differs from h T^2 / 6 by at most |h| T^2 / 3.
+    Let d be this difference plus the form's radius, and w = v + h T^2 / 6.  Then the function is
+    zero only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
+
+    Parameters
+    ----------
+    cell : (n,) int array
+        The cell of each edge function.
+    form : Form
+        Enclosures (8, n) of the edge functions.
+    jump : (n,) float array
+        Bound on the change of radiance where the function is zero.
+
+    Returns
+    -------
+    strips : Strips
+        Strips that contain all zeros, sorted by cell.  Edge functions that have no zero in their
+        cell have none.
     """
-    m = form.m
-    steep = m[X] ** 2 + m[Y] ** 2
-    bend = 2 * (m[X] ** 2 * m[XX] + m[X] * m[Y] * m[XY] + m[Y] ** 2 * m[YY]) / steep
-    step = -2 * m[C] / (steep + np.sqrt(np.abs(steep * (steep - 2 * m[C] * bend))))
-    most = 1 / np.maximum(np.abs(m[X]), np.abs(m[Y]))  # the foot stays in the cell
-    step = np.where(steep > 0, np.clip(step, -most, most), 0)
-    x, y = step * m[X], step * m[Y]
-    v = m[C] + m[X] * x + m[Y] * y + m[XX] * x * x + m[XY] * x * y + m[YY] * y * y
-    a, b = m[X] + 2 * m[XX] * x + m[XY] * y, m[Y] + m[XY] * x + 2 * m[YY] * y
+    coef = form.coef
+    x, y = _foot_of_center(coef)
+    v = coef[C] + coef[X] * x + coef[Y] * y
+    v = v + coef[XX] * x * x + coef[XY] * x * y + coef[YY] * y * y
+    a = coef[X] + 2 * coef[XX] * x + coef[XY] * y
+    b = coef[Y] + coef[XY] * x + 2 * coef[YY] * y
     g = np.hypot(a, b)
     p, q = a / g, b / g  # n is along (p, q), t along (-q, p)
-    f_tt = 2 * (m[XX] * q * q - m[XY] * p * q + m[YY] * p * p)
-    f_tn = 2 * (m[YY] - m[XX]) * p * q + m[XY] * (p * p - q * q)
-    f_nn = 2 * (m[XX] * p * p + m[XY] * p * q + m[YY] * q * q)
+    f_tt = 2 * (coef[XX] * q * q - coef[XY] * p * q + coef[YY] * p * p)
+    f_tn = 2 * (coef[YY] - coef[XX]) * p * q + coef[XY] * (p * p - q * q)
+    f_nn = 2 * (coef[XX] * p * p + coef[XY] * p * q + coef[YY] * q * q)
     side = np.abs(p) + np.abs(q)
-    t, n = side + np.abs(p * y - q * x), side + np.abs(p * x + q * y)
+    t, n = side + np.abs(p * y - q * x), side + np.abs(p * x + q * y)  # their maxima in the cell
     k = (np.abs(f_tn) * t + 0.5 * np.abs(f_nn) * n) / g
     w, d = v + f_tt * t * t / 6, np.abs(f_tt) * t * t / 3 + form.radius
-    half = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
+    half_width = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
-    line, flat = np.array([a, b, w - a * x - b * y]) * scale, ~np.isfinite(scale)
-    line[:, flat], half = [[1], [0], [0]], np.where(flat, np.inf, half * np.abs(scale))
-    near = np.flatnonzero(~(np.abs(line[2]) - half >= 1))
-    by = near[np.argsort(cell[near], kind="stable")]
-    (a, b, c), cell, half = line[:, by], cell[by], half[by]
-    return Strips(cell, a, b, c, half, jump[by])
+    line = np.array([a, b, w - a * x - b * y]) * scale
+    # Without a gradient, the strip is the whole cell.
+    is_flat = ~np.isfinite(scale)
+    line[:, is_flat] = [[1], [0], [0]]
+    half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
+    index = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
+    order = index[np.argsort(cell[index], kind="stable")]
+    a, b, c = line[:, order]
+    return Strips(cell[order], a, b, c, half_width[order], jump[order])
 
 
 class Regions(NamedTuple):
-    """Convex regions (n,) between the lines of cells, sorted by cell.
+    """Convex regions (n,) between the centre lines of strips, sorted by cell and `signs`.
 
     Attributes
     ----------
-    cell, signs, area : (n,)
-        Bit i of `signs` is set above the i-th line of the cell.  The area is a part of the cell's.
-    mean : (6, n)
-        Means of 1, X, Y, X^2, X Y and Y^2.
+    cell : (n,) int array
+        The cell of each region.
+    signs : (n,) int array
+        Bit i is set if the region is on the positive side of the i-th line of its cell.
+    area : (n,) float array
+        Area of the region as a fraction of its cell's.
+    mean : (6, n) float array
+        Means of 1, X, Y, X^2, X Y and Y^2 over the region.
     """
 
     cell: Ints
@@ -97,39 +164,77 @@ class Regions(NamedTuple):
 
 
 def divide(lines: Strips, count: int) -> Regions:
-    """Cut cells (count,), two triangles each, by the middle lines of strips."""
-    first = lines.cell.searchsorted(np.arange(count + 1))
-    bits = int(np.diff(first).max(initial=0))
+    """Divide cells into regions by the centre lines of their strips.
+
+    Each cell begins as two triangles.  Line after line, a triangle with corners on both sides is
+    cut into three.
+
+    Parameters
+    ----------
+    lines : Strips
+        Strips (n,) in the cells 0 to count - 1.
+    count : int
+        Number of cells.
+
+    Returns
+    -------
+    regions : Regions
+        All regions of all cells.  Regions without area may be missing.
+    """
+    first_line = lines.cell.searchsorted(np.arange(count + 1))
+    line_count = int(np.diff(first_line).max(initial=0))
     cell, signs = np.arange(count).repeat(2), np.zeros(2 * count, dtype=np.intp)
-    corner = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], count)
-    for bit in range(bits):
-        line = first[cell] + bit
-        some = np.flatnonzero(line < first[cell + 1])
-        at, line = corner[:, some], line[some]
-        z = lines.a[line] * at.real + lines.b[line] * at.imag + lines.c[line]
-        above = z > 0
-        n = above.sum(axis=0)
-        signs[some[n == 3]] |= 1 << bit
-        cut = np.flatnonzero((n == 1) | (n == 2))
-        # Turned so that the first corner is the one that is alone on its side.
-        alone, some = n[cut] == 1, some[cut]
-        turned = (np.argmax(above[:, cut] == alone, axis=0) + np.arange(3)[:, None]) % 3
-        (a, b, c), (z_a, z_b, z_c) = corner[turned, some], z[turned, cut]
+    # Complex numbers x + i y, of three corners of each triangle.
+    corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], count)
+    for bit in range(line_count):
+        line = first_line[cell] + bit
+        triangle = np.flatnonzero(line < first_line[cell + 1])
+        corner, line = corners[:, triangle], line[triangle]
+        z = lines.a[line] * corner.real + lines.b[line] * corner.imag + lines.c[line]
+        is_above = z > 0
+        above_count = is_above.sum(axis=0)
+        signs[triangle[above_count == 3]] |= 1 << bit
+        cut = np.flatnonzero((above_count == 1) | (above_count == 2))
+        # Rotate the corners so that the first one is alone on its side.
+        is_alone_above, triangle = above_count[cut] == 1, triangle[cut]
+        alone = np.argmax(is_above[:, cut] == is_alone_above, axis=0)
+        rotated = (alone + np.arange(3)[:, None]) % 3
+        (a, b, c), (z_a, z_b, z_c) = corners[rotated, triangle], z[rotated, cut]
         p, q = a + z_a / (z_a - z_b) * (b - a), a + z_a / (z_a - z_c) * (c - a)
-        corner[:, some] = a, p, q
-        corner = np.concatenate([corner, (p, b, c), (p, c, q)], axis=1)
-        below = signs[some]
-        signs[some] = below | alone << bit
-        signs = np.concatenate([signs, *[below | ~alone << bit] * 2])
-        cell = np.concatenate([cell, cell[some], cell[some]])
-    x, y = corner.real, corner.imag
+        corners[:, triangle] = a, p, q
+        corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
+        signs_below = signs[triangle]
+        signs[triangle] = signs_below | is_alone_above << bit
+        signs = np.concatenate([signs, *[signs_below | ~is_alone_above << bit] * 2])
+        cell = np.concatenate([cell, cell[triangle], cell[triangle]])
+    area, mean = _moments(corners)
+    key, region = np.unique(cell << line_count | signs, return_inverse=True)
+    total = sums_by_index(region, area, key.size)
+    weight = area / np.maximum(total, MIN_AREA)[region]
+    means = [sums_by_index(region, weight * moment, key.size) for moment in mean]
+    mean_of_region = np.array([np.ones(key.size), *means])
+    return Regions(key >> line_count, key & ((1 << line_count) - 1), total, mean_of_region)
+
+
+def _moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
+    """Compute areas of triangles, and means of coordinates and their products over the triangles.
+
+    Parameters
+    ----------
+    corners : (3, n) complex array
+        Corners x + i y of the triangles.
+
+    Returns
+    -------
+    area : (n,) float array
+        Areas as fractions of a cell's.
+    mean : list of five (n,) float arrays
+        Means of X, Y, X^2, X Y and Y^2.
+    """
+    x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
-    # Over a triangle, p q has the mean (sum of p_i q_i + sum of p_i times sum of q_i) / 12.
-    means = [m.sum(axis=0) / 3 for m in (x, y)]
+    mean = [coordinate.sum(axis=0) / 3 for coordinate in (x, y)]
+    # The mean of p q is (the sum of p_i q_i, plus the sum of p_i times the sum of q_i) / 12.
     for p, q in ((x, x), (x, y), (y, y)):
-        means.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
-    key, region = np.unique(cell << bits | signs, return_inverse=True)
-    total = sums(region, area, key.size)
-    part = area / np.maximum(total, NO_AREA)[region]
-    mean = [np.ones(key.size), *(sums(region, part * m, key.size) for m in means)]
-    return Regions(key >> bits, key & ((1 << bits) - 1), total, np.array(mean))
+        mean.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
+    return area, mean

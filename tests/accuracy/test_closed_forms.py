@@ -196,6 +196,13 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
         for up in (-0.99, -0.3, 0.2, 0.99):
             eye = (x + 2, y + up * ball.radius, z)
             yield Ray(f"light on {x}, ball at {up}", eye, (-1, 0, 0), top, [ball], 0)
+    # The light is on a ball of radius 5, and the segments to a wall touch the ball only there.
+    for z in range(8):
+        both, seen = (
+            [Sphere(radius=5), Box(min_pt=(7, -9, -9), max_pt=(8, 9, 9))],
+            4 / math.hypot(5, z),
+        )
+        yield Ray(f"light where a ball is touched, {z}", (6.5, 1, z), RIGHT, (3, 4, 0), both, seen)
     # In a box, deeper than its rounding, and less deep than that of points which are seen.
     far = Box(min_pt=(1e6 - 1, -1, -1), max_pt=(1e6, 1, 1))
     wall = Box(min_pt=(1e6 + 3, -9, -9), max_pt=(1e6 + 4, 9, 9))

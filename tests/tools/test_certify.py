@@ -35,7 +35,7 @@ def test_a_picture_is_written_with_its_bounds(capsys: pytest.CaptureFixture[str]
     assert status == 0
     within, certain, last = lines
     assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
-    assert certain.startswith(f"{made.certain.sum()} of 576 pixels have certain codes, ")
+    assert certain.startswith(f"{made.is_certain.sum()} of 576 pixels have certain codes, ")
     assert last.startswith(f"room.xml.certified.png: {made.cells} cells in ")
     with Image.open("room.xml.certified.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), made.codes)
