@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 
 from tracer.arrays import Bools
-from tracer.scene.model import Phong, Scene, Shader, VectorLike
+from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
 from tracer.scene.schema import number
 from tracer.trace.first_hits import first_hits
 
@@ -30,6 +30,7 @@ def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
     """Yield a warning for each suspicious property; `black`: whether the picture is all black."""
     surfaces = scene.surfaces
     yield from islice(_codes(scene), 1)
+    yield from _ineffective_shaders(scene.surfaces)
     yield from _stretched(scene)
     if not black:
         return
@@ -53,6 +54,36 @@ def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
             name = _named("surface", first, surfaces[first].line)
             remedy = f"viewPoint is inside {name}: move it out, or a light in"
         yield f"no light reaches anything in view: the picture is black; {remedy}"
+
+
+def _ineffective_shaders(surfaces: Surfaces) -> Iterator[str]:
+    """Yield warnings for shaders that no surface uses, and for exponents without a highlight.
+
+    Only shaders from a file are reported, because only these have line numbers.
+    """
+    is_used = np.zeros(len(surfaces.shaders), dtype=np.bool_)
+    is_used[surfaces.shader_index] = True
+    unused: list[int] = []
+    matte: list[int] = []
+    for shader, used in zip(surfaces.shaders, is_used.tolist(), strict=True):
+        if shader.line is None:
+            continue
+        if not used:
+            unused.append(shader.line)
+        elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
+            matte.append(shader.line)
+    if unused:
+        remedy = 'write <shader ref="..."/> with the name in a surface'
+        yield f"no surface refers to the {_shaders_of(unused)}; {remedy}, or remove the definition"
+    if matte:
+        reason = "because specularColor is 0 0 0"
+        yield f"exponent has no effect in the {_shaders_of(matte)}, {reason}; add <specularColor>"
+
+
+def _shaders_of(lines: list[int]) -> str:
+    """Name shaders by the lines that define them, of which at most nine are listed."""
+    numbers = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
+    return f"shader of line {numbers}" if len(lines) == 1 else f"shaders of lines {numbers}"
 
 
 def _stretched(scene: Scene) -> Iterator[str]:
