@@ -232,8 +232,15 @@ def test_all_digits_are_saved(tmp_path):
 
 def test_only_scenes_are_replaced(tmp_path):
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
-    for there in ("", "<scene/>", '<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >'):
-        path.write_text(there)
+    for there in (
+        b"",
+        b"<scene/>",
+        b'<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >',
+        b"\xef\xbb\xbf<scene/>",
+        "<scene/>".encode("utf-16"),
+        b"<!-- %b --><scene/>" % (b"long " * 100_000),
+    ):
+        path.write_bytes(there)
         save_scene(scene, path)
         assert load_scene(path) == scene
     for there in ('<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text"):
