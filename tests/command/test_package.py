@@ -8,6 +8,7 @@ import site
 import subprocess
 import sys
 import venv
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,12 @@ def test_help_shows_what_is_public():
     text = pydoc.render_doc(tracer, renderer=pydoc.plaintext)
     shown = re.findall(r"^    (?:class )?(\w+)(?:\(| = )", text, re.MULTILINE)
     assert set(shown) == set(tracer.__all__)
+
+
+def test_scenes_can_be_keys_of_a_weak_dictionary():
+    scene = tracer.Scene(width=3, height=2, surfaces=[tracer.Sphere()])
+    assert weakref.ref(scene)() is scene
+    assert weakref.ref(scene.surfaces)() is scene.surfaces
 
 
 @pytest.mark.slow

@@ -72,7 +72,8 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        In place of an error of these classes.  A Failure from inside the block is passed on.
+        In place of an error of these classes.  A Failure from inside the block is passed on, and
+        so is a BrokenPipeError: the command must end silently when its reader has gone away.
     """
     try:
         yield
@@ -82,7 +83,8 @@ def errors_as_failure(
 
         if isinstance(error, SceneFileError):
             raise Failure("", str(error), status=status) from error
-        if isinstance(error, Failure) or not isinstance(error, (OSError, MemoryError, *errors)):
+        is_passed = isinstance(error, (Failure, BrokenPipeError))
+        if is_passed or not isinstance(error, (OSError, MemoryError, *errors)):
             raise
         if is_lack_of_memory(error):
             remedy = memory_remedy

@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import NoReturn, TextIO, TypeVar
 
 from tracer.command.failure import Failure
-from tracer.files import unfinished
+from tracer.files import remove_part_files
 from tracer.messages import printable
 
 _Result = TypeVar("_Result")
@@ -23,12 +23,16 @@ _Result = TypeVar("_Result")
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit statuses: something could not be done, wrong usage, ended by a signal."""
 
+# Exit status when the reader of standard output has gone away: that of a program that SIGPIPE ends.
+_UNREAD = 141
+
 
 def run(module: str) -> NoReturn:
     """Run a command: import its module, call `main`, and exit with the status that it returns.
 
     A Failure, a missing package and a lack of memory are printed as one line instead of a
-    traceback.  A signal that ends the command makes the exit status 130.
+    traceback.  A signal that ends the command makes the exit status 130.  If the reader of standard
+    output goes away, the command ends silently with status 141.
 
     Parameters
     ----------
@@ -36,15 +40,11 @@ def run(module: str) -> NoReturn:
         Name of the module.  Its function `main` takes no arguments, and returns an exit status or
         None, which counts as 0.
     """
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
-        number = getattr(signal, name, None)  # not all systems have the last three
-        # One that is ignored stays so: in the background of a script, or under nohup.
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, _interrupted)
+    end_on_signals()
     # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
     # rendering a small picture.  The variable is read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Importing makes tens of thousands of objects, and none is garbage: seldom look for any.
+    # Importing creates tens of thousands of objects, and none is garbage: collect it rarely.
     gc.set_threshold(50_000)
     status = FAILED
     try:
@@ -55,24 +55,26 @@ def run(module: str) -> NoReturn:
         package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
         status = MISUSED  # in some commands 1 says that pictures differ
+    except BrokenPipeError:
+        status = _UNREAD
     except (ImportError, MemoryError, SystemError) as error:
-        # NumPy's own message is a page of advice; what caused it names a library.
-        first: BaseException = error
-        while cause := first.__cause__ or first.__context__:
-            first = cause
-        reason = str(first).strip() or "not enough memory"
+        # NumPy's own message is a page of advice; the first cause names the library at fault.
+        first_cause: BaseException = error
+        while cause := first_cause.__cause__ or first_cause.__context__:
+            first_cause = cause
+        reason = str(first_cause).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else FAILED
-    # Otherwise what could not be printed would be lost without a word.
+    # os._exit flushes nothing, and the status must show that a result could not be printed.
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None and not stream.closed:
                 stream.flush()
-        except OSError:
-            status = status or FAILED
-    # An orderly exit would take NumPy's modules down one by one, and add a tenth to the time of a
+        except OSError as error:
+            status = status or (_UNREAD if isinstance(error, BrokenPipeError) else FAILED)
+    # An orderly exit would destroy NumPy's modules one by one, and add a tenth to the time of a
     # small picture.
     os._exit(status)
 
@@ -101,18 +103,18 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 
 
 def print_line(stream: TextIO | None, text: str) -> None:
-    """Print a notice at once, or not at all if that fails: results matter more."""
+    """Print a notice immediately; ignore it if that fails, because results matter more."""
     with suppress(OSError):
         print_result(stream, text)
 
 
 def print_result(stream: TextIO | None, text: str) -> None:
-    """Print a line at once.
+    """Print a line immediately.  Characters that the stream cannot encode are escaped.
 
     Raises
     ------
     OSError
-        If it cannot be printed: the stream is closed, or its disk full.
+        If the line cannot be printed: the stream is closed, or its disk is full.
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
@@ -120,19 +122,28 @@ def print_result(stream: TextIO | None, text: str) -> None:
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
     except OSError:
-        # What is left in its buffer would fail again at the end.
+        # What remains in the stream's buffer would fail again at the end.
         with suppress(OSError):
             stream.close()
         raise
 
 
-def _interrupted(_number: int, _frame: object) -> NoReturn:
-    """Leave at once, with nothing half-written and nothing printed.
+def end_on_signals() -> None:
+    """Let signals end this process at once, without part files, and without a message.
 
-    A KeyboardInterrupt would be lost where it is raised in a finalizer or after a fork, and would
-    pass for a fault of NumPy's or of a plugin's where it is raised in one of these.
+    Signals that are ignored stay ignored: in the background of a script, or under nohup.
     """
-    for path in unfinished:
-        with suppress(OSError):
-            os.unlink(path)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
+        number = getattr(signal, name, None)  # not all systems have the last three
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _end_now)
+
+
+def _end_now(_number: int, _frame: object) -> NoReturn:
+    """Handle a signal: remove part files, and end this process.
+
+    A KeyboardInterrupt would be lost if it were raised in a finalizer or after a fork; raised in
+    NumPy or in a plugin, it would be reported as an error of theirs.
+    """
+    remove_part_files()
     os._exit(INTERRUPTED)

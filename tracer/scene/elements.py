@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import IO, Any
 from xml.parsers import expat
 
-from tracer.messages import quoted, short
+from tracer.messages import quoted, shortened
 from tracer.scene.hints import SCENE, syntax_remedy
 
 MAX_BYTES = 1 << 28
@@ -222,7 +222,7 @@ class _Parser:
             open_elements[-1].append(element)
             self.descendant_count += 1
             if self.descendant_count > MAX_DESCENDANTS:
-                child = short(open_elements[1].tag)
+                child = shortened(open_elements[1].tag)
                 remedy = f"close <{child}> of line {open_elements[1].line} earlier, or remove it"
                 message = f"more than {MAX_DESCENDANTS} elements in it; {remedy}"
                 raise FatalError(element.line, f"{child}: {message}")
@@ -232,7 +232,7 @@ class _Parser:
             self.read_child(element)
         if attrib and len(attrib) > MAX_DESCENDANTS:
             message = f"more than {MAX_DESCENDANTS} attributes; remove some"
-            raise FatalError(element.line, f"{short(tag)}: {message}")
+            raise FatalError(element.line, f"{shortened(tag)}: {message}")
         open_elements.append(element)
 
     def end(self, _tag: str) -> None:
@@ -251,7 +251,7 @@ class _Parser:
             element.text += text
             if len(element.text) > MAX_TOKEN_BYTES:
                 message = f"more than {MAX_TOKEN_BYTES} characters; make it shorter"
-                raise FatalError(element.line, f"{short(element.tag)}: {message}")
+                raise FatalError(element.line, f"{shortened(element.tag)}: {message}")
         elif self.stray_element is not element:
             # The event occurs at the end of the text, but the error is at its beginning.
             self.stray_element, text = element, text.lstrip()

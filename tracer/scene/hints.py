@@ -13,7 +13,7 @@ from itertools import islice
 from typing import Any
 from xml.parsers.expat import errors
 
-from tracer.messages import quoted, short
+from tracer.messages import quoted, shortened
 
 SCENE = "a scene file holds <scene> ... </scene>"
 
@@ -125,11 +125,11 @@ def syntax_remedy(
                 return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
     if not open_elements:
         return _MESSAGE_REMEDIES.get(message, SCENE)
-    innermost = f"<{short(open_elements[-1].tag)}> of line {open_elements[-1].line}"
+    innermost = f"<{shortened(open_elements[-1].tag)}> of line {open_elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
         if all(name != element.tag for element in open_elements):
-            return f"only {innermost} can be closed here: no <{short(name)}> is open"
+            return f"only {innermost} can be closed here: no <{shortened(name)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
@@ -137,8 +137,8 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known name that is most similar to an unknown one; None if none is similar."""
     from difflib import get_close_matches  # imported after an error only: it takes milliseconds
 
-    folded = {short(word).lower(): word for word in islice(known, _MAX_COMPARED)}
-    matches = get_close_matches(short(name).lower(), folded, n=1)
+    folded = {shortened(word).lower(): word for word in islice(known, _MAX_COMPARED)}
+    matches = get_close_matches(shortened(name).lower(), folded, n=1)
     return folded[matches[0]] if matches else None
 
 
@@ -163,7 +163,7 @@ def suggestion(known: Iterable[str], match: str | None) -> str:
     if not names:
         return "remove it"
     more = ", ..." if len(names) > _MAX_LISTED else ""
-    return f"known: {', '.join(map(short, names[:_MAX_LISTED]))}{more}"
+    return f"known: {', '.join(map(shortened, names[:_MAX_LISTED]))}{more}"
 
 
 def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:

@@ -19,7 +19,7 @@ from unicodedata import normalize
 
 import numpy as np
 
-from tracer.messages import printable, quoted, short
+from tracer.messages import printable, quoted, shortened
 from tracer.scene import model
 from tracer.scene.elements import Element, FatalError, open_scene, parse
 from tracer.scene.hints import closest_name, is_underflow, number_remedy, suggestion, unknown_tag
@@ -151,7 +151,7 @@ class _Reader:
         if len(self.errors) == MAX_ERRORS:
             last = max(line for line, _ in self.errors)
             raise FatalError(last, f"{MAX_ERRORS} errors so far; fix these first")
-        self.errors.append((line, f"{short(tag)}: {message}"))
+        self.errors.append((line, f"{shortened(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
         """Report an error in an element."""
@@ -197,7 +197,7 @@ class _Reader:
     def read_root(self, element: Element) -> None:
         """Read the root; raise `FatalError` if it is not that of a scene file."""
         if element.tag != "scene":
-            raise FatalError(element.line, f"{short(element.tag)}: the root must be <scene>")
+            raise FatalError(element.line, f"{shortened(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
             raise FatalError(element.line, message)
@@ -265,7 +265,7 @@ class _Reader:
                 self.report_parts(element, "ref")
         elif "name" in element.attrib and "type" not in element.attrib and not element:
             name = element.attrib["name"]
-            remedy = f'to refer to a shader, write ref="{short(name)}"'
+            remedy = f'to refer to a shader, write ref="{shortened(name)}"'
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
@@ -371,7 +371,7 @@ class _Reader:
             intended = None
         else:
             remedy, intended = unknown_tag(element.tag, known)
-        place = short(parent.attrib.get("type", parent.tag))
+        place = shortened(parent.attrib.get("type", parent.tag))
         self.report(element, f"unknown in {place}; {remedy}")
         return intended
 
@@ -407,9 +407,9 @@ class _Reader:
             if match is None and parts:
                 tag_remedy, match = unknown_tag(name, parts)
                 if match == "shader":
-                    remedy = f'write <shader ref="{short(value)}"/> in it'
+                    remedy = f'write <shader ref="{shortened(value)}"/> in it'
                 elif match in parts:
-                    remedy = f"write <{match}>{short(value)}</{match}> in it"
+                    remedy = f"write <{match}>{shortened(value)}</{match}> in it"
                 elif match is not None:
                     remedy = tag_remedy
             intended.add(match)
@@ -420,7 +420,7 @@ class _Reader:
         """Report all attributes of an element but those `known`, and all its children."""
         self.report_attributes(element, known)
         for child in element:
-            message = f"no element may stand in it; remove <{short(child.tag)}>"
+            message = f"no element may stand in it; remove <{shortened(child.tag)}>"
             self.report_at(child.line, element.tag, message)
 
     # From tables to a scene

@@ -83,7 +83,7 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 class Checked:
     """A frozen dataclass whose fields are validated one by one, and then together."""
 
-    __slots__ = ()
+    __slots__ = ("__weakref__",)
 
     def __post_init__(self: Any) -> None:
         lines: list[str] = []
