@@ -27,7 +27,7 @@ from time import perf_counter
 import numpy as np
 from tqdm import tqdm
 
-from reference.command import parser, spare_inputs
+from reference.command import parser, forbid_overwriting_inputs
 from reference.judges.certificate import Certificate, certify
 from reference.pictures import UNREADABLE, read_picture, reason
 from tracer import SceneFileError, load_scene, to_codes, write_png
@@ -108,7 +108,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = used.parse_args(argv)
     output = given.output or f"{given.scene}.certified.png"
     targets = [Path(path) for path in (output, given.bounds) if path]
-    spare_inputs(used, targets, [Path(given.scene), *filter(None, [given.judge])])
+    forbid_overwriting_inputs(used, targets, [Path(given.scene), *filter(None, [given.judge])])
     if len(targets) == 2 and targets[0] == targets[1]:
         used.error("-o and --bounds: one file cannot be both")
     error, wrong = given.error or (_ERROR_OF_CODES if given.codes else _ERROR), 0

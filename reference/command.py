@@ -1,4 +1,4 @@
-"""What the commands of this folder share: where files are, and the parser of their options."""
+"""Locations of files, and parts of the command line, that the commands of this folder share."""
 
 from __future__ import annotations
 
@@ -12,47 +12,67 @@ from tracer.command.arguments import real_path
 from tracer.command.process import MISUSED
 from tracer.messages import printable
 
-# Without this, tqdm would have a thread of its own beside what is measured.
+# Otherwise tqdm would start a thread, which could disturb measurements.
 tqdm.monitor_interval = 0
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 BUILD = HERE.parent / "build"
-"""Folder for files that can be made again; not under version control."""
+"""Folder for files that can be generated again; not under version control."""
 
 
 def own_scenes() -> list[Path]:
-    """This project's scenes by name, without what was converted for Mitsuba beside them."""
+    """Return the paths of this project's scenes, sorted, without those converted for Mitsuba."""
     return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
 
 
 def built(name: str) -> Path:
-    """A file in the build folder, which is made if need be."""
+    """Return the path of a file in the build folder, and create the folder if it is missing."""
     BUILD.mkdir(exist_ok=True)
     return BUILD / name
 
 
 def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.ArgumentParser:
-    """The parser of `python -m module`, described by its docstring.
+    """Make the parser of the arguments of `python -m module`.
 
-    `quick` is what its option `--quick` does.
+    Parameters
+    ----------
+    module : str
+        Name of the module.
+    doc : str or None
+        The module's docstring, which describes the command in its help.
+    quick : str, optional
+        What the option `--quick` does, for the help.  Without it, there is no such option.
     """
-    made = argparse.ArgumentParser(
+    new_parser = argparse.ArgumentParser(
         prog=f"python -m {module}",
         description=doc,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     if quick:
-        made.add_argument("--quick", action="store_true", help=f"{quick}; writes into build/")
-    return made
+        new_parser.add_argument("--quick", action="store_true", help=f"{quick}; write to build/")
+    return new_parser
 
 
-def spare_inputs(
-    used: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
+def forbid_overwriting_inputs(
+    command_parser: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
 ) -> None:
-    """End with wrong usage where a result would replace what one is made from."""
+    """End the process as for wrong usage if a result would replace a file that is read.
+
+    Parameters
+    ----------
+    command_parser : ArgumentParser
+        Prints the message, and ends the process with exit status 2.
+    outputs, inputs : iterable of Path
+        Files to write, and files to read.
+
+    Raises
+    ------
+    Failure
+        If a path is relative and the working folder is gone.
+    """
     sources = {real_path(path, status=MISUSED) for path in inputs}
     for output in outputs:
         if real_path(output, status=MISUSED) in sources:
-            wrong = f"{output}: this would replace an input; choose another with -o"
-            used.error(printable(wrong))
+            message = f"{output}: this would replace an input; choose another with -o"
+            command_parser.error(printable(message))

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from reference.command import parser, spare_inputs
+from reference.command import parser, forbid_overwriting_inputs
 from reference.figures import figures, linear, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outputs = _outputs(options, folder, pictures) if options.output else [None] * len(pictures)
     rights = (hand_in.right for hand_in in matched if hand_in.right)
     page = Path(options.html) if options.html else None
-    spare_inputs(used, filter(None, (*outputs, page)), (*pictures, *rights))
+    forbid_overwriting_inputs(used, filter(None, (*outputs, page)), (*pictures, *rights))
     # Hand-ins of one scene follow one another: what is drawn of it serves all of them.
     jobs = [hand_in._replace(output=output)
             for hand_in, output in zip(matched, outputs, strict=True)]  # fmt: skip

@@ -29,7 +29,7 @@ from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
 from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
-from reference.command import BUILD, HERE, own_scenes, parser, spare_inputs
+from reference.command import BUILD, HERE, own_scenes, parser, forbid_overwriting_inputs
 from reference.figures import amplified
 from reference.measured.measurements import measured_on
 from reference.page import TEMPLATE, Cell, Pair
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = used.parse_args(arguments)
     paths = sorted({*(options.scenes or own_scenes())})
     output = Path(options.output, _NAME if is_folder(options.output) else "")
-    spare_inputs(used, (output,), (*paths, TEMPLATE, *CHARTS.values()))
+    forbid_overwriting_inputs(used, (output,), (*paths, TEMPLATE, *CHARTS.values()))
     try:
         use(options.variant)
     except ImportError as error:
