@@ -1,11 +1,13 @@
-"""Render a scene with a proof: every pixel's mean radiance lies within a given error.
+"""Render a scene with a proof: every pixel's mean radiance is within a given error.
 
     python -m reference.certify SCENE.xml --error 1/512 --judge PICTURE.png
 
-writes the antialiased picture, and says how near it is to the true one: in linear radiance, and in
-how many pixels the 8-bit codes are the only ones possible.  See `reference.judges.certificate`.
-Exit status: 0; 1 if a judged picture has codes that are certainly wrong; 2 for wrong usage; 3 if
-something cannot be read, certified or written.
+writes an antialiased picture, and states how close it is to the exact one: in linear radiance, and
+by the number of pixels in which no other 8-bit codes are possible.  For the method see
+`reference.judges.certificate`.
+
+Exit status: 0, or 1 if a judged picture has codes that are certainly wrong, 2 for wrong usage, 3 if
+a file cannot be read, certified or written.
 """
 
 from __future__ import annotations
@@ -16,135 +18,156 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import argparse
-import io
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from tqdm import tqdm
 
-from reference.command import parser, forbid_overwriting_inputs
+from reference.command import forbid_overwriting_inputs, parser
 from reference.judges.certificate import Certificate, certify
-from reference.pictures import UNREADABLE, read_picture, reason
-from tracer import SceneFileError, load_scene, to_codes, write_png
+from reference.pictures import UNREADABLE, Codes, read_picture
+from tracer import Scene, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name
-from tracer.command.process import print_line, print_result
-from tracer.files import atomic_file
+from tracer.command.failure import Failure, errors_as_failure
+from tracer.command.process import print_result
 from tracer.messages import printable
 
-# With `--codes`, pixels whose codes stay open lie within this of where the next code begins.
-_ERROR, _ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
+# Permitted errors of a pixel's mean radiance, if --error is not given: without and with --codes.
+# With --codes, only pixels stay uncertain whose radiance is this close to where the code changes.
+_DEFAULT_ERROR, _DEFAULT_ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
+
+# Exit status if a file cannot be read, certified or written.
+_FAILED = 3
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Certify a scene's picture as the command line says, and return the exit status.
+
+    Raises
+    ------
+    Failure
+        If a file cannot be read, certified or written.
+    """
+    command_parser = _parser()
+    arguments = command_parser.parse_args(argv)
+    path, output = arguments.scene, arguments.output or f"{arguments.scene}.certified.png"
+    inputs = [Path(file) for file in (path, arguments.judge) if file]
+    forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
+    error = arguments.error or (_DEFAULT_ERROR_OF_CODES if arguments.codes else _DEFAULT_ERROR)
+    failing = partial(errors_as_failure, status=_FAILED)
+    with failing(path, "read", memory_remedy="split the scene"):
+        scene = load_scene(path)
+    judged = _read_codes(arguments.judge, scene) if arguments.judge else None
+    start, hidden = perf_counter(), None if sys.stderr is None else not sys.stderr.isatty()
+    with (
+        failing(path, "certified", errors=(ValueError, RuntimeError)),
+        tqdm(total=1, leave=False, disable=hidden) as bar,
+    ):
+        certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
+    lines, wrong_count = _summary(certificate, error, arguments.codes), 0
+    seconds = perf_counter() - start
+    if judged is not None:
+        wrong_count, verdict = judgement(certificate, judged)
+        lines.append(f"{arguments.judge}: {verdict}")
+    lines.append(f"{output}: {certificate.cells} cells in {seconds:.2f} s")
+    with failing(output, "written", "choose another with -o"):
+        write_png(output, certificate.image)
+    with failing("standard output", "written"):
+        print_result(sys.stdout, "\n".join(map(printable, lines)))
+    return 1 if wrong_count else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Make the parser of the command line."""
+    command_parser = parser("reference.certify", __doc__)
+    add = command_parser.add_argument
+    add("scene", type=file_name, metavar="SCENE.xml", help="the scene file")
+    default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"
+    text = f"permitted error of a pixel's mean radiance ({default})"
+    add("--error", type=_error, metavar="E", help=text)
+    text = "also accept a pixel as soon as only one 8-bit code per channel is possible"
+    add("--codes", action="store_true", help=text)
+    text = "the picture to write (SCENE.xml.certified.png)"
+    add("-o", "--output", type=file_name, metavar="OUT.png", help=text)
+    text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
+    add("--judge", type=file_name, metavar="PICTURE.png", help=text)
+    return command_parser
 
 
 def _error(text: str) -> Fraction:
-    """Type of an argument that is a positive number or fraction."""
+    """Parse an argument that is a positive number or fraction."""
     with suppress(OverflowError, ValueError, ZeroDivisionError):
         if float(error := Fraction(text)) > 0:
             return error
     raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {text!r}")
 
 
-def _report(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
-    """What is known of a picture, in lines."""
-    off, certain = certificate.error, certificate.is_certain
-    wide, of = off > float(error), f"of {off.size} pixels"
+def _read_codes(path: str, scene: Scene) -> Codes:
+    """Read the 8-bit codes (height, width, 3) of a picture, which must have the scene's size."""
+    with errors_as_failure(path, "read", status=_FAILED, errors=UNREADABLE):
+        codes = read_picture(Path(path)).codes
+    height, width, _ = codes.shape
+    if (width, height) != (scene.width, scene.height):
+        sizes = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
+        raise Failure(path, f"cannot be judged: {sizes}", "choose a picture of that size", _FAILED)
+    return codes
+
+
+def _summary(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
+    """State what is certain about a picture, in two or three lines.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        The picture, with its bounds.
+    error : Fraction
+        The permitted error.
+    codes : bool
+        Whether pixels with certain codes may exceed the permitted error.
+    """
+    is_wide, is_certain = certificate.error > float(error), certificate.is_certain
+    pixels = f"of {is_wide.size} pixels"
     lines = [
-        f"{np.count_nonzero(~wide)} {of} are within {error}; all within {off.max():.2g}",
-        f"{np.count_nonzero(certain)} {of} have certain codes, {certain.mean():.2%}",
+        f"{np.count_nonzero(~is_wide)} {pixels} are within {error};"
+        f" all within {certificate.error.max():.2g}",
+        f"{np.count_nonzero(is_certain)} {pixels} have certain codes, {is_certain.mean():.2%}",
     ]
-    if left := np.count_nonzero(wide & ~(certain & codes)):
-        lines.append(f"{left} pixels stayed wider than asked: edges graze each other there")
+    if exceeding := np.count_nonzero(is_wide & ~(is_certain & codes)):
+        lines.append(f"{exceeding} pixels exceed the permitted error: edges touch each other there")
     return lines
 
 
-def judgement(certificate: Certificate, codes: np.ndarray) -> tuple[int, str]:
-    """How many codes (height, width, 3) of a picture are certainly wrong; and that in words."""
-    low, high = (to_codes(m).astype(int) for m in (certificate.low, certificate.high))
-    wrong = np.maximum(np.maximum(low - codes, codes - high), 0)
-    count = int(np.count_nonzero(wrong))
+def judgement(certificate: Certificate, codes: Codes) -> tuple[int, str]:
+    """Count the codes of a picture that are certainly wrong.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        Bounds on each pixel of the scene.
+    codes : (height, width, 3) uint8 array
+        8-bit codes of a picture of the scene.
+
+    Returns
+    -------
+    count : int
+        Number of codes outside the bounds.
+    verdict : str
+        The same in words, with the worst of them.
+    """
+    low, high = (to_codes(bound).astype(int) for bound in (certificate.low, certificate.high))
+    excess = np.maximum(np.maximum(low - codes, codes - high), 0)
+    count = int(np.count_nonzero(excess))
     if not count:
         return 0, "no code is certainly wrong"
-    row, column, channel = np.unravel_index(wrong.argmax(), wrong.shape)
-    where = f"at {column},{row}, where {'RGB'[channel]} is {codes[row, column, channel]}"
-    ends = sorted({low[row, column, channel], high[row, column, channel]})
-    most = f"by up to {wrong.max()}, {where} and must be {' to '.join(map(str, ends))}"
-    return count, f"{count} of {codes.size} codes are certainly wrong, {most}"
-
-
-def bounds_chart(certificate: Certificate) -> bytes:
-    """A PNG file that shows how wide each pixel's bounds are."""
-    from reference.measured.charts import plt  # takes long to import
-
-    rows, columns = certificate.error.shape
-    size = 8.5, max(7 * rows / columns, 2) + 0.8
-    figure, axes = plt.subplots(figsize=size, layout="constrained")
-    axes.set_title("Mean radiance differs from the picture by no more than")
-    axes.grid(False)
-    shown = axes.imshow(np.maximum(certificate.error, 2.0**-24), cmap="viridis", norm="log")
-    figure.colorbar(shown, ax=axes, shrink=0.8)
-    figure.savefig(made := io.BytesIO(), format="png", dpi=120)
-    plt.close(figure)
-    return made.getvalue()
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Certify a scene's picture; return the exit status."""
-    used = parser("reference.certify", __doc__)
-    add = used.add_argument
-    add("scene", type=file_name, metavar="SCENE.xml")
-    text = f"how near each pixel's mean is to be ({_ERROR}, or {_ERROR_OF_CODES} with --codes)"
-    add("--error", type=_error, metavar="E", help=text)
-    text = "be content with a pixel as soon as its 8-bit code is the only one possible"
-    add("--codes", action="store_true", help=text)
-    text = "the picture to write (SCENE.xml.certified.png)"
-    add("-o", "--output", type=file_name, metavar="OUT.png", help=text)
-    text = "count this picture's codes that are certainly wrong"
-    add("--judge", type=Path, metavar="PICTURE.png", help=text)
-    add("--bounds", type=file_name, metavar="OUT.png", help="draw how wide the bounds are")
-    given = used.parse_args(argv)
-    output = given.output or f"{given.scene}.certified.png"
-    targets = [Path(path) for path in (output, given.bounds) if path]
-    forbid_overwriting_inputs(used, targets, [Path(given.scene), *filter(None, [given.judge])])
-    if len(targets) == 2 and targets[0] == targets[1]:
-        used.error("-o and --bounds: one file cannot be both")
-    error, wrong = given.error or (_ERROR_OF_CODES if given.codes else _ERROR), 0
-    where, what, start = given.scene, "read", perf_counter()
-    try:
-        scene = load_scene(given.scene)
-        if given.judge:
-            where = str(given.judge)
-            judged, (width, height) = read_picture(given.judge).codes, (scene.width, scene.height)
-            if judged.shape != (height, width, 3):
-                size = f"{judged.shape[1]} x {judged.shape[0]}"
-                raise ValueError(f"its size is {size}, the scene's {width} x {height}")
-        where, what = given.scene, "certified"
-        hidden = None if sys.stderr is None else not sys.stderr.isatty()
-        with tqdm(total=100, unit="%", leave=False, disable=hidden) as bar:
-            made = certify(
-                scene, float(error), codes=given.codes, progress=lambda part: bar.update(100 * part)
-            )
-        lines, seconds = _report(made, error, given.codes), perf_counter() - start
-        if given.judge:
-            wrong, verdict = judgement(made, judged)
-            lines.append(f"{given.judge}: {verdict}")
-        where, what = output, "written"
-        write_png(output, made.image)
-        if given.bounds:
-            where = given.bounds
-            with atomic_file(given.bounds, b"\x89PNG\r\n\x1a\n") as file:
-                file.write(bounds_chart(made))
-        where, what = "standard output", "written"
-        for line in [*lines, f"{output}: {made.cells} cells in {seconds:.2f} s"]:
-            print_result(sys.stdout, printable(line))
-    except SceneFileError as failure:
-        print_line(sys.stderr, str(failure))
-        return 3
-    except (*UNREADABLE, RuntimeError) as failure:
-        why = reason(failure, "make the image smaller")
-        print_line(sys.stderr, printable(f"{where}: cannot be {what}: {why}"))
-        return 3
-    return 1 if wrong else 0
+    row, column, channel = worst = np.unravel_index(excess.argmax(), excess.shape)
+    ends = sorted({low[worst], high[worst]})
+    position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst]}"
+    wanted = f"must be {' to '.join(map(str, ends))}"
+    verdict = f"{count} of {codes.size} codes are certainly wrong, by up to {excess.max()}"
+    return count, f"{verdict}, {position} and {wanted}"

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from reference.command import parser, forbid_overwriting_inputs
+from reference.command import forbid_overwriting_inputs, parser
 from reference.figures import figures, linear, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel

@@ -29,7 +29,7 @@ from converters.to_mitsuba import TROUBLE, describe_error
 from converters.variant import use
 from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
-from reference.command import BUILD, HERE, own_scenes, parser, forbid_overwriting_inputs
+from reference.command import BUILD, HERE, forbid_overwriting_inputs, own_scenes, parser
 from reference.figures import amplified
 from reference.measured.measurements import measured_on
 from reference.page import TEMPLATE, Cell, Pair

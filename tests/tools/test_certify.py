@@ -1,4 +1,4 @@
-"""The command that certifies: what it prints, writes and refuses."""
+"""The command that certifies pictures: its output, its verdicts and its failures."""
 
 from __future__ import annotations
 
@@ -13,83 +13,95 @@ from scene_files import small
 from reference.certify import judgement, main
 from reference.judges.certificate import certify
 from tracer import Camera, render, save_scene, to_codes, write_png
+from tracer.command.failure import Failure
+
+MISSING, OTHER = "No such file or directory", "choose another with -o"
 
 
 @pytest.fixture
 def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The scene "room" with 32 x 18 pixels, as room.xml in an empty working folder."""
     monkeypatch.chdir(tmp_path)
     save_scene(small("room", 32, 18), path := tmp_path / "room.xml")
     return path
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], str]:
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str]]:
+    """Run the command; return its exit status and the lines that it prints."""
     status = main(arguments)
-    printed = capsys.readouterr()
-    return status, printed.out.splitlines(), printed.err
+    return status, capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.usefixtures("room")
-def test_a_picture_is_written_with_its_bounds(capsys: pytest.CaptureFixture[str]) -> None:
-    status, lines, _ = run(capsys, "room.xml", "--error", "1/64", "--bounds", "bounds.png")
-    made = certify(small("room", 32, 18), 1 / 64)
+def test_a_picture_is_written_and_described(capsys: pytest.CaptureFixture[str]) -> None:
+    status, lines = run(capsys, "room.xml", "--error", "1/64")
+    certificate = certify(small("room", 32, 18), 1 / 64)
     assert status == 0
     within, certain, last = lines
     assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
-    assert certain.startswith(f"{made.is_certain.sum()} of 576 pixels have certain codes, ")
-    assert last.startswith(f"room.xml.certified.png: {made.cells} cells in ")
+    count = certificate.is_certain.sum()
+    assert certain == f"{count} of 576 pixels have certain codes, {count / 576:.2%}"
+    assert last.startswith(f"room.xml.certified.png: {certificate.cells} cells in ")
     with Image.open("room.xml.certified.png") as picture:
-        np.testing.assert_array_equal(np.asarray(picture), made.codes)
-    with Image.open("bounds.png") as bounds:
-        assert bounds.width > 500
+        np.testing.assert_array_equal(np.asarray(picture), certificate.codes)
 
 
 @pytest.mark.usefixtures("room")
-def test_a_picture_is_judged(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = "room.xml", "-o", "out.png", "--codes", "--judge"
-    assert run(capsys, *arguments, "room.png")[0] == 3
+def test_codes_that_are_certainly_wrong_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = "room.xml", "-o", "out.png", "--codes", "--judge", "room.png"
+    with pytest.raises(Failure, match=r"room\.png: cannot be read: No such file or directory"):
+        main(arguments)
     run(capsys, "room.xml", "-o", "room.png", "--codes")
-    assert run(capsys, *arguments, "room.png")[1][2] == "room.png: no code is certainly wrong"
+    assert run(capsys, *arguments)[1][2] == "room.png: no code is certainly wrong"
     codes = np.array(Image.open("room.png"))
-    codes[7, 5, 1] -= 60
-    Image.fromarray(codes).save("room.png")
-    status, lines, _ = run(capsys, *arguments, "room.png")
-    assert status == 1
-    told = "room.png: 1 of 1728 codes are certainly wrong, by up to 60, at 5,7, where G is "
-    assert lines[2] == f"{told}{codes[7, 5, 1]} and must be {codes[7, 5, 1] + 60}"
+    right = int(codes[7, 5, 1])
+    for wrong in (right - 60, right + 60):
+        codes[7, 5, 1] = wrong
+        Image.fromarray(codes).save("room.png")
+        status, lines = run(capsys, *arguments)
+        assert status == 1
+        verdict = "room.png: 1 of 1728 codes are certainly wrong, by up to 60, at 5,7, where G is "
+        assert lines[2] == f"{verdict}{wrong} and must be {right}"
 
 
-def test_one_sample_a_pixel_is_wrong_at_edges() -> None:
+def test_codes_within_the_bounds_are_not_wrong() -> None:
+    """A single sample per pixel has wrong codes at edges, many samples have few."""
     scene = small("room", 32, 18)
-    made = certify(scene, 1 / 1024)
-    few, many = (judgement(made, to_codes(render(scene, n)))[0] for n in (1, 1024))
-    assert many < few / 20
+    certificate = certify(scene, 1 / 1024)
+    wrong = [judgement(certificate, to_codes(render(scene, n)))[0] for n in (1, 1024)]
+    assert wrong[1] < wrong[0] / 20
+    for bound in (certificate.low, certificate.high):
+        assert judgement(certificate, to_codes(bound))[0] == 0
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "told"),
+    ("arguments", "status", "message"),
     [
-        ("none.xml", 3, "none.xml: cannot be read: No such file or directory"),
+        ("none.xml", 3, f"none.xml: cannot be read: {MISSING}; check the path and its permissions"),
         ("on.xml", 3, "on.xml: cannot be certified: the eye is on a surface; move it off"),
-        ("room.xml --judge small.png", 3, "its size is 4 x 3, the scene's 32 x 18"),
+        (
+            "room.xml --judge small.png",
+            3,
+            "small.png: cannot be judged: its size is 4 x 3, the scene's 32 x 18;"
+            " choose a picture of that size",
+        ),
         ("room.xml --error 0", 2, "--error: must be a number or fraction above 0, is '0'"),
-        ("room.xml --error 1/0", 2, "must be a number or fraction above 0, is '1/0'"),
-        ("room.xml -o room.xml", 2, "this would replace an input; choose another with -o"),
-        ("room.xml -o a.png --bounds a.png", 2, "one file cannot be both"),
-        ("room.xml -o none/a.png", 3, "none/a.png: cannot be written: No such file or directory"),
-        ("room.xml --bounds room.xml/b", 3, "room.xml/b: cannot be written: Not a directory"),
+        ("room.xml --error 1/0", 2, "--error: must be a number or fraction above 0, is '1/0'"),
+        ("room.xml -o room.xml", 2, f"room.xml: this would replace an input; {OTHER}"),
+        ("room.xml -o no/a.png", 3, f"no/a.png: cannot be written: {MISSING}; {OTHER}"),
     ],
 )
-def test_what_is_refused(
-    arguments: str, status: int, told: str, room: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("room")
+def test_one_line_says_why_the_command_fails(
+    arguments: str, status: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_png("small.png", np.zeros((3, 4, 3)))
     save_scene(replace(small("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml"))
-    try:
-        ended = main(arguments.split())
-    except SystemExit as usage:
-        ended = usage.code
-    error = capsys.readouterr().err
-    assert ended == status
-    assert told in error
-    assert status == 2 or error.count("\n") == 1
-    assert not list(room.parent.glob(".*"))
+    with pytest.raises((Failure, SystemExit)) as caught:
+        main(arguments.split())
+    if isinstance(caught.value, Failure):
+        assert (str(caught.value), caught.value.status) == (message, status)
+    else:
+        assert caught.value.code == status
+        assert message in capsys.readouterr().err
+    assert not list(Path().glob(".*"))
