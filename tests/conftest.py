@@ -1,4 +1,4 @@
-"""What several test files share."""
+"""Options, limits and fixtures of all tests."""
 
 import math
 import os
@@ -11,20 +11,22 @@ from hypothesis import settings
 
 from tracer.antialias import refine as antialias
 
-# Quick tests try the same examples each time; thorough ones try others, by the seed that `.ci/run`
-# gives, and ten times as many where a test does not say how many.
+# Examples of each Hypothesis test; a test may ask for a multiple of them.  The quick profile
+# tries the same examples in every run, the thorough profile others, by the seed from `.ci/run`.
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=300, deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    text = "fail if a test is skipped for lack of anything but these, separated by commas"
-    parser.addoption("--expect-skips", metavar="NAMES", help=text)
+    text = (
+        "fail if a test is skipped, unless for lack of one of these programs, separated by commas"
+    )
+    parser.addoption("--expect-skips", metavar="PROGRAMS", help=text)
 
 
 def need(program: str) -> str:
-    """The path of a program; without it the test is skipped, which CI has to expect."""
+    """Return the path of a program, or skip the test: see `--expect-skips`."""
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"{program} is not installed")
@@ -33,12 +35,12 @@ def need(program: str) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail on skips that nobody expects: they may hide what no longer works."""
+    """Fail if a test was skipped for a reason that is not expected: it may hide a failure."""
     expected = session.config.getoption("--expect-skips")
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if expected is None or reporter is None:
         return
-    # Facts about the machine, which nothing that is installed changes.
+    # These are facts about the machine, which no installation changes.
     known = {"Skipped: there is one processor", "Skipped: other C libraries do as they do"}
     known |= {f"Skipped: {name} is not installed" for name in expected.split(",")}
     reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
@@ -49,13 +51,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No picture is so full of outlines that it is made of lattices."""
+    """Never replace the subdivision of pixels by lattices, which are faster in crowded pictures."""
     monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
 
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """A scene that is soon rendered, in a folder of its own."""
+    """Write a small scene file into an empty folder; return its path."""
     text = (Path(__file__).parents[1] / "scenes/one-sphere.xml").read_text(encoding="utf-8")
     path = tmp_path / "small.xml"
     path.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
@@ -64,13 +66,13 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def odd(small: Path) -> Path:
-    """The same, by a name that is no text, and more than a line."""
+    """Return the path of a scene file whose name is not UTF-8, and contains a line break."""
     return small.rename(small.with_name(os.fsdecode(b"\xff\n.xml")))
 
 
 @pytest.fixture
-def unread() -> Iterator[int]:
-    """A pipe to write to, which no one reads."""
+def pipe_without_reader() -> Iterator[int]:
+    """Yield the end of a pipe that can be written to; the other end is closed."""
     read, write = os.pipe()
     os.close(read)
     yield write

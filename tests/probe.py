@@ -1,4 +1,4 @@
-"""Scenes made of a few objects, moved and scaled; notes of calls."""
+"""Scenes that consist of a few surfaces; the arguments with which functions are called."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,36 +22,47 @@ def scene_of(
     size: tuple[int, int],
     lights: list[PointLight] | Vector,
 ) -> Scene:
-    """Surfaces in a picture of so many columns and rows; a bare position is of one white light."""
-    some = lights if isinstance(lights, list) else [PointLight(position=lights)]
+    """Return a scene.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Columns and rows of the picture.
+    lights : list of PointLight, or vector
+        A vector stands for one white light at this position.
+    """
+    lights = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
     return Scene(
-        camera=camera or Camera(), width=width, height=height, lights=some, surfaces=surfaces
+        camera=camera or Camera(), width=width, height=height, lights=lights, surfaces=surfaces
     )
 
 
 def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
-    """Surfaces before a camera at (0, 0, 5)."""
+    """Return a scene of surfaces near the origin, seen from (0, 0, 5)."""
     view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
     return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
 
 
-def a_direction(rng: np.random.Generator) -> Floats:
-    """A unit vector (3,)."""
+def random_direction(rng: np.random.Generator) -> Floats:
+    """Return a random unit vector (3,)."""
     v = rng.normal(size=3)
     return np.asarray(v / np.linalg.norm(v))
 
 
-def colored(*positions: Vector) -> list[PointLight]:
-    """A red, a green and a blue light: each shows in its own channel."""
+def rgb_lights(*positions: Vector) -> list[PointLight]:
+    """Return a red, a green and a blue light: each contributes to one channel."""
     return [
         PointLight(position=position, intensity=color)
         for position, color in zip(positions, np.eye(3)[: len(positions)], strict=True)
     ]
 
 
-def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
-    """The whole scene scaled, then shifted: the picture stays the same."""
+def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
+    """Return a scene in which all lengths are scaled, then all points shifted.
+
+    Its picture is the same, except for rounding.
+    """
 
     def point(v: Vector) -> Vector:
         return v[0] * scale + shift[0], v[1] * scale + shift[1], v[2] * scale + shift[2]
@@ -72,16 +83,16 @@ def moved(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
     )
 
 
-def noted(
-    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, note: Callable[..., Any]
+def record_calls(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, summary: Callable[..., Any]
 ) -> list[Any]:
-    """What `note` makes of the arguments of each call of a function, from now on."""
-    notes: list[Any] = []
+    """Return a list to which each later call of a function appends `summary(*arguments)`."""
+    summaries: list[Any] = []
     real = getattr(owner, name)
 
     def called(*arguments: Any) -> Any:
-        notes.append(note(*arguments))
+        summaries.append(summary(*arguments))
         return real(*arguments)
 
     monkeypatch.setattr(owner, name, called)
-    return notes
+    return summaries

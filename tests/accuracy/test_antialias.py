@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from probe import Surface, noted, scene_of
+from probe import Surface, record_calls, scene_of
 from random_scenes import random_scene
 from scene_files import NAMES, hard_scenes, names
 
@@ -205,7 +205,7 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
     at = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
     lights = [PointLight(position=position, intensity=(0.03,) * 3) for position in at]
     scene = from_afar(wall(9, -1), BALL, light=lights, pixels=24)
-    counts = noted(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
+    counts = record_calls(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
     render(scene, 16)
     assert sum(counts) < 4 * 16 * 24 * 24
     no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 16))
@@ -243,7 +243,7 @@ def test_unresolved_pixels_that_look_alike_are_sampled(monkeypatch):
     scenes = from_afar(back), from_afar(back, bead)
     means = [true_means(scene) for scene in scenes]
     monkeypatch.setattr(antialias, "classify", unresolved)
-    counts = noted(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
+    counts = record_calls(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
     for scene, mean in zip(scenes, means, strict=True):
         counts.clear()
         np.testing.assert_allclose(render(scene, 64), mean, atol=2e-3)
@@ -292,7 +292,7 @@ def test_nearly_exact(hard):
 
 def test_more_lights_than_bits(monkeypatch):
     # A key says what a pixel sees, and which lights reach it: the first of them counts, too.
-    keys = noted(monkeypatch, antialias, "means_of_pixels", lambda center, width: center.id)
+    keys = record_calls(monkeypatch, antialias, "means_of_pixels", lambda center, width: center.id)
     first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)] * 66
     lights = [first, *(replace(each, position=(0, 0, 0)) for each in others)]
     scene = seen(lights, wall(60, -5), red(ball((0, 0, -4), 1.2)), size=(9, 9))

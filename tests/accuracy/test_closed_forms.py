@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from probe import EPS, colored, scene_of
+from probe import EPS, rgb_lights, scene_of
 
 from reference.judges import plain
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, render
@@ -106,7 +106,7 @@ def shading() -> Iterator[Ray]:
         yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], seen)
     yield floor_under((0, 0, 0), 0, shiny(1, 10, 1), 0)
     # Three lights, each in its own channel, twice; radiance is not clipped; no light is no light.
-    lights = colored((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
+    lights = rgb_lights((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
     yield Ray("lights add up", EYE, DOWN, lights, [FLOOR], [1.6, 1.2, 0.56])
     bright = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
     yield Ray("not clipped", EYE, DOWN, bright, [FLOOR], [1000, 1, 0], 0)
@@ -117,7 +117,7 @@ def shading() -> Iterator[Ray]:
     # the normal's components.  Lengths up to 7 are rounded, against the unit.
     ball = Sphere(center=(2, 2, 2), radius=3)
     for n in np.array([(0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)]):
-        lights = colored(*(2 + 3 * n + AXES))
+        lights = rgb_lights(*(2 + 3 * n + AXES))
         yield Ray(f"sphere, normal {n}", 2 + 5 * n, -n, lights, [ball], n.tolist(), 16 * EPS)
     # Each face from outside and, where the opposite face looks at the eye, from inside.
     for axis, sign in product(range(3), (-1, 1)):
@@ -374,7 +374,7 @@ CAMERAS = {
 @pytest.mark.parametrize(("camera", "points"), CAMERAS.values(), ids=CAMERAS)
 def test_points_of_a_wall(camera, points):
     size = len(points[0]), len(points)
-    lights = colored(*((x, y, -7) for x, y in LIGHTS))
+    lights = rgb_lights(*((x, y, -7) for x, y in LIGHTS))
     scene = scene_of(BACKDROP, camera=Camera(**camera), size=size, lights=lights)
     at = np.array(points)[:, :, None] - LIGHTS
     expected = 1 / np.sqrt(1 + (at**2).sum(axis=3))

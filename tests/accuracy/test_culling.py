@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probe import Vector, noted, scene_of
+from probe import Vector, record_calls, scene_of
 from random_scenes import FEW_OBJECTS, random_scene, scenes
 from scene_files import hard_scenes
 
@@ -255,7 +255,9 @@ def test_many_plates_behind_each_other(monkeypatch):
     # They are taken a few rows at a time: memory is for pairs of samples and objects.
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
-    sizes = noted(monkeypatch, radiance_module, "nearest_hits", lambda _, samples: samples.size)
+    sizes = record_calls(
+        monkeypatch, radiance_module, "nearest_hits", lambda _, samples: samples.size
+    )
     monkeypatch.setattr(prepared_scene, "_MAX_SAMPLE_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
@@ -280,7 +282,7 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
     scene = crowd(40, width=48, height=27)
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
     scene = replace(scene, lights=lights)
-    groups = noted(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
+    groups = record_calls(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 9)
     whole = [render(scene, samples) for samples in (1, 16)]
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 4)
@@ -322,12 +324,12 @@ def sizes_found(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> li
     """How many pairs or cells a search of the grid finds at once."""
     sizes, real = [], getattr(owner, name)
 
-    def noted(*arguments):
+    def record_calls(*arguments):
         for found in real(*arguments):
             sizes.append(found[0].size)
             yield found
 
-    monkeypatch.setattr(owner, name, noted)
+    monkeypatch.setattr(owner, name, record_calls)
     return sizes
 
 
@@ -371,7 +373,7 @@ def test_candidates_are_found_some_at_a_time(monkeypatch):
 def test_no_packet_is_without_end(up, high, monkeypatch):
     # At the limits of the format a pixel sees a floor over 1e150 times its own width; cells of the
     # grid that such packets reach would be no numbers if they were infinite.
-    radii = noted(monkeypatch, LightGrid, "query", lambda _, middle, radius, *rest: radius)
+    radii = record_calls(monkeypatch, LightGrid, "query", lambda _, middle, radius, *rest: radius)
     floor, far = Box(min_pt=(-1e75, -1, -1e75), max_pt=(1e75, 0, 1e75)), (0, 1e75, -9e74)
     ball = Sphere(center=(0, 0.5, -3), radius=0.5)
     camera = Camera(view_point=(0, up, 0), view_width=1, view_height=high)
@@ -390,6 +392,6 @@ def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere(monkeypatch
     balls = [Sphere(center=(x, 0.1, z), radius=0.1) for x, z in at]
     camera = Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1))
     scene = scene_of(floor, *balls, camera=camera, size=(64, 64), lights=(30, 40, 20))
-    tried = noted(monkeypatch, Spheres, "occludes", lambda _, eye, owner, *rest: owner.size)
+    tried = record_calls(monkeypatch, Spheres, "occludes", lambda _, eye, owner, *rest: owner.size)
     render(scene, samples=4)
     assert 0 < sum(tried) < 64 * 64

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from probe import EPS, moved
+from probe import EPS, scale_and_shift
 from random_scenes import KINDS, random_scene
 
 from tracer import Lambertian, Scene, render
@@ -38,7 +38,7 @@ def test_the_picture_stays_the_same(kind, samples, monkeypatch):
         image = render(scene, samples)
         # Powers of two commute with every rounding, as long as no square leaves the range.
         for power in (-200, -1, 40, 200):
-            assert np.array_equal(render(moved(scene, 2.0**power), samples), image), power
+            assert np.array_equal(render(scale_and_shift(scene, 2.0**power), samples), image), power
         twice = replace(scene, surfaces=[*scene.surfaces[:]] * 2)
         assert np.array_equal(render(twice, samples), image)
         # Three terms, all positive: two roundings each way.

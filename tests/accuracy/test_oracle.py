@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probe import a_direction, colored, moved, scene_of
+from probe import random_direction, rgb_lights, scale_and_shift, scene_of
 from random_scenes import FEW_OBJECTS, KINDS, random_scene, scenes
 from scene_files import NAMES, names, small
 
@@ -107,7 +107,7 @@ def test_the_oracle_sees_scenes_of_any_size(scale):
     scene = small("one-sphere", 16, 12)
     exact = plain.render(scene, arithmetic="decimal")
     assert exact.max() > 0.5
-    scaled = plain.render(moved(scene, scale), arithmetic="decimal")
+    scaled = plain.render(scale_and_shift(scene, scale), arithmetic="decimal")
     np.testing.assert_allclose(scaled, exact, rtol=0, atol=1e-14)
 
 
@@ -180,7 +180,7 @@ def test_own_scenes(name):
 def test_scaled_and_shifted(kind, scale, offset):
     shift = np.array(offset) * scale
     several = (random_scene(kind, seed, 7, 5) for seed in range(2))
-    hold((moved(scene, scale, shift) for scene in several), 3e-14, 0.9)
+    hold((scale_and_shift(scene, scale, shift) for scene in several), 3e-14, 0.9)
 
 
 @pytest.mark.parametrize("distance", [1e4, 1e6, 1e8])
@@ -219,17 +219,17 @@ def test_distance_and_offset_over_radius(distance, offset, promise, radius):
 
     def ball() -> Scene:
         """A ball that fills a picture of 5 x 5, seen from a random direction."""
-        direction, center = a_direction(rng), a_direction(rng) * offset * radius
-        lights = [center + (a_direction(rng) * 3 - direction * 4) * radius for _ in range(3)]
+        direction, center = random_direction(rng), random_direction(rng) * offset * radius
+        lights = [center + (random_direction(rng) * 3 - direction * 4) * radius for _ in range(3)]
         # Rays at the corners pass at 0.7 sqrt(2) = 0.99 radii, at most: nearer the silhouette the
         # normal of any rounded ray errs by 1 / cosine.
         size = 1.4 * radius * 5 / 4
         camera = Camera(view_point=center - direction * distance * radius,
-                        view_dir=direction, view_up=a_direction(rng),
+                        view_dir=direction, view_up=random_direction(rng),
                         proj_distance=distance * radius, view_width=size,
                         view_height=size)  # fmt: skip
         surface = Sphere(center=center, radius=radius)
-        return scene_of(surface, camera=camera, size=(5, 5), lights=colored(*lights))
+        return scene_of(surface, camera=camera, size=(5, 5), lights=rgb_lights(*lights))
 
     assert worst(ball() for _ in range(4)) <= promise
 
@@ -245,7 +245,7 @@ def test_ground_radius_over_height(ratio, height):
         flat = math.cos(slope)
         ahead = (flat * math.cos(turn), -math.sin(slope), flat * math.sin(turn))
         camera = Camera(view_point=(0, height, 0), view_dir=ahead, view_width=0.3, view_height=0.3)
-        lights = colored(*(a_direction(rng) * radius for _ in range(3)))
+        lights = rgb_lights(*(random_direction(rng) * radius for _ in range(3)))
         surface = Sphere(center=(0, -radius, 0), radius=radius)
         return scene_of(surface, camera=camera, size=(5, 5), lights=lights)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
-from running import started
+from running import start_process
 
 from tracer.files import atomic_file
 
@@ -132,7 +132,7 @@ WRITER = """if True:
 
 
 def test_a_killed_writer_leaves_nothing_behind(tmp_path):
-    with started(tmp_path / "there", python=("-c", WRITER)) as process:
+    with start_process(tmp_path / "there", python=("-c", WRITER)) as process:
         assert process.stdout.readline() == "begun\n"
         process.kill()
     assert contents(tmp_path) == []

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import tqdm
 from PIL import Image
-from running import ROOT, SCENE, names, peak, run, started, told, wait_until
+from running import ROOT, SCENE, drop_jit, file_names, peak_memory, run, start_process, wait_until
 
 import tracer
 from converters import to_mitsuba
@@ -57,7 +57,7 @@ def test_pictures_are_written_where_they_should_be(scene, arguments, made):
     assert (status, err) == (0, "")
     lines = [re.escape(name) + r": \d+ x \d+ pixels in \d+\.\d{3} s\n" for name in made]
     assert re.fullmatch("".join(lines), out)
-    assert names(scene.parent) == sorted([*made, "there/other.xml"])
+    assert file_names(scene.parent) == sorted([*made, "there/other.xml"])
     size = (80, 60) if "--size" in arguments else (40, 30)
     right = replace(tracer.load_scene(scene), width=size[0], height=size[1])
     expected = tracer.to_codes(tracer.render(right, 4 if "--samples" in arguments else 1))
@@ -81,7 +81,7 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path, module, m
     (tmp_path / f"{package}.py").write_text(stub)
     status, out, err = run(python=("-m", module), env={"PYTHONPATH": f"{tmp_path}:{ROOT}"})
     error += f"; install it with python -m pip install {package.replace('PIL', 'pillow')}\n"
-    assert (status, out, told(err)) == (2, "", error)
+    assert (status, out, drop_jit(err)) == (2, "", error)
 
 
 def test_version_and_help():
@@ -130,7 +130,7 @@ def test_wrong_usage(scene, monkeypatch, capsys, arguments, error):
         cli.main(arguments.split())
     out, err = capsys.readouterr()
     assert (out, err.splitlines()[-1]) == ("", f"tracer: error: {error}")
-    assert names(scene.parent) == []
+    assert file_names(scene.parent) == []
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
         " check the path and its permissions",
     ]
     assert out.startswith(f"{scene}.png: ")
-    assert names(scene.parent) == ["ball.xml.png", "faulty.xml"]
+    assert file_names(scene.parent) == ["ball.xml.png", "faulty.xml"]
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_a_picture_that_cannot_be_written(scene, monkeypatch, capsys, output, re
     assert cli.main(["ball.xml", "-o", output]) == 1
     error = f"{output}: cannot be written: {reason}; choose another with -o\n"
     assert capsys.readouterr() == ("", error)
-    assert names(scene.parent) == ["text.png"]
+    assert file_names(scene.parent) == ["text.png"]
     assert Path("text.png").read_text() == "<scene/>"
     assert Path("/dev/null").is_char_device()
 
@@ -215,7 +215,7 @@ def test_little_memory(scene, size, megabytes, error):
     """
     status, _, err = run(scene, python=("-c", script))
     assert (status, err) == (1 if error else 0, error and f"{scene}: {error}")
-    assert names(scene.parent) == ([] if error else ["ball.xml.png"])
+    assert file_names(scene.parent) == ([] if error else ["ball.xml.png"])
 
 
 @pytest.mark.parametrize("megabytes", [20, 40])
@@ -227,14 +227,14 @@ def test_too_little_memory_to_load_numpy(scene, megabytes):
     )
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert re.match(r"the command cannot start: .*[.]so.*; give it more memory, or", err)
-    assert names(scene.parent) == []
+    assert file_names(scene.parent) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(1 << 28, 1), (1, 1 << 28)])
 def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size):
     scene.write_text(SCENE.format(*size))
-    assert peak(sys.executable, "-m", "tracer", str(scene), "--quiet") < 150
+    assert peak_memory(sys.executable, "-m", "tracer", str(scene), "--quiet") < 150
     assert Path(f"{scene}.png").stat().st_size > 100_000
 
 
@@ -254,7 +254,7 @@ def test_a_picture_that_cannot_be_drawn(scene, monkeypatch, capsys, draw, error)
     monkeypatch.setattr("tracer.picture.render.RenderJob.render_tile", draw)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
-    assert names(scene.parent) == []
+    assert file_names(scene.parent) == []
 
 
 # As on systems whose files have a name from the first.
@@ -266,12 +266,12 @@ def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene)
     scene.write_text(SLOW)
     picture = scene.with_name("ball.xml.png")
     picture.write_bytes(PNG + b"precious")
-    process = started(scene, python=("-c", NAMED))
-    wait_until(lambda: len(names(scene.parent)) > 1)
+    process = start_process(scene, python=("-c", NAMED))
+    wait_until(lambda: len(file_names(scene.parent)) > 1)
     for _ in range(5):
         process.send_signal(signal.SIGTERM)
     assert (*process.communicate(timeout=30), process.returncode) == ("", "", 130)
-    assert names(scene.parent) == ["ball.xml.png"]
+    assert file_names(scene.parent) == ["ball.xml.png"]
     assert picture.read_bytes() == PNG + b"precious"
 
 
@@ -279,30 +279,34 @@ def test_an_interrupt_leaves_nothing_half_written_under_a_name_of_its_own(scene)
 def test_signals_that_the_caller_ignores(scene, ignored):
     """As in the background of a script; or in servers, where no process waits for its children."""
     ignore = lambda: signal.signal(ignored, signal.SIG_IGN)  # noqa: E731
-    process = started(scene, "--quiet", "--processes", 2, preexec_fn=ignore)
+    process = start_process(scene, "--quiet", "--processes", 2, preexec_fn=ignore)
     while process.poll() is None:
         process.send_signal(ignored)
         time.sleep(0.01)
     assert (*process.communicate(), process.returncode) == ("", "", 0)
-    assert names(scene.parent) == ["ball.xml.png"]
+    assert file_names(scene.parent) == ["ball.xml.png"]
 
 
-def test_no_one_reads_the_output_or_the_errors(scene, unread):
+def test_no_one_reads_the_output_or_the_errors(scene, pipe_without_reader):
     other = scene.with_name("other.xml")
     other.write_text(SCENE.format(3, 3))
-    assert run(scene, other, stdout=unread) == (0, None, "")
-    assert names(scene.parent) == ["ball.xml.png", "other.xml", "other.xml.png"]
+    assert run(scene, other, stdout=pipe_without_reader) == (0, None, "")
+    assert file_names(scene.parent) == ["ball.xml.png", "other.xml", "other.xml.png"]
     Path(f"{scene}.png").unlink()
-    assert run("none.xml", scene, stderr=unread)[0] == 1
+    assert run("none.xml", scene, stderr=pipe_without_reader)[0] == 1
     with Path("/dev/full").open("w") as full:
         assert run(other, stdout=full) == (0, None, "")
         assert run("--version", stdout=full, env={"PYTHONUNBUFFERED": ""})[0] == 1
         error = "-: cannot be written: No space left on device; choose another with -o\n"
         assert run(other, "-o", "-", stdout=full) == (1, None, error)
-    assert names(scene.parent) == ["ball.xml.png", "other.xml", "other.xml.png"]
-    assert run(scene, "-o", "-", stdout=unread) == (141, None, "")
-    assert run(scene, "--pixel", "3,3", stdout=unread) == (141, None, "")
-    assert run("--help", stdout=unread, env={"PYTHONUNBUFFERED": ""}) == (141, None, "")
+    assert file_names(scene.parent) == ["ball.xml.png", "other.xml", "other.xml.png"]
+    assert run(scene, "-o", "-", stdout=pipe_without_reader) == (141, None, "")
+    assert run(scene, "--pixel", "3,3", stdout=pipe_without_reader) == (141, None, "")
+    assert run("--help", stdout=pipe_without_reader, env={"PYTHONUNBUFFERED": ""}) == (
+        141,
+        None,
+        "",
+    )
 
 
 def test_names_that_the_terminal_cannot_show(scene):
@@ -376,14 +380,14 @@ def test_standard_input_and_output(scene):
     status, _, err = run("-", "-o", "x.png", input="<scene>", cwd=scene.parent)
     assert status == 1
     assert ":1: " in err
-    assert names(scene.parent) == ["ball.xml.png"]
+    assert file_names(scene.parent) == ["ball.xml.png"]
 
 
 def test_watch(scene):
     """A file that is saved, is faulty, is mended, is replaced, is removed."""
     other = scene.with_name("other.xml")
     other.write_text(SCENE.format(3, 3))
-    with started(scene, other, "--watch") as process:
+    with start_process(scene, other, "--watch") as process:
         out, err = process.stdout, process.stderr
         assert "ball.xml.png: 40 x 30" in out.readline()
         assert "other.xml.png: 3 x 3" in out.readline()

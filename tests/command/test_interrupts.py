@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, SCENE, run, started, told, wait_until
+from running import INTERRUPTS, SCENE, drop_jit, run, start_process, wait_until
 
 from tracer import write_png
 
@@ -54,7 +54,7 @@ def start(command: str, folder: Path) -> subprocess.Popen[str]:
     """Start a command, and wait until it handles signals: before that Python itself starts."""
     mine = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
     python = ["-m", *command.split()]
-    process = started(python=python, cwd=folder, env=mine, start_new_session=True)
+    process = start_process(python=python, cwd=folder, env=mine, start_new_session=True)
     status = Path(f"/proc/{process.pid}/status")
     while process.poll() is None:
         caught = re.search(r"SigCgt:\s*(\w+)", status.read_text())
@@ -75,7 +75,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
         with suppress(ProcessLookupError):
             send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
-    assert told(err) == "", moment
+    assert drop_jit(err) == "", moment
     wait_until(lambda: not left_running())
     if process.returncode != 130:  # it was done: then its whole result is there
         assert process.returncode in (0, 1, 3)

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from probe import scene_of
-from running import peak
+from running import peak_memory
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 from tracer.world.prepared_scene import PreparedScene
@@ -60,4 +60,4 @@ def test_memory_is_bounded(lights, samples):
     lamps = [PointLight(position=place, intensity=(1e-3,) * 3) for place in places]
     scene = scene_of(Sphere(center=(0, 0, -3)), size=(200, 200), lights=lamps)
     given = pickle.dumps((scene, samples))
-    assert peak(sys.executable, "-c", RENDER, given=given) < 250
+    assert peak_memory(sys.executable, "-c", RENDER, given=given) < 250

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from probe import scene_of
-from running import SCENE, run, started, wait_until
+from running import SCENE, run, start_process, wait_until
 
 from tracer import Camera, PointLight, Scene, Sphere, render, save_scene
 from tracer.command import cli
@@ -248,7 +248,7 @@ def workers_of(process: subprocess.Popen[str]) -> Iterator[int]:
 def test_a_killed_worker_costs_time_not_the_picture(large, tmp_path):
     other = tmp_path / "other.png"
     assert run(large, "-o", other, "--quiet", "--processes", 1)[0] == 0
-    with started(large, "--quiet", "--processes", 2) as process:
+    with start_process(large, "--quiet", "--processes", 2) as process:
         for worker in workers_of(process):
             os.kill(worker, signal.SIGKILL)
         assert process.communicate(timeout=120) == ("", "")
@@ -261,7 +261,7 @@ def test_a_killed_worker_costs_time_not_the_picture(large, tmp_path):
 
 @needs_two
 def test_workers_end_with_a_command_that_is_killed(large, tmp_path):
-    with started(large, "--quiet", "--processes", 2) as process:
+    with start_process(large, "--quiet", "--processes", 2) as process:
         workers = list(workers_of(process))
         process.kill()
         assert process.communicate(timeout=60) == ("", "")

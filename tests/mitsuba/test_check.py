@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import scene_files
 from PIL import Image
-from probe import close_up, moved, scene_of
+from probe import close_up, scale_and_shift, scene_of
 from random_scenes import KINDS, random_scene
-from running import names, run
+from running import file_names, run
 
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use
@@ -60,8 +60,8 @@ ODD = {
     ),
     "sun": close_up(BALL, light=(3e20, 5e20, 4e20)),
     # What is written is ten units large, even where float32 could not hold the scene.
-    "tiny": moved(close_up(DOT), 1e-45),
-    "enormous": moved(close_up(DOT), 1e45),
+    "tiny": scale_and_shift(close_up(DOT), 1e-45),
+    "enormous": scale_and_shift(close_up(DOT), 1e45),
     **{
         f"{kind} {seed}": random_scene(kind, seed, 64, 48)
         for kind in ("scattered", "rooms", "far", "walled", "crowd")
@@ -169,11 +169,11 @@ def test_edges_that_differ_are_left_out_up_to_a_share():
     seen = image + 2 * edges[:, :, None]
     assert compare(scene, "edges", by_mitsuba(seen), STOCK).verdict == "undecided"
     # More than one in fifty pixels are too many.
-    moved = render(scene, offset=(0.18, 0.18))
-    far = np.abs(moved - image).max(axis=2) > 1e-2
+    scale_and_shift = render(scene, offset=(0.18, 0.18))
+    far = np.abs(scale_and_shift - image).max(axis=2) > 1e-2
     assert 0.02 < far.mean() < 0.03
-    moved = np.where(far[:, :, None], moved, image)
-    result = compare(scene, "edges", by_mitsuba(moved), Limits(1e-3, 0.18))
+    scale_and_shift = np.where(far[:, :, None], scale_and_shift, image)
+    result = compare(scene, "edges", by_mitsuba(scale_and_shift), Limits(1e-3, 0.18))
     assert (result.verdict, result.edges.sum()) == ("undecided", 0)
 
 
@@ -275,7 +275,7 @@ def test_commands_end_with_the_status_of_the_verdict(
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: image + by_tracer)
     assert command([*VARIANT, str(small), "-o", f"{small.parent}/made/"]) == status
     assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
-    assert names(small.parent / "made") == [made]
+    assert file_names(small.parent / "made") == [made]
 
 
 @pytest.mark.parametrize("command", [main, report.main])

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from probe import close_up, moved, scene_of
+from probe import close_up, scale_and_shift, scene_of
 from running import run
 from scene_files import small
 
@@ -62,7 +62,7 @@ def test_the_exact_flavour_asks_for_an_rgb_variant(tmp_path):
 )
 def test_stock_pictures_at_any_scale_and_place(scale, offset):
     scene = load_small(SCENES / "four-spheres.xml")
-    there = render_mitsuba(moved(scene, scale, (offset,) * 3), 16, None, "stock")
+    there = render_mitsuba(scale_and_shift(scene, scale, (offset,) * 3), 16, None, "stock")
     assert figures(there, render_mitsuba(scene, 16, None, "stock")).ssim > 0.99
 
 
@@ -105,7 +105,7 @@ def test_stock_scenes_stay_where_they_are():
     assert own_scenes()
     for path in own_scenes():
         assert "moved and scaled" not in stock(load_small(path))
-    assert "moved and scaled" in stock(moved(TINY, 1, (1e6,) * 3))
+    assert "moved and scaled" in stock(scale_and_shift(TINY, 1, (1e6,) * 3))
 
 
 def test_stock_matte_picture_is_exact_at_the_distance_that_counts():
@@ -182,7 +182,7 @@ def test_lights_are_as_strong_as_needed_for_what_is_small_or_out_of_view(z, size
     ball = Sphere(center=(0.63, 0.71, z), radius=0.05)
     camera = Camera(view_point=(0, 0, 9), proj_distance=1 / size, view_width=1 / size,
                     view_height=1 / size)  # fmt: skip
-    scene = moved(replace(close_up(ball, light=(0, 20, z)), camera=camera), size)
+    scene = scale_and_shift(replace(close_up(ball, light=(0, 20, z)), camera=camera), size)
     root = ET.fromstring(stock(scene))
     strength = float(root.find(".//emitter/rgb").get("value").split()[0])
     # The scene may have been scaled.

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from PIL import Image
-from running import ROOT, names, run, told
+from running import ROOT, drop_jit, file_names, run
 
 from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
@@ -28,7 +28,7 @@ COMMAND = ["-m", "converters.to_mitsuba"]
 def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, options, written):
     for _ in range(2):
         assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
-        assert {*names(small.parent)} == {written, "small.xml"}
+        assert {*file_names(small.parent)} == {written, "small.xml"}
     scene = small.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: left out, for it is a converted scene\n" in capsys.readouterr().out
@@ -47,15 +47,15 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, nam
     assert error.startswith(f"{name}{message}")
     assert error.count("\n") == 1
     made = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
-    assert {*names(tmp_path / "made")} == made
+    assert {*file_names(tmp_path / "made")} == made
 
 
 @pytest.mark.parametrize("what", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
-def test_no_one_reads_the_output(small, unread, what):
+def test_no_one_reads_the_output(small, pipe_without_reader, what):
     target = small.with_name("written.png" if what else "written")
-    status, _, err = run(*what, small, "-o", target, python=COMMAND, stdout=unread)
+    status, _, err = run(*what, small, "-o", target, python=COMMAND, stdout=pipe_without_reader)
     # Dr.Jit says there if it has found no libLLVM.
-    assert (status, told(err)) == (0, "")
+    assert (status, drop_jit(err)) == (0, "")
     assert target.exists()
 
 
@@ -67,7 +67,7 @@ def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
     wrong = f"{other}: cannot be written: a file of another kind is there\n"
     assert capsys.readouterr().err == wrong
     assert other.read_text() == "<scene>"
-    assert {*names(small.parent)} == {other.name, "small.xml"}
+    assert {*file_names(small.parent)} == {other.name, "small.xml"}
     use()
 
 
@@ -120,8 +120,8 @@ def test_what_is_not_installed_is_told(small, option, module, stub, message):
     small.with_name(f"{module}.py").write_text(stub or missing)
     path = {"PYTHONPATH": small.parent}
     status, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
-    assert (status, told(err).count("\n")) == (1, 1)
-    assert told(err).startswith(message)
+    assert (status, drop_jit(err).count("\n")) == (1, 1)
+    assert drop_jit(err).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_what_is_not_installed_is_told(small, option, module, stub, message):
 def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
     output = ["-o", str(small.with_name(named))] if named else []
     assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small), *output]) == 0
-    assert {*names(small.parent)} == {"small.xml", *written.split()}
+    assert {*file_names(small.parent)} == {"small.xml", *written.split()}
     png, exr = (small.with_name(name) for name in written.split())
     shown = np.asarray(Image.open(png, formats=["PNG"]))
     radiance = np.array(mi.Bitmap(str(exr)))
@@ -171,7 +171,7 @@ def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, 
         assert main(["--flavour", flavour, str(small)]) == 1
         error = capsys.readouterr().err
         assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
-    assert {*names(small.parent)} == {"small.xml"}
+    assert {*file_names(small.parent)} == {"small.xml"}
 
 
 def test_what_is_no_number_is_told():
@@ -231,4 +231,4 @@ def test_variants_without_rgb_are_refused(small, variant, capsys):
     assert first.startswith(wrong)
     assert SCALAR in first
     assert "spectral" not in first.removeprefix(wrong)
-    assert names(small.parent) == ["small.xml"]
+    assert file_names(small.parent) == ["small.xml"]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from running import run, started
+from running import run, start_process
 from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
@@ -233,7 +233,7 @@ def test_a_worker_that_dies_takes_one_result_with_it(monkeypatch: pytest.MonkeyP
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """Whatever they are at: they hold their ends of its pipes for as long as they live."""
     script = "import time; from reference.handins.workers import shared"
-    process = started(python=("-c", f"{script}; [*shared(time.sleep, [600] * 8, str)]"))
+    process = start_process(python=("-c", f"{script}; [*shared(time.sleep, [600] * 8, str)]"))
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(children.read_text(encoding="ascii").split()) < 3:  # two, and a tracker of resources
         assert process.poll() is None
