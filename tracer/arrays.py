@@ -89,7 +89,7 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
     return places
 
 
-def changes(*values: NDArray[Any]) -> Bools:
+def run_starts(*values: NDArray[Any]) -> Bools:
     """Mask of elements (n,) that differ from those before them, in any array; the first do."""
     change = np.ones(values[0].size, dtype=np.bool_)
     later = np.not_equal(values[0][1:], values[0][:-1], out=change[1:])
@@ -100,7 +100,7 @@ def changes(*values: NDArray[Any]) -> Bools:
 
 def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
     """Starts of runs of neighbours that are equal in all arrays, and their lengths."""
-    first = indices(changes(*values))
+    first = indices(run_starts(*values))
     return first, np.append(first[1:], values[0].size) - first
 
 

@@ -129,7 +129,7 @@ class Solution:
         found = []
         for k in np.unique(d.surface[wrong]):
             on = d.surface == k
-            name = str(SurfaceRef.of(self.scene, int(k))) if k >= 0 else "the background"
+            name = str(SurfaceRef.from_index(self.scene, int(k))) if k >= 0 else "the background"
             number = int((wrong & on).sum())
             text = f"{number} of {on.sum()} on {name}{_brighter(change[:, wrong & on])}"
             found.append((number, text))

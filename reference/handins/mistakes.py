@@ -63,7 +63,7 @@ def mistakes_of(scene: Scene) -> dict[str, Mistake]:
     """
     lines = [f" (line {light.line})" if light.line else "" for light in scene.lights]
     named = {
-        "{surface}": [str(SurfaceRef.of(scene, k)) for k in range(len(scene.surfaces))],
+        "{surface}": [str(SurfaceRef.from_index(scene, k)) for k in range(len(scene.surfaces))],
         "{light}": [f"Light {k}{line}" for k, line in enumerate(lines)],
     }
     found = {}

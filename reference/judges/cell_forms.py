@@ -213,7 +213,7 @@ class CellForms:
         coef, (u, v, w) = np.zeros((8, cell.size)), k
         coef[C] = u * self._right[cell] + v * self._down[cell] + w * self.faces.frame.depth
         coef[X], coef[Y] = u * self._half_right, v * self._half_down
-        coef[R] = ROUNDING * self.faces.frame.longest * np.abs(k).sum(axis=0)
+        coef[R] = ROUNDING * self.faces.frame.max_ray_size * np.abs(k).sum(axis=0)
         return Form(coef)
 
     def _half_space(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
@@ -275,7 +275,7 @@ class CellForms:
         faces, cells, frame = self.faces, self.cells, self.faces.frame
         face, cell, is_planar = cells.face, cells.cell, faces.is_planar[cells.face]
         ball, cone, root = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
-        rays, size = self._rays(cell[ball]), np.full(ball.size, frame.longest)
+        rays, size = self._rays(cell[ball]), np.full(ball.size, frame.max_ray_size)
         center, radius = faces.center[:, face[ball]], faces.radius[face[ball]]
         cone[:, ball] = _cone(center, radius, rays, size, rays, size)[0].coef
         self.root2, self.root = Form(cone * faces.w[face] ** 2), Form(root)
@@ -440,7 +440,7 @@ class CellForms:
         position2, center2, c2 = ((end * end).sum(axis=0) for end in (position, center, c))
         k_size = np.abs(faces.k[:, cells.face[pair]]).sum(axis=0)
         q_size, w_size = (
-            faces.frame.longest * (1 + np.sqrt(square) * k_size * 2)
+            faces.frame.max_ray_size * (1 + np.sqrt(square) * k_size * 2)
             for square in (position2, center2)
         )
         u, across = _cone(c, faces.radius[ball], q, q_size, w, w_size)

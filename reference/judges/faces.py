@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 
 from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
-from tracer.geometry.camera import camera_frame
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
@@ -106,11 +105,11 @@ class Faces:
         ValueError
             If the eye is on a surface, or a light is too far away.
         """
-        self.frame = frame = camera_frame(scene.camera, scene.width, scene.height)
-        self.prepared = prepared = PreparedScene(scene, frame)
+        self.prepared = prepared = PreparedScene(scene)
+        self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.lights()
         balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.spheres, self.count = balls.count, eye_inside.size
+        self.spheres, self.count = balls.objects.size, eye_inside.size
         self.light_position = lights.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
@@ -127,7 +126,7 @@ class Faces:
         self._add_shadows(low, high)
         # A light on a side of a box counts as inside for `side`, but reaches what it faces.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
-        box = np.arange(self.spheres, self.count)
+        box = boxes.objects.indices()
         side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
         is_dark = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # With the eye inside a box, such a light does not reach this box from within.
@@ -178,7 +177,7 @@ class Faces:
         self.object_index = joined(np.arange(n), box)
         self.is_planar = self.object_index >= n
         may_be_visible = joined(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
-        self.may_be_visible = may_be_visible & ~prepared.repeated[self.object_index]
+        self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
         """Set the attributes of boxes' shadows, from the corners (3, boxes) relative to the eye.
@@ -221,7 +220,7 @@ class Faces:
             Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.
         """
         prepared, grid, codes = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~prepared.eye_inside & ~prepared.repeated
+        may_block = ~prepared.eye_inside & ~prepared.is_duplicate
         shape = (*active.T.shape, self.count)
         if grid is not None and active.any():
             owner = self.object_index[face]
@@ -248,13 +247,13 @@ class Faces:
         face : (h,) int array
             The face of each hit.
         """
-        samples, order = Scattered.of(x, y)
+        samples, order = Scattered.from_positions(x, y)
         hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            high = (group.sign > 0) ^ self.prepared.eye_inside[group.obj]
-            side = group.obj + group.shape.flat * n * (2 * group.face + high)
-            face[group.part] = group.repeat_runs(side)
+            high = (group.sign > 0) ^ self.prepared.eye_inside[group.run_object]
+            side = group.run_object + group.shape.is_planar * n * (2 * group.face + high)
+            face[group.interval] = group.repeat_runs(side)
         return hits, order[hits.sample], face
 
     def is_lit(self, hits: Hits, active: Bools) -> Bools:

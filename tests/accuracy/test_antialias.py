@@ -34,7 +34,6 @@ from tracer import (
 from tracer.antialias import refine as antialias
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.arrays import Floats
-from tracer.geometry.camera import camera_frame
 from tracer.trace import visibility
 from tracer.trace.radiance import radiance_and_ids
 from tracer.world.prepared_scene import PreparedScene
@@ -258,10 +257,9 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     lights = [PointLight(position=p) for p in ((2, 9, 1), (9, 5, 2), (3, 4, 9))]
     lens = {"eye": (5, 4, 3), "ahead": (-5, -4, -3), "size": (16, 12)}
     scene = seen(lights, ball((1, 0, 2), 0.7), *boxes, **lens)
-    frame = camera_frame(scene.camera, scene.width, scene.height)
     samples = CENTRES.samples(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
-        _, ids = radiance_and_ids(PreparedScene(scene, frame), samples)
+        _, ids = radiance_and_ids(PreparedScene(scene), samples)
     keys = {}
     for (y, x), found in np.ndenumerate(ids.reshape(scene.height, scene.width)):
         pixel = explain(scene, x, y)

@@ -74,7 +74,7 @@ class SampledPoints:
         """Return the radiance (3, n) at random points of cells, and their X and Y in the cells."""
         x, y = self.rng.uniform(-1, 1, (2, cell.size))
         half, radiance = forms.cells.width / 2, np.empty((3, cell.size))
-        samples, order = Scattered.of(
+        samples, order = Scattered.from_positions(
             forms.cells.x[cell] + half * x, forms.cells.y[cell] + half * y
         )
         radiance[:, order] = radiance_at(forms.faces.prepared, samples)
@@ -241,7 +241,7 @@ def test_means_of_cells_with_loose_edges(monkeypatch: Patch) -> None:
         result, half = enclose(forms, *args), forms.cells.width / 2
         for cell in np.flatnonzero(result.loose)[:20]:
             center_x, center_y = forms.cells.x[cell], forms.cells.y[cell]
-            samples, _ = Scattered.of(center_x + half * x, center_y + half * y)
+            samples, _ = Scattered.from_positions(center_x + half * x, center_y + half * y)
             mean = radiance_at(forms.faces.prepared, samples).mean(axis=1)
             excess.append(np.abs(mean - result.mean[:, cell]).max() - result.error[cell])
         return result
@@ -277,7 +277,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
         total, side = np.zeros(3), 2048
         for y in (np.arange(side) + 0.5) / side:
             x = column + (np.arange(side) + 0.5) / side
-            samples, _ = Scattered.of(x, np.full(side, row + y))
+            samples, _ = Scattered.from_positions(x, np.full(side, row + y))
             total += radiance_at(prepared, samples).sum(axis=1)
         finer_difference = np.abs(total / side**2 - certified.image[row, column]).max()
         assert finer_difference <= certified.error[row, column] + 2e-5

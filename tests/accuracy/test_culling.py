@@ -46,9 +46,9 @@ def _all_rows(
     shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Every object covers every row."""
-    row, obj = np.indices((rows.size, shape.count)).reshape(2, -1)
+    row, obj = np.indices((rows.size, shape.objects.size)).reshape(2, -1)
     left, right = np.full((row.size, 2), columns).T
-    return obj + shape.first, row, left, right
+    return obj + shape.objects.start, row, left, right
 
 
 @np.errstate(all="ignore")
@@ -57,7 +57,7 @@ def _all_occluders(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     blocked, own, prepared = np.zeros_like(frontlit), hits.hit_object, hits.prepared
     for light, lit, dark in zip(lights.position, frontlit, blocked, strict=True):
         for shape in prepared.shapes:
-            for obj in range(shape.first, shape.first + shape.count):
+            for obj in shape.objects.indices():
                 at = np.flatnonzero(lit & ~dark & (own != obj))
                 end = tuple(np.full((3, at.size), light[:, None]))
                 every, eye, p = np.full(at.size, obj), prepared.frame.eye, hits.points(at)
@@ -73,7 +73,7 @@ def assert_same(scene: Scene) -> None:
     """
     expected = brute_force(scene)
     for part in (1e9, 1e-9, 0.2):
-        with patch("tracer.world.prepared_scene._PART", part):
+        with patch("tracer.world.prepared_scene._PACKET_SCALE", part):
             np.testing.assert_array_equal(render(scene), expected)
             np.testing.assert_array_equal(scattered(scene), expected)
 
@@ -85,9 +85,9 @@ def scattered(scene: Scene) -> Floats:
     times = math.gcd(scene.width, scene.height, 8)
     width, height = scene.width // times, scene.height // times
     coarse = replace(scene, width=width, height=height)
-    prepared = PreparedScene(coarse, camera_frame(coarse.camera, width, height))
+    prepared = PreparedScene(coarse)
     x, y = ((0.5 + np.arange(n)) / times for n in (scene.width, scene.height))
-    samples, order = Scattered.of(np.tile(x, y.size), np.repeat(y, x.size))
+    samples, order = Scattered.from_positions(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
     radiance[:, order] = radiance_at(prepared, samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
@@ -267,11 +267,11 @@ def test_many_plates_behind_each_other(monkeypatch):
 def test_runs_are_of_neighbours():
     # The balls hide parts of the floor's rows: what is left of a row is several runs.
     scene = crowd(200, width=80, height=45)
-    prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
+    prepared = PreparedScene(scene)
     hits = radiance_module.nearest_hits(prepared, CENTRES.samples(slice(0, 45), slice(0, 80)))
     for group in hits.groups:
-        starts = np.append(0, group.counts.cumsum())
-        assert (group.counts > 1).any()
+        starts = np.append(0, group.run_length.cumsum())
+        assert (group.run_length > 1).any()
         for start, stop in pairwise(starts):
             run = group.sample[start:stop]
             assert np.array_equal(run, np.arange(run[0], run[0] + run.size))
@@ -292,7 +292,7 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
             assert np.array_equal(render(scene, samples), image)
     assert {*groups} == {9, 4, 1}
     # Also where all lights together have been prepared before.
-    prepared = PreparedScene(scene, camera_frame(scene.camera, scene.width, scene.height))
+    prepared = PreparedScene(scene)
     sizes = [
         {len(m) for m in (part.grid.light[0], part.side)}
         for part in chain([prepared.lights()], prepared.light_batches)

@@ -199,7 +199,7 @@ def classify(
         all_lines.append(lines)
         unresolved[unresolved_cell] = True
         crowded[crowded_cell] = True
-    radiance[:, sample_cell] = shading.at_samples(np.zeros((3, samples.size)))
+    radiance[:, sample_cell] = shading.radiance()
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()
     max_lines = MAX_LINES if prepared.light_count > _MANY_LIGHTS else _MAX_LINES_FOUND

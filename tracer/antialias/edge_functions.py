@@ -27,12 +27,12 @@ from tracer.arrays import (
     Floats,
     Ints,
     Triple,
-    changes,
     dot,
     indices,
     map3,
     ranges,
     run_lengths,
+    run_starts,
     scaled,
     take3,
 )
@@ -82,7 +82,7 @@ class Lines(NamedTuple):
         So the order in which they were found changes nothing.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
-        return lines.take(indices(changes(*lines)))
+        return lines.take(indices(run_starts(*lines)))
 
     def first(self, most: int) -> Lines:
         """The first lines of each cell, at most so many; these are sorted."""
@@ -177,17 +177,17 @@ class InverseDepth(NamedTuple):
     def of(cls, hits: Hits) -> InverseDepth:
         """The surfaces (n,) that hits are on."""
         spheres = hits.prepared.spheres
-        k, w = np.empty(hits.p.shape), np.zeros(hits.p.shape[1])
+        k, w = np.empty(hits.local.shape), np.zeros(hits.local.shape[1])
         for group in hits.groups:
-            part = group.part
+            part = group.interval
             # Also where the eye is on a sphere: the plane that touches it where it is seen.
-            for out, n in zip(k, group.n, strict=True):
-                out[part] = group.at_samples(n / -group.height)
-            if not group.shape.flat:
-                power = group.of(spheres.power)
+            for out, n in zip(k, group.normal, strict=True):
+                out[part] = group.expand(n / -group.eye_height)
+            if not group.shape.is_planar:
+                power = group.per_sample(spheres.power)
                 w[part] = np.where(power != 0, 1 / power, 0)
                 for out, center in zip(k, spheres.local, strict=True):
-                    np.divide(group.of(center), power, out=out[part], where=power != 0)
+                    np.divide(group.per_sample(center), power, out=out[part], where=power != 0)
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:

@@ -50,18 +50,18 @@ def footprints_of(hits: Hits, size: float) -> Floats:
     """Footprints (n,): radii, around all points, of what cells of a size see."""
     frame = hits.prepared.frame
     angle = _angle(frame, size)
-    halves, distance = hits.p[2] * angle, hits.distance
+    halves, distance = hits.local[2] * angle, hits.distance
     footprints = np.empty(halves.size)
     for group in hits.groups:
-        half = halves[group.part]
-        n_dot_v = group.at_samples(group.height) / distance[group.part]
-        if group.shape.flat:
-            footprints[group.part] = _on_face(half, n_dot_v, angle)
+        half = halves[group.interval]
+        n_dot_v = group.expand(group.eye_height) / distance[group.interval]
+        if group.shape.is_planar:
+            footprints[group.interval] = _on_face(half, n_dot_v, angle)
             continue
         # However small the cosine, from the silhouette a width of `half` covers no more of a
         # sphere than sqrt(2 half radius).
-        most = np.sqrt(2 * half / group.of(hits.prepared.curvature))
-        footprints[group.part] = np.fmin(half / n_dot_v, most)
+        most = np.sqrt(2 * half / group.per_sample(hits.prepared.curvature))
+        footprints[group.interval] = np.fmin(half / n_dot_v, most)
     return footprints
 
 
@@ -115,17 +115,17 @@ def silhouettes(
     (6, n).
     """
     spheres, boxes, (positions, local) = prepared.spheres, prepared.boxes, apexes
-    at = indices(obj < boxes.first)
+    at = indices(spheres.objects.contains(obj))
     if at.size:
         center = map3(np.subtract, take3(spheres.local, obj[at]), take3(local.T, number[at]))
         some, radius = map3(lambda m: m[:, at], q), spheres.radius[obj[at]]
         yield cell[at], sphere_edge_function(some, center, radius)
-    at = indices(obj >= boxes.first)
+    at = indices(boxes.objects.contains(obj))
     if at.size:
         # Planes are found once for each pair of an apex and a box.
-        pair = number[at] * boxes.count + obj[at] - boxes.first
+        pair = number[at] * boxes.objects.size + boxes.objects.positions(obj[at])
         pair, inverse = np.unique(pair, return_inverse=True)
-        which, box = np.divmod(pair, boxes.count)
+        which, box = np.divmod(pair, boxes.objects.size)
         low, high = (m[:, box] - positions.T[:, which] for m in (boxes.min_pt, boxes.max_pt))
         planes = prepared.frame.vector_to_camera(silhouette_planes(low, high))
         some = map3(lambda m: m[:, at], q)
@@ -163,8 +163,8 @@ class CellSurfaces(NamedTuple):
     def rays(self, at: Ints) -> tuple[Triple, Floats]:
         """Rays through the cells of some hits, three (6, n), and 1 / t (6, n) of what is seen."""
         frame = self.hits.prepared.frame
-        ahead = frame.depth / self.hits.p[2][at]
-        d = rays(frame, self.hits.p[0][at] * ahead, self.hits.p[1][at] * ahead, self.size)
+        ahead = frame.depth / self.hits.local[2][at]
+        d = rays(frame, self.hits.local[0][at] * ahead, self.hits.local[1][at] * ahead, self.size)
         return d, self.inverse_depth.take(at).inverse(d)
 
     def intersections(self, hidden: Hits) -> Iterator[EdgeValues]:
@@ -188,12 +188,14 @@ class CellSurfaces(NamedTuple):
         """
         prepared, owner = hidden.prepared, hidden.hit_object
         boxes, eye, angle = prepared.boxes, prepared.frame.eye, _angle(prepared.frame, self.size)
-        flat = indices((owner >= boxes.first) & (close | prepared.eye_inside[owner]))
-        obj, p, distance = owner[flat], hidden.p[:, flat], hidden.distance[flat]
+        flat = indices(boxes.objects.contains(owner) & (close | prepared.eye_inside[owner]))
+        obj, p, distance = owner[flat], hidden.local[:, flat], hidden.distance[flat]
         seen, reach = self.hits.distance[at[flat]], self.footprint[at[flat]]
         for k in range(3):
             height = prepared.frame.scene_component(take3(p, slice(None)), k)
-            low, high = (m[k, obj - boxes.first] - eye[k] for m in (boxes.min_pt, boxes.max_pt))
+            low, high = (
+                m[k, boxes.objects.positions(obj)] - eye[k] for m in (boxes.min_pt, boxes.max_pt)
+            )
             level = np.where(prepared.eye_inside[obj] == (height > 0), high, low)
             farther = level / height
             footprint = _on_face(farther * p[2] * angle, np.abs(height) / distance, angle)
@@ -233,15 +235,15 @@ class CellSurfaces(NamedTuple):
         ends = (prepared.boxes.min_pt, -1), (prepared.boxes.max_pt, 1)
         for group, k in product(self.hits.groups, range(3)):
             across_face = group.face != k
-            if not group.shape.flat or not np.any(across_face):
+            if not group.shape.is_planar or not np.any(across_face):
                 continue
-            height = prepared.frame.scene_component(take3(self.hits.p, group.part), k)
+            height = prepared.frame.scene_component(take3(self.hits.local, group.interval), k)
             for corner, sign in ends:
-                level = corner[k, group.obj - prepared.boxes.first] - eye[k]
-                shown = prepared.eye_inside[group.obj] | (sign * level < 0)
+                level = corner[k, prepared.boxes.objects.positions(group.run_object)] - eye[k]
+                shown = prepared.eye_inside[group.run_object] | (sign * level < 0)
                 level, shown = group.repeat_runs(level), group.repeat_runs(shown & across_face)
-                near = np.abs(height - level) < self.footprint[group.part]
+                near = np.abs(height - level) < self.footprint[group.interval]
                 for at in pieces(indices(near & shown)):
-                    d, inverse = self.rays(group.part.start + at)
+                    d, inverse = self.rays(group.interval.start + at)
                     value = inverse - prepared.frame.scene_component(d, k) / level[at]
-                    yield self.cell[group.part][at], value
+                    yield self.cell[group.interval][at], value

@@ -141,7 +141,7 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     pixel = (row - top) * width + column - first_column
     every_pixel = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
-    pixels = Cells(1.0, per_side, tolerance, *samples.at(every_pixel), pixel, object_index)
+    pixels = Cells(1.0, per_side, tolerance, *samples.positions(every_pixel), pixel, object_index)
     classified = classify(prepared, pixels, samples, every_pixel)
     smooth = means_of_pixels(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
@@ -242,7 +242,7 @@ def _batches(prepared: PreparedScene, index: Ints, samples_per_cell: int) -> Ite
     batch : (k,) int array
         Consecutive elements of `index`.
     """
-    length = max(1, prepared.at_once(_SAMPLES_PER_BATCH) // samples_per_cell)
+    length = max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
     for start in range(0, index.size, length):
         yield index[start : start + length]
 
@@ -283,7 +283,7 @@ def _mean_of_samples(
         batch_lines = batch_lines._replace(cell=position[batch_lines.cell])
         points = stratified(batch_lines, batch.size, lattice.points())
         x, y = cells.positions(index[batch][points.cell], points.point)
-        samples, order = Scattered.of(x, y)
+        samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
         radiance, sample_id = radiance_and_ids(prepared, samples)
         for mean_channel, channel in zip(mean, radiance, strict=True):
@@ -319,7 +319,7 @@ def _mean_of_quarters(
         Mean radiance of each indexed cell.
     """
     quarters, tolerance = classified.cells.quarters(index), classified.cells.tolerance
-    samples, order = Scattered.of(quarters.center_x, quarters.center_y)
+    samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
     smooth = means_of_quarters(
         classified.center.take(index), error[index], classified_quarters.center, tolerance

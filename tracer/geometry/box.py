@@ -1,12 +1,12 @@
-"""Axis-aligned boxes: what the eye sees of them, and which shadow segments they block.
+"""Axis-aligned boxes: where rays from the eye meet them, and which shadow segments they block.
 
-`Boxes` answers the same questions as `Spheres`, which documents them.
+`Boxes` has the same methods and attributes as `Spheres`, which documents their arguments and
+results in full.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from tracer.arrays import (
     take_2d,
 )
 from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.numbering import ObjectRange, box_range
 from tracer.geometry.rounding import (
     INSIDE,
     LIGHT_TOLERANCE,
@@ -38,242 +39,339 @@ from tracer.scene.model import Surfaces
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """All boxes of a scene, and how the eye sees them.
+    """The n boxes of a scene, prepared for the rays of one camera.
 
     Attributes
     ----------
-    flat, first, bounds, eye_inside
-        See `Spheres`.
-    min_pt, max_pt : (3, n)
-    planes : three (6, n)
-        Planes through the eye and the edges of silhouettes (`silhouette_planes`): slope, tilt and
-        level of  slope * s + tilt * g + level >= 0  inside, with the ray (s, g, depth).
+    is_planar, objects, bounds, eye_inside, curvature, coordinate_size
+        As in `Spheres`.
+    min_pt, max_pt : (3, n) float arrays
+        Opposite corners, with the smallest and with the largest coordinates.
+    planes : tuple of three (6, n) float arrays
+        Slope, tilt and level of planes through the eye and the edges of each box's silhouette (see
+        `silhouette_planes`).  The ray (s, g, depth) meets the box only if
+        slope * s + tilt * g + level >= 0 for all six planes.
     """
 
-    flat: ClassVar = True
+    is_planar: ClassVar = True
 
-    first: int
+    objects: ObjectRange
     min_pt: Floats
     max_pt: Floats
-    bounds: ScreenBounds
     planes: Triple
+    bounds: ScreenBounds
     eye_inside: Bools
+    curvature: Floats
+    coordinate_size: Floats
 
     @classmethod
-    def of(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Prepare the boxes of a scene to be seen."""
+    def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
+        """Prepare all boxes among the surfaces of a scene for the rays of a camera."""
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
-        low, high = (m - frame.eye[:, None] for m in (min_pt, max_pt))
+        low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         inside = np.all((low <= 0) & (high >= 0), axis=0)
         u, v, w = frame.vector_to_camera(silhouette_planes(low, high))
-        # From inside, a box is seen on its side of the faces that the eye is on.
-        on = inside & (np.concatenate([low, high]) == 0)
-        for plane, axis in zip((u, v, w), frame.axes, strict=True):
-            np.copyto(plane, np.append(axis, -axis)[:, None], where=on)
-        planes = u, v, w * frame.depth
-        bounds, first = _screen_bounds(frame, low, high), surfaces.sphere_count
-        return cls(first, min_pt, max_pt, bounds, planes, inside)
+        # If the eye is on a face, the box is seen from inside, and only rays that go into the box
+        # meet it.  The plane of the face then bounds the rays.
+        on_face = inside & (np.concatenate([low, high]) == 0)
+        for component, axis in zip((u, v, w), frame.axes, strict=True):
+            np.copyto(component, np.append(axis, -axis)[:, None], where=on_face)
+        size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
+        return cls(
+            objects=box_range(surfaces),
+            min_pt=min_pt,
+            max_pt=max_pt,
+            planes=(u, v, w * frame.depth),
+            bounds=_screen_bounds(frame, low, high),
+            eye_inside=inside,
+            curvature=np.zeros(inside.size),
+            coordinate_size=size,
+        )
 
-    @property
-    def count(self) -> int:
-        """Number of boxes."""
-        return len(self.eye_inside)
+    def bounding_boxes(self) -> tuple[Floats, Floats]:
+        """Return the corners of axis-aligned bounding boxes: see `Spheres.bounding_boxes`."""
+        return self.min_pt, self.max_pt
 
-    @cached_property
-    def size(self) -> Floats:
-        """See `Spheres.size`."""
-        size: Floats = np.maximum(np.abs(self.min_pt), np.abs(self.max_pt)).sum(axis=0)
-        return size
-
-    # What the eye sees.
+    # Where rays from the eye meet the objects.
 
     def row_extent(
-        self, frame: CameraFrame, obj: Ints, rows: Floats, height: float
+        self, frame: CameraFrame, object_index: Ints, rows: Floats, height: float
     ) -> tuple[Floats, Floats]:
-        """See `Spheres.row_extent`."""
-        box, g = obj - self.first, frame.down(rows + height / 2)
+        """Compute, for pairs of a box and a row of the picture, where the box begins and ends.
+
+        Arguments and results are those of `Spheres.row_extent`.
+        """
+        box, g = self.objects.positions(object_index), frame.down(rows + height / 2)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
-        # Rays that rounding may turn are in the row as well.
-        half = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.longest
+        # Rounding errors may turn rays; the margin contains the turned rays, too.
+        margin = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.max_ray_size
         for k in range(6):
-            slope, tilt, level = (m[k].take(box) for m in self.planes)
-            # On whichever side of the row more is inside.
-            inside = tilt * g + np.abs(tilt) * half + level
-            # With slope 0 (or -0, hence the sum) the bound is infinite: all of the row, or none.
-            bound = -inside / (slope + 0.0)
+            slope, tilt, level = (component[k].take(box) for component in self.planes)
+            # Within the row, take the g for which the plane bounds least.
+            at_row = tilt * g + np.abs(tilt) * margin + level
+            # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
+            # none.  The sum turns a slope of -0 into 0.
+            bound = -at_row / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
         return frame.column(low), frame.column(high)
 
     def hit(
-        self, frame: CameraFrame, obj: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, frame: CameraFrame, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Sides]:
-        """See `Spheres.hit`; of the face twice the axis, plus 1 if it looks up that axis.
+        """Compute the distances at which rays meet boxes, and the faces that they meet.
 
-        Slabs (Kay and Kajiya 1986); the face is that of the entry (of the exit, with the eye
-        inside).  Slabs are closed: a ray lying in a face meets the box.
+        The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
+        the space between two opposite faces.  Slabs are closed: a ray that lies in the plane of a
+        face meets the box.  The face is that through which the ray enters the box; if the eye is
+        inside the box or on it, the face is that through which the ray leaves the box.
+
+        Arguments and results are those of `Spheres.hit`.  `detail` is twice the axis to which the
+        face is perpendicular, plus 1 if the normal of the face points up this axis.
         """
-        box, eye, (u, v, w) = obj - self.first, frame.eye.tolist(), frame.axes.tolist()
-        near, far, faces = [], [], []
+        box, eye = self.objects.positions(object_index), frame.eye.tolist()
+        (u, v, w), near, far, faces = frame.axes.tolist(), [], [], []
         for k in range(3):
             d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], counts)
             low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
-            above = high < 0
-            if np.all(above | (low > 0)):
-                # The nearer plane is known; a ray away from it would leave before it enters.
-                planes = np.where(above, high, low), np.where(above, low, high)
-                enter, leave = (repeat_runs(m, counts) / d for m in planes)
+            is_above = high < 0
+            if np.all(is_above | (low > 0)):
+                # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
+                # from the slab gets an exit before its entry, and so misses the box.
+                planes = np.where(is_above, high, low), np.where(is_above, low, high)
+                enter, leave = (repeat_runs(plane, counts) / d for plane in planes)
             else:
                 enter, leave = _slab(
                     repeat_runs(low, counts), repeat_runs(high, counts), d, closed=True
                 )
             near.append(enter)
             far.append(leave)
-            # The face that is seen looks against the ray.
+            # The normal of a visible face points against the ray.
             faces.append((d < 0).view(np.int8) + np.int8(2 * k))
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
-        t, place, meets = enter, near, enter <= leave
+        t, plane_t, meets = enter, near, enter <= leave
         inside = self.eye_inside[box]
         if inside.any():
             inside = repeat_runs(inside, counts)
             t, meets = np.where(inside, leave, t), meets | inside
-            place = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
-        # Through an edge or a corner, the face of the first axis.
-        face = np.where(place[1] == t, faces[1], faces[2])
-        face = np.where(place[0] == t, faces[0], face)
+            plane_t = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
+        # A ray through an edge or a corner meets the face of the first axis.
+        face = np.where(plane_t[1] == t, faces[1], faces[2])
+        face = np.where(plane_t[0] == t, faces[0], face)
         return np.where(meets & (t > 0), t, np.inf), face
 
     def surface(
-        self, frame: CameraFrame, obj: Ints, counts: Ints, p: Floats, t: Floats, detail: Sides
+        self,
+        frame: CameraFrame,
+        object_index: Ints,
+        counts: Ints,
+        local: Floats,
+        t: Floats,
+        detail: Sides,
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """See `Spheres.surface`."""
-        box, detail = obj - self.first, detail.take(counts.cumsum() - counts)
-        face, sign = detail.astype(np.intp) >> 1, np.where(detail & 1, 1.0, -1.0)
+        """Compute the face, the normal and the tangent plane at hits.
+
+        Arguments and results are those of `Spheres.surface`.
+        """
+        box, run_detail = (
+            self.objects.positions(object_index),
+            detail.take(counts.cumsum() - counts),
+        )
+        face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
         level = np.where(self.eye_inside[box] == (sign > 0), low, high)
-        height = sign * (frame.eye[face] - level)
+        eye_height = sign * (frame.eye[face] - level)
         x, y, z = (np.asarray(sign * axis[face]) for axis in frame.axes)
-        return face, sign, level, (x, y, z), height
+        return face, sign, level, (x, y, z), eye_height
 
-    # What blocks light.
+    # Which shadow segments the objects block.
 
-    def corners(self, obj: Ints) -> tuple[Triple, Triple]:
-        """Lower and upper corners of some boxes."""
-        box = obj - self.first
+    def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
+        """Return the corners of boxes, given by index.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            Indices of the boxes among all objects.
+
+        Returns
+        -------
+        low, high : tuples of three (n,) float arrays
+            The corners with the smallest and with the largest coordinates.
+        """
+        box = self.objects.positions(object_index)
         return take3(self.min_pt, box), take3(self.max_pt, box)
 
-    def side(self, obj: Ints, point: Triple) -> Sides:
-        """See `Spheres.side`."""
-        return np.where(self.signed_distance(obj, point) < 0, INSIDE, OUTSIDE).astype(np.int8)
+    def side(self, object_index: Ints, light: Triple) -> Sides:
+        """Decide on which side of a box each light lies: see `Spheres.side`; never `ON`."""
+        is_inside = self.signed_distance(object_index, light) < 0
+        return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
 
-    def signed_distance(self, obj: Ints, point: Triple) -> Floats:
-        """See `Spheres.signed_distance`."""
-        low, high = self.corners(obj)
+    def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
+        """Compute signed distances of points from boxes: see `Spheres.signed_distance`."""
+        low, high = self.corners(object_index)
         heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
         return np.asarray(np.max(heights, axis=0))
 
     def occludes(
         self,
         eye: Floats,
-        obj: Ints,
-        p: Triple,
+        object_index: Ints,
+        hit: Triple,
         light: Triple,
         light_side: Sides,
-        offset: Floats | None = None,
+        growth: Floats | None = None,
     ) -> Bools:
-        """See `Spheres.occludes`.
+        """Test, pair by pair, whether a box blocks the open segment from a hit to a light.
 
-        Slabs are open: a segment in a face is not blocked; a flat plate blocks.  An end on a
-        face's plane is moved onto it.
+        Arguments and results are those of `Spheres.occludes`.  Slabs are open: a segment that lies
+        in the plane of a face is not blocked.  A flat box blocks segments that cross it.  An end
+        that lies within its tolerance of the plane of a face is moved onto this plane.
         """
-        low, high = self.corners(obj)
-        if offset is not None:
-            low, high = map3(lambda c: c - offset, low), map3(lambda c: c + offset, high)
-        size = self.size[obj - self.first]
-        start = _snap(p, low, high, hit_tolerance(size, p, eye))
+        low, high = self.corners(object_index)
+        if growth is not None:
+            low, high = map3(lambda c: c - growth, low), map3(lambda c: c + growth, high)
+        size = self.coordinate_size[self.objects.positions(object_index)]
+        start = _snap(hit, low, high, hit_tolerance(size, hit, eye))
         end = _snap(light, low, high, LIGHT_TOLERANCE * size)
         blocked = _crosses(start, end, low, high)
-        if offset is not None:
+        if growth is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked
 
     def capsules(
-        self, obj: Ints, start: Triple, end: Triple, thickness: Floats
+        self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """See `Spheres.capsules`."""
-        # Points treated as on a face may be this far off it.
-        thickness = thickness + 2 * SURFACE_TOLERANCE * self.size[obj - self.first]
-        # Parts of the segment in a box grown by the thickness on all sides, and in one shrunk.
+        """Test, pair by pair, whether a box meets a capsule, and whether it cuts the capsule.
+
+        Arguments and results are those of `Spheres.capsules`.
+        """
+        # A point that counts as on a face may be this far from the face.
+        size = self.coordinate_size[self.objects.positions(object_index)]
+        thickness = thickness + 2 * SURFACE_TOLERANCE * size
+        # Where the segment enters and leaves the box grown by the thickness on all sides, and the
+        # box shrunk by the thickness, in units of the segment's length.
         enter, leave = np.array(-np.inf), np.array(np.inf)
-        enter_inner, leave_inner = enter, leave
-        for p, q, low, high in zip(start, end, *self.corners(obj), strict=True):
-            d, below, above = q - p, low - p, high - p
+        enter_shrunk, leave_shrunk = enter, leave
+        for p, q, low, high in zip(start, end, *self.corners(object_index), strict=True):
+            d, to_low, to_high = q - p, low - p, high - p
             if np.count_nonzero(d) < d.size:
-                lengths = np.abs(below) + np.abs(above) + thickness
+                lengths = np.abs(to_low) + np.abs(to_high) + thickness
                 d = d + (d == 0) * (NEARLY_PARALLEL * lengths)
-            near, far = _slab(below, above, d)
+            near, far = _slab(to_low, to_high, d)
             margin = thickness / np.abs(d)
-            enter_inner = np.maximum(enter_inner, near + margin)
-            leave_inner = np.minimum(leave_inner, far - margin)
+            enter_shrunk = np.maximum(enter_shrunk, near + margin)
+            leave_shrunk = np.minimum(leave_shrunk, far - margin)
             near -= margin
             far += margin
             enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-        around = (enter_inner < 0) & (leave_inner > 1)
-        meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~around
-        cuts: Bools = (enter_inner < leave_inner) & (enter > 0) & (leave < 1)
+        contains_capsule = (enter_shrunk < 0) & (leave_shrunk > 1)
+        meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~contains_capsule
+        cuts: Bools = (enter_shrunk < leave_shrunk) & (enter > 0) & (leave < 1)
         return meets, cuts
 
 
 def _slab(
     low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
-    """Places where lines enter and leave the slab between two planes, in units of `d`.
+    """Compute where lines enter and leave slabs.  A slab is the space between two parallel planes.
 
-    `low`, `high`: the planes' places seen from the lines' origins; `d`: the lines' component
-    across.  Parallel lines are in it for ever or never; in a plane, for ever if `closed`, never if
-    not; None: there are none.
+    Parameters
+    ----------
+    low, high : (n,) float arrays
+        Positions of the two planes relative to the start of the line, along the axis to which the
+        planes are perpendicular.
+    d : (n,) float array
+        Component of the direction of the line along this axis.
+    closed : bool, optional
+        Whether a line that lies in one of the planes is inside the slab.  None if no component of
+        `d` is 0.
+
+    Returns
+    -------
+    enter, leave : (n,) float arrays
+        Distances along the line, in units of the direction's length.  A line parallel to the planes
+        enters at -inf and leaves at inf if it is inside the slab; otherwise it enters at inf and
+        leaves at -inf.
     """
     a, b = low / d, high / d
     enter, leave = np.minimum(a, b), np.maximum(a, b)
     if closed is not None and np.count_nonzero(d) < d.size:
-        parallel = d == 0
-        between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
-        enter = np.where(parallel, np.where(between, -np.inf, np.inf), enter)
-        leave = np.where(parallel, np.where(between, np.inf, -np.inf), leave)
+        is_parallel = d == 0
+        is_inside = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
+        enter = np.where(is_parallel, np.where(is_inside, -np.inf, np.inf), enter)
+        leave = np.where(is_parallel, np.where(is_inside, np.inf, -np.inf), leave)
     return enter, leave
 
 
-def _crosses(p: Triple, light: Triple, low: Triple, high: Triple) -> Bools:
-    """Test whether open segments cross the surfaces of boxes."""
+def _crosses(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
+    """Test, pair by pair, whether an open segment crosses the surface of a box.
+
+    Parameters
+    ----------
+    start, end : tuples of three (n,) float arrays
+        Both ends of each segment.
+    low, high : tuples of three (n,) float arrays
+        Opposite corners of each box.
+
+    Returns
+    -------
+    crosses : (n,) bool array
+        Whether the segment enters or leaves the box strictly between its ends.
+    """
     enter, leave = np.array(-np.inf), np.array(np.inf)
-    for start, end, a, b in zip(p, light, low, high, strict=True):
-        near, far = _slab(a - start, b - start, end - start, closed=False)
+    for p, q, a, b in zip(start, end, low, high, strict=True):
+        near, far = _slab(a - p, b - p, q - p, closed=False)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses
 
 
-def _snap(p: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points onto planes of faces that they are on but for rounding."""
+def _snap(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
+    """Move points that count as on the planes of faces onto these planes.
+
+    Parameters
+    ----------
+    point : tuple of three (n,) float arrays
+        The point of each pair of a point and a box.
+    low, high : tuples of three (n,) float arrays
+        Opposite corners of the box of each pair.
+    tolerance : (n,) float array
+        Distance from a plane within which the point counts as on the plane.
+
+    Returns
+    -------
+    snapped : tuple of three (n,) float arrays
+        The points after the move.
+    """
 
     def component(x: Floats, low: Floats, high: Floats) -> Floats:
         on_low, on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
         return np.where(on_low, low, np.where(on_high, high, x))
 
-    return map3(component, p, low, high)
+    return map3(component, point, low, high)
 
 
 def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
-    """Bounds of boxes, given their corners as seen from the eye, in the scene's axes."""
-    # Corner i is high along axis k where bit k of i is set.
+    """Compute the bounding rectangles of boxes in the picture from their corners.
+
+    Parameters
+    ----------
+    frame : CameraFrame
+        The rays of the camera.
+    low, high : (3, n) float arrays
+        Vectors from the eye to opposite corners of each box, in the axes of the scene.
+    """
+    # Corner i is at `high` along axis k if bit k of i is set, and otherwise at `low`.
     x, y, z = (np.array([(low, high)[i >> k & 1][k] for i in range(8)]) for k in range(3))
     x, y, z = frame.vector_to_camera((x, y, z))
-    behind, ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
+    reaches_behind, reaches_ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
 
     def slopes(corner: Floats) -> tuple[Floats, Floats]:
         slope = corner / z
-        least = np.where(behind, -np.inf, slope.min(axis=0))
-        return least, np.where(behind, np.where(ahead, np.inf, -np.inf), slope.max(axis=0))
+        minimum = np.where(reaches_behind, -np.inf, slope.min(axis=0))
+        maximum_behind = np.where(reaches_ahead, np.inf, -np.inf)
+        return minimum, np.where(reaches_behind, maximum_behind, slope.max(axis=0))
 
-    return ScreenBounds.between(frame, slopes(y), slopes(x))
+    return ScreenBounds.from_slopes(frame, slopes(y), slopes(x))

@@ -1,12 +1,14 @@
-"""The camera's rays: one pencil from the eye, row by row.
+"""The camera: one ray for each position in the picture, all from the eye.
 
-In the camera's own axes (u to the right, v down, w ahead) the ray through the
-point (x, y) of the picture, in pixels from its upper left corner, has the
-direction (s, g, depth) =
+The camera has its own axes: u points to the right, v down, and w ahead.  In these axes, the ray
+through the position (x, y) of the picture, in pixels from the upper left corner, has the direction
+(s, g, depth) with
 
-    ( shift_u + (x - width / 2) step_u,  shift_v + (y - height / 2) step_v,  depth ).
+    s = shift_u + (x - width / 2) step_u,
+    g = shift_v + (y - height / 2) step_v.
 
-Along a pixel row only the first component changes.
+So only s changes along a row of the picture.  The window is the rectangle in the scene that the
+picture shows.
 """
 
 from __future__ import annotations
@@ -19,23 +21,25 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, unit
 
-# How many times as deep as wide the parts of a packet may lie.
-_LAYER = 4
+# Depth of a layer, as a multiple of the width of a packet at this depth: see `CameraFrame.layer`.
+_LAYER_ASPECT = 4
 
 
 class CameraFrame(NamedTuple):
-    """The picture's rays: the eye, its axes, and the step from pixel to pixel.
+    """The rays of a camera: the eye, the axes, and the step from pixel to pixel.
 
     Attributes
     ----------
-    eye : (3,)
-    axes : (3, 3)
-        Rows u (right), v (down) and w (ahead): orthonormal.
+    eye : (3,) float array
+        Position of the eye, in the axes of the scene.
+    axes : (3, 3) float array
+        Orthonormal rows u (right), v (down) and w (ahead), in the axes of the scene.
     shift_u, shift_v, depth : float
-        The window's centre seen from the eye, along the axes; depth > 0.
+        Vector from the eye to the centre of the window, along u, v and w; depth > 0.
     step_u, step_v : float
-        Size of a pixel on the window.
+        Width and height of a pixel on the window, in the scene's unit of length.
     width, height : int
+        Size of the picture, in pixels.
     """
 
     eye: Floats
@@ -49,59 +53,74 @@ class CameraFrame(NamedTuple):
     height: int
 
     def to_camera(self, points: Floats) -> Triple:
-        """Points (n, 3) of the scene in the camera's axes, as seen from the eye."""
+        """Convert points (n, 3) of the scene to vectors from the eye, in the camera's axes."""
         x, y, z = (points - self.eye).T
         return self.vector_to_camera((x, y, z))
 
     def vector_to_camera(self, vector: Triple) -> Triple:
-        """Turn a vector from the scene's axes into the camera's."""
+        """Convert vectors from the axes of the scene to those of the camera."""
         u, v, w = (dot(vector, (a, b, c)) for a, b, c in self.axes.tolist())
         return u, v, w
 
     def vector_to_scene(self, vector: Triple) -> Triple:
-        """Turn a vector from the camera's axes into the scene's."""
+        """Convert vectors from the axes of the camera to those of the scene."""
         x, y, z = (self.scene_component(vector, axis) for axis in range(3))
         return x, y, z
 
-    def point_to_scene(self, point: Triple) -> Triple:
-        """Inverse of `to_camera`: points in the scene's coordinates, from their triple."""
+    def point_to_scene(self, vector: Triple) -> Triple:
+        """Convert vectors from the eye, in the camera's axes, to points of the scene."""
         x, y, z = self.eye.tolist()
-        p = self.vector_to_scene(point)
-        return x + p[0], y + p[1], z + p[2]
+        offset = self.vector_to_scene(vector)
+        return x + offset[0], y + offset[1], z + offset[2]
 
     def scene_component(self, vector: Triple, axis: int) -> Floats:
-        """One component, along an axis of the scene, of a vector in the camera's axes."""
+        """Compute one component, along an axis of the scene, of vectors in the camera's axes."""
         u, v, w = self.axes[:, axis].tolist()
         return dot(vector, (u, v, w))
 
     def across(self, x: Floats) -> Floats:
-        """First component of the direction, at x pixels from the left."""
+        """Return the first component s of the rays at x pixels from the left of the picture."""
         return self.shift_u + (x - self.width / 2) * self.step_u
 
     def down(self, y: Floats) -> Floats:
-        """Second component of the direction, at y pixels from the top."""
+        """Return the second component g of the rays at y pixels from the top of the picture."""
         return self.shift_v + (y - self.height / 2) * self.step_v
 
     def column(self, s: Floats) -> Floats:
-        """Inverse of `across`."""
+        """Return how many pixels from the left the rays with first component s are."""
         return (s - self.shift_u) / self.step_u + self.width / 2
 
     def row(self, g: Floats) -> Floats:
-        """Inverse of `down`."""
+        """Return how many pixels from the top the rays with second component g are."""
         return (g - self.shift_v) / self.step_v + self.height / 2
 
-    def layer(self, ahead: Floats, pixels: float) -> Ints:
-        """Number layers of depth, each some times as deep there as so many pixels are wide.
+    def layer(self, ahead: Floats, packet_width: float) -> Ints:
+        """Number the layers of depth in which points lie.
 
-        Towards a horizon neighbours in the picture are far apart: layers keep packets small.
+        Towards a horizon, points that are neighbours in the picture are far apart.  Packets, groups
+        of neighbouring hits, are therefore limited to one layer.  A layer is `_LAYER_ASPECT` times
+        as deep as a packet is wide at this depth, so layers become deeper with the distance.
+
+        Parameters
+        ----------
+        ahead : (n,) float array
+            Depth of each point: component along w of the vector from the eye; positive.
+        packet_width : float
+            Width of a packet, in pixels.
+
+        Returns
+        -------
+        layer : (n,) int array
+            Two points have the same number only if they lie in the same layer.
         """
-        part = min(_LAYER * pixels * self.step_u / self.depth, 1.0)
-        # The bits of a number are nearly its logarithm; of twice a number, they are 2^52 more.
-        return ahead.view(np.int64) // max(1, int(2**52 * part))
+        aspect = min(_LAYER_ASPECT * packet_width * self.step_u / self.depth, 1.0)
+        # The bits of a float, read as an integer, are nearly proportional to its logarithm: they
+        # increase by 2^52 if the float doubles.
+        return ahead.view(np.int64) // max(1, int(2**52 * aspect))
 
     @property
-    def longest(self) -> float:
-        """More than |s| + |g| + depth of any ray in the picture."""
+    def max_ray_size(self) -> float:
+        """Upper bound on |s| + |g| + depth of all rays in the picture."""
         shift = abs(self.shift_u) + abs(self.shift_v) + self.depth
         return shift + self.width * self.step_u + self.height * self.step_v
 
@@ -109,9 +128,16 @@ class CameraFrame(NamedTuple):
 def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """The rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
+    """Compute the rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
 
-    `offset`: how many pixels every sample is moved to the right and down.
+    Parameters
+    ----------
+    camera : Camera
+        The camera of the scene.
+    width, height : int
+        Size of the picture, in pixels.
+    offset : (float, float)
+        Moves every ray by this number of pixels to the right, and down.
     """
     ahead = unit(camera.view_dir)
     w = unit(camera.normal)
@@ -121,7 +147,7 @@ def camera_frame(
     v = _cross(w, u)
     center = camera.proj_distance * ahead
     step_u, step_v = camera.view_width / width, camera.view_height / height
-    # Shirley's v points up and his w backwards: a CameraFrame's are their opposites.
+    # Shirley's v points up, and his w points back: those of a CameraFrame are their opposites.
     return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),
@@ -136,17 +162,18 @@ def camera_frame(
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross product (3,) of two vectors: for so few, np.cross takes ten times as long."""
+    """Return the cross product (3,) of two vectors; for single vectors, np.cross is slow."""
     return np.array(cross(a.tolist(), b.tolist()))
 
 
 class ScreenBounds(NamedTuple):
-    """Bounding rectangles of objects in the picture.
+    """Bounding rectangles of n objects in the picture.
 
     Attributes
     ----------
-    top, bottom, left, right : (n,)
-        In pixels; off the picture, or upside down, for what is not in view.
+    top, bottom, left, right : (n,) float arrays
+        Sides of the rectangles, in pixels from the upper left corner of the picture.  For an object
+        that is not visible, the rectangle is outside of the picture, or top > bottom.
     """
 
     top: Floats
@@ -155,46 +182,64 @@ class ScreenBounds(NamedTuple):
     right: Floats
 
     @classmethod
-    def between(
+    def from_slopes(
         cls, frame: CameraFrame, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
     ) -> ScreenBounds:
-        """From the least and greatest slopes of rays, v / w and u / w in the camera's axes."""
-        rows = (frame.row(m * frame.depth) for m in down)
-        return cls(*rows, *(frame.column(m * frame.depth) for m in right))
+        """Compute bounding rectangles from the slopes of rays.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        down, right : pairs of (n,) float arrays
+            Minimum and maximum of the slopes v / w (`down`) and u / w (`right`) of all rays that
+            meet each object, in the camera's axes.
+        """
+        rows = (frame.row(slope * frame.depth) for slope in down)
+        return cls(*rows, *(frame.column(slope * frame.depth) for slope in right))
 
     def take(self, index: Bools | slice) -> ScreenBounds:
-        """Some of them."""
-        return ScreenBounds(*(m[index] for m in self))
+        """Select rectangles by a mask or a slice."""
+        return ScreenBounds(*(side[index] for side in self))
 
     def in_picture(self, frame: CameraFrame) -> Bools:
-        """Objects (n,) that may be seen if nothing hides them."""
-        seen: Bools = (self.top <= frame.height + 1) & (self.bottom >= -1)
-        return seen & (self.left <= frame.width + 1) & (self.right >= -1)
+        """Return, for each object (n,), whether it may be visible in the picture.
+
+        The result does not depend on other objects, which may hide the object.
+        """
+        visible: Bools = (self.top <= frame.height + 1) & (self.bottom >= -1)
+        return visible & (self.left <= frame.width + 1) & (self.right >= -1)
 
     def window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Rows and columns of the picture outside of which nothing is seen."""
-        seen = self.take(self.in_picture(frame))
+        """Return rows and columns of the picture outside of which no object is visible."""
+        visible = self.take(self.in_picture(frame))
 
-        def between(low: Floats, high: Floats, size: int) -> slice:
-            first, last = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
-            return slice(int(np.clip(first, 0, size)), ceil(np.clip(last, 0, size)))
+        def interval(low: Floats, high: Floats, size: int) -> slice:
+            start, stop = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
+            return slice(int(np.clip(start, 0, size)), ceil(np.clip(stop, 0, size)))
 
         return (
-            between(seen.top, seen.bottom, frame.height),
-            between(seen.left, seen.right, frame.width),
+            interval(visible.top, visible.bottom, frame.height),
+            interval(visible.left, visible.right, frame.width),
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Bound on how many objects lie behind a pixel, on average over the fullest row."""
-        seen, width = self.take(self.in_picture(frame)), frame.width
-        wide = np.clip(seen.right + 1, 0, width) - np.clip(seen.left - 1, 0, width)
-        # Downwards from row to row, each object adds its width where it begins.
-        order = np.append(seen.top - 1, seen.bottom + 1).argsort()
-        return float(np.append(wide, -wide)[order].cumsum().max(initial=0) / width)
+        """Return a bound on the mean number of objects behind a pixel in any row.
+
+        The number is a mean over the pixels of the row, and a maximum over all rows.
+        """
+        visible, width = self.take(self.in_picture(frame)), frame.width
+        covered = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
+        # Going down the rows, each object adds its width at its top, and removes it at its bottom.
+        order = np.append(visible.top - 1, visible.bottom + 1).argsort()
+        return float(np.append(covered, -covered)[order].cumsum().max(initial=0) / width)
 
     def silhouette_density(self, frame: CameraFrame) -> float:
-        """Mean number of (ordered) pairs of silhouettes in a pixel, if these lay at random."""
-        top, bottom = (m.clip(0, frame.height) for m in (self.top, self.bottom))
-        # A silhouette about as wide as it is high runs through some 4 * height pixels.
+        """Estimate the mean number of ordered pairs of different silhouettes that cross a pixel.
+
+        The estimate is that for silhouettes at random positions.
+        """
+        top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
+        # The silhouette of an object that is about as wide as high crosses about 4 * height pixels.
         share = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
         return float(share.sum() ** 2 - (share**2).sum())

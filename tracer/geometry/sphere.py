@@ -1,24 +1,26 @@
-"""Spheres: what the eye sees of them, and which shadow segments they block.
+"""Spheres: where rays from the eye meet them, and which shadow segments they block.
 
-`Spheres` and `Boxes` answer the same questions; this class documents them for both.  Objects are
-numbered together, spheres first: every method takes these numbers, `obj`.  Rays from the eye have
-directions (s, g, depth) in the camera's axes, see `CameraFrame`.  Each pair of a ray and an object
-is decided alone: what else is in the scene, and in which order or batches the pairs come, changes
-no bit of an answer.
+`Spheres` and `Boxes` have the same methods and attributes; those of `Spheres` are documented in
+full.  All methods take indices of objects among all objects of the scene (see `ObjectRange`).
 
-Infinities and NaN arise on the way and are meant: the caller turns off floating-point warnings.
+Rays start at the eye.  A ray has the direction (s, g, depth) in the axes of the camera: s changes
+along a row of the picture, g from row to row, and depth is the same for all rays (see
+`CameraFrame`).  The result for a pair of a ray and an object depends on this pair only.  It is the
+same to the last bit whatever else the scene contains, and however pairs are arranged in batches.
+
+Infinities and NaN are valid intermediate results, so callers turn off floating-point warnings.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, indices, map3, repeat_runs, take3
 from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.numbering import ObjectRange, sphere_range
 from tracer.geometry.rounding import (
     LIGHT_TOLERANCE,
     NEARLY_ZERO_POWER,
@@ -32,276 +34,457 @@ from tracer.geometry.rounding import (
 from tracer.scene.model import Surfaces
 
 NO_FACE = 3
-"""In place of the axis of a box's face."""
+"""Stands for the axis of a face (0, 1 or 2) at hits on spheres, which have no faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """All spheres of a scene, and how the eye sees them.
+    """The n spheres of a scene, prepared for the rays of one camera.
 
     Attributes
     ----------
-    flat : bool
-        Whether the surfaces are planes.
-    first : int
-        The number of the first; with `count` spheres, boxes begin at number `count`.
-    center, radius : (3, n) and (n,)
-        In the scene's axes.
-    local : three (n,)
-        The centres seen from the eye, in the camera's axes.
-    power : (n,)
-        |centre - eye|^2 - radius^2: positive where the eye is outside, 0 where it is on the sphere.
+    is_planar : bool
+        Whether objects of this shape consist of planar faces.
+    objects : ObjectRange
+        Indices of the spheres among all objects of the scene.
+    center : (3, n) float array
+        Centres, in the axes of the scene.
+    radius : (n,) float array
+        Radii.
+    local : tuple of three (n,) float arrays
+        Vectors from the eye to the centres, in the axes of the camera.
+    power : (n,) float array
+        |centre - eye|^2 - radius^2 for each sphere: positive if the eye is outside, 0 if the eye
+        is on the sphere.
     bounds : ScreenBounds
-        Bounds in the picture.
+        Bounding rectangles of the spheres in the picture.
+    eye_inside : (n,) bool array
+        Whether the eye is inside the sphere, or on it.
+    curvature : (n,) float array
+        Curvature of the surface: 1 / radius; 0 for planar shapes.
+    coordinate_size : (n,) float array
+        Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on
+        the surface are proportional to it.
     """
 
-    flat: ClassVar = False
-    first: ClassVar = 0
+    is_planar: ClassVar = False
 
+    objects: ObjectRange
     center: Floats
     radius: Floats
     local: Triple
     power: Floats
     bounds: ScreenBounds
+    eye_inside: Bools
+    curvature: Floats
+    coordinate_size: Floats
 
     @classmethod
-    def of(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Prepare the spheres of a scene to be seen."""
+    def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
+        """Prepare all spheres among the surfaces of a scene for the rays of a camera."""
         center, radius = surfaces.center.T.copy(), surfaces.radius
         local = frame.to_camera(surfaces.center)
         distance = np.sqrt(dot(local, local))
         height = distance - radius
-        # Rounding alone does not lift the eye off a sphere that it is on.
-        on = np.abs(height) <= UNIT_ROUNDING * radius
-        power = np.where(on, 0, height * (distance + radius))
+        # Rounding errors alone must not move the eye off a sphere on which it lies.
+        is_on = np.abs(height) <= UNIT_ROUNDING * radius
+        power = np.where(is_on, 0, height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
         rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
-        return cls(center, radius, local, power, ScreenBounds.between(frame, rows, columns))
+        return cls(
+            objects=sphere_range(surfaces),
+            center=center,
+            radius=radius,
+            local=local,
+            power=power,
+            bounds=ScreenBounds.from_slopes(frame, rows, columns),
+            eye_inside=power <= 0,
+            curvature=1 / radius,
+            coordinate_size=np.abs(center).sum(axis=0) + radius,
+        )
 
-    @property
-    def count(self) -> int:
-        """Number of spheres."""
-        return self.radius.size
+    def bounding_boxes(self) -> tuple[Floats, Floats]:
+        """Return the corners of axis-aligned bounding boxes, in the axes of the scene.
 
-    @cached_property
-    def eye_inside(self) -> Bools:
-        """Objects (n,) that are seen from inside, the eye on the surface included."""
-        return self.power <= 0
+        Returns
+        -------
+        low, high : (3, n) float arrays
+            For each object, the corners with the smallest and with the largest coordinates.
+        """
+        return self.center - self.radius, self.center + self.radius
 
-    @cached_property
-    def size(self) -> Floats:
-        """Size (n,) of the coordinates on each object (1-norm): rounding is in proportion."""
-        size: Floats = np.abs(self.center).sum(axis=0) + self.radius
-        return size
-
-    # What the eye sees.
+    # Where rays from the eye meet the objects.
 
     def row_extent(
-        self, frame: CameraFrame, obj: Ints, rows: Floats, height: float
+        self, frame: CameraFrame, object_index: Ints, rows: Floats, height: float
     ) -> tuple[Floats, Floats]:
-        """Columns at which objects begin and end in rows of the picture; a miss has its end first.
+        """Compute, for pairs of an object and a row of the picture, where the object begins and
+        ends in the row.
 
-        `rows` (n,): where each row begins, in pixels from the top.  Exact but for rounding where
-        their `height` is 0; else more than is needed.
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        object_index : (n,) int array
+            The object of each pair.
+        rows : (n,) float array
+            The upper border of each row, in pixels from the top of the picture.
+        height : float
+            Height of the rows, in pixels.  If it is 0, a row is a line and the result is exact
+            except for rounding.  Otherwise the result is conservative: it contains all positions
+            at which any ray in the row meets the object.
+
+        Returns
+        -------
+        left, right : (n,) float arrays
+            Both ends, in pixels from the left border of the picture; left > right if the object
+            does not reach the row.
         """
-        # A ray in the row meets the sphere no farther than this from the ray below or above it in
-        # the row's middle, which meets the sphere if that is so much larger.
-        aside = 0.5 * height * frame.step_v / frame.depth
-        radius = self.radius[obj]
-        grown = radius + aside * np.maximum(self.local[2][obj] + radius, 0)
-        power = self.power[obj] - (grown - radius) * (grown + radius)
-        hypot2, u, ahead, chord2 = self._discs(frame, obj, grown, frame.down(rows + height / 2))
+        # Consider the ray in the middle of the row, and a ray directly above or below it in the
+        # same row.  Their distance at the sphere is at most `margin`.  So a sphere that is larger
+        # by the margin is met by the ray in the middle whenever any ray of the row meets the
+        # sphere.
+        sphere = self.objects.positions(object_index)
+        radius = self.radius[sphere]
+        slope_margin = 0.5 * height * frame.step_v / frame.depth
+        grown = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
+        power = self.power[sphere] - (grown - radius) * (grown + radius)
+        g = frame.down(rows + height / 2)
+        hypot2, u, ahead, chord2 = self._discs(frame, sphere, grown, g)
         low, high = _tangents(u, ahead, chord2, power)
         hypot = np.sqrt(hypot2)
         return frame.column(low * hypot), frame.column(high * hypot)
 
     def _discs(
-        self, frame: CameraFrame, obj: Ints, radius: Floats, g: Floats
+        self, frame: CameraFrame, sphere: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Sections of spheres by the planes of rays (s, g, depth), for all s: discs.
+        """Intersect spheres with the planes of rays: each plane cuts a disc out of its sphere.
 
-        Returns the square of the rays' second component in that plane, where the first is s; each
-        disc's centre, along the row and ahead; and its squared radius, negative if it misses.
-        """
-        (u, v, w), depth = take3(self.local, obj), frame.depth
-        hypot2 = g * g + depth * depth
-        hypot = np.sqrt(hypot2)
-        aside, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
-        return hypot2, u, ahead, (radius - aside) * (radius + aside)
-
-    def hit(
-        self, frame: CameraFrame, obj: Ints, g: Floats, s: Floats, counts: Ints | None
-    ) -> tuple[Floats, Floats]:
-        """Distance at which rays meet objects, or infinity.
-
-        The rays of a row lie in a plane through the eye, so a sphere is a disc there: closest
-        approach (Haines, Günther, Akenine-Möller, Ray Tracing Gems, ch. 7) in two dimensions, with
-        the near root in the stable form t = C / (B + sqrt(B^2 - A C)).
+        All rays (s, g, depth) with the same g lie in one plane through the eye.  A ray has two
+        components in this plane: s, and the length of (g, depth).
 
         Parameters
         ----------
-        obj : (spans,)
-            The object of each span of rays in a row.
-        g : (spans,)
-        s : (n,)
-        counts : (spans,), or None
-            How many rays follow each other in each span; None if it is one.
+        frame : CameraFrame
+            The rays of the camera.
+        sphere : (n,) int array
+            Position of each sphere in the arrays of this class.
+        radius : (n,) float array
+            Radius of each sphere, which may differ from that in `self.radius`.
+        g : (n,) float array
+            Second component of the rays in each plane.
 
         Returns
         -------
-        t : (n,)
-            In units of the direction's length.  With the eye inside (or on) the object, it is
-            where the ray leaves.
-        detail : (n,)
-            What `surface` needs: of spheres, the cosine between the normal and the ray, without
-            its sign, times the radius and the direction's length; of boxes, which face.
+        hypot2 : (n,) float array
+            g^2 + depth^2: square of the second component of the rays in the plane.
+        u, ahead : (n,) float arrays
+            Centre of the disc in the plane: its components along the row, and perpendicular to it.
+        chord2 : (n,) float array
+            Squared radius of the disc; negative if the plane misses the sphere.
         """
-        hypot2, u, ahead, chord2 = self._discs(frame, obj, self.radius[obj], g)
+        (u, v, w), depth = take3(self.local, sphere), frame.depth
+        hypot2 = g * g + depth * depth
         hypot = np.sqrt(hypot2)
-        power = self.power[obj]
+        offset, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
+        return hypot2, u, ahead, (radius - offset) * (radius + offset)
+
+    def hit(
+        self, frame: CameraFrame, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
+    ) -> tuple[Floats, Floats]:
+        """Compute the distances at which rays meet objects.
+
+        The rays of a row lie in a plane through the eye, and the plane cuts a disc out of a sphere.
+        Rays and discs are intersected in this plane by their closest approach, with the near root
+        in the stable form t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller,
+        Precision improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        object_index : (spans,) int array
+            A span consists of consecutive rays in one row that are tested with the same object: the
+            index of this object.
+        g : (spans,) float array
+            Second component of the rays in each span.
+        s : (n,) float array
+            First component of each ray.
+        counts : (spans,) int array or None
+            Number of rays in each span; None if each span has one ray.
+
+        Returns
+        -------
+        t : (n,) float array
+            Distance from the eye, in units of the length of (s, g, depth); infinity if the ray
+            misses the object.  If the eye is inside the object or on it, this is the distance at
+            which the ray leaves the object.
+        detail : (n,) array
+            Argument for `surface`.  For spheres, this is |n . d| radius, with the unit normal n
+            and the direction d = (s, g, depth).  For boxes, it is an int8 number of the face.
+        """
+        sphere = self.objects.positions(object_index)
+        hypot2, u, ahead, chord2 = self._discs(frame, sphere, self.radius[sphere], g)
+        hypot = np.sqrt(hypot2)
+        power = self.power[sphere]
         length2 = s * s + repeat_runs(hypot2, counts)
-        # Of the centre (u, ahead) and the ray (s, hypot) the cross and the dot product.
+        # Cross product and dot product of the centre (u, ahead) and the ray (s, hypot).
         cross = repeat_runs(u * hypot, counts) - repeat_runs(ahead, counts) * s
-        rise = np.sqrt(length2 * repeat_runs(chord2, counts) - cross * cross)
-        middle = repeat_runs(u, counts) * s + repeat_runs(ahead * hypot, counts)
-        root = middle + rise
-        outside, power = np.all(power > 0), repeat_runs(power, counts)
-        t = power / root
-        if not outside:  # the far root, in the form that cancels less
-            far = np.where(middle > 0, root / length2, power / (middle - rise))
+        root = np.sqrt(length2 * repeat_runs(chord2, counts) - cross * cross)
+        dot_product = repeat_runs(u, counts) * s + repeat_runs(ahead * hypot, counts)
+        divisor = dot_product + root
+        all_outside, power = np.all(power > 0), repeat_runs(power, counts)
+        t = power / divisor
+        if not all_outside:  # use the far root, in the form with less cancellation
+            far = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
             t = np.where(power > 0, t, far)
-        # Not a number where there is no root; negative behind the eye.
-        return np.where(t > 0, t, np.inf), rise
+        # t is NaN if there is no root, and negative if the sphere is behind the eye.
+        return np.where(t > 0, t, np.inf), root
 
     def surface(
-        self, frame: CameraFrame, obj: Ints, counts: Ints, p: Floats, t: Floats, detail: Floats
+        self,
+        frame: CameraFrame,
+        object_index: Ints,
+        counts: Ints,
+        local: Floats,
+        t: Floats,
+        detail: Floats,
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """The surface at hits `p` (3, n), seen from the eye in the camera's axes; rest as in `hit`.
+        """Compute the face, the normal and the tangent plane at hits.
 
-        `obj` (runs,): of each run of hits on one face, of which `counts` (runs,) gives the
-        lengths.
+        A run consists of consecutive hits on the same face of the same object.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        object_index : (runs,) int array
+            The object of each run.
+        counts : (runs,) int array
+            Number of hits in each run.
+        local : (3, n) float array
+            Vectors from the eye to the hits, in the axes of the camera.
+        t, detail : (n,) arrays
+            Results of `hit` for the hits.
 
         Returns
         -------
-        face, sign, level
-            Of boxes (runs,), the axis of the face, whether it looks up (1) or down (-1) that axis,
-            and its coordinate there; `NO_FACE` for spheres.
-        n : three (n,); of boxes, (runs,)
-            Unit normal towards the eye, in the camera's axes.
-        height : (n,); of boxes, (runs,)
-            n . (eye - p), the eye's height over the tangent plane.
+        face : (runs,) int array
+            Axis to which the face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
+        sign : (runs,) float array
+            1 if the normal of the face points up its axis, and -1 if it points down.  For spheres,
+            an array of no dimensions without meaning.
+        level : (runs,) float array
+            Coordinate of the face along its axis, in the axes of the scene.  For spheres, an array
+            of no dimensions without meaning.
+        normal : tuple of three float arrays
+            Unit normals on the side of the eye, in the axes of the camera: (n,) for spheres, and
+            (runs,) for boxes.
+        eye_height : float array
+            Distance of the eye from the tangent plane: (n,) for spheres, and (runs,) for boxes.
         """
-        inverse = repeat_runs(1 / self.radius[obj], counts)
-        center = (repeat_runs(m[obj], counts) for m in self.local)
-        x, y, z = ((q - c) * inverse for q, c in zip(p, center, strict=True))
-        inside = self.eye_inside[obj]
+        sphere = self.objects.positions(object_index)
+        inverse = repeat_runs(1 / self.radius[sphere], counts)
+        center = (repeat_runs(m[sphere], counts) for m in self.local)
+        x, y, z = ((p - c) * inverse for p, c in zip(local, center, strict=True))
+        inside = self.eye_inside[sphere]
         if inside.any():
             flip = repeat_runs(np.where(inside, -1.0, 1.0), counts)
             x, y, z = flip * x, flip * y, flip * z
-        face, sign, level = np.full(obj.size, NO_FACE), np.ones(()), np.zeros(())
+        face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), detail * inverse * t
 
-    # What blocks light.
+    # Which shadow segments the objects block.
 
-    def side(self, obj: Ints, point: Triple) -> Sides:
-        """Side of the surface that points are on: `OUTSIDE`, `ON` (spheres only) or `INSIDE`."""
-        return side_of(self.signed_distance(obj, point), LIGHT_TOLERANCE * self.size[obj])
+    def side(self, object_index: Ints, light: Triple) -> Sides:
+        """Decide, for pairs of an object and a light, on which side of the surface the light lies.
 
-    def signed_distance(self, obj: Ints, point: Triple) -> Floats:
-        """Signed distance of points from the surface; negative inside."""
-        away = map3(np.subtract, take3(self.center, obj), point)
-        return np.sqrt(dot(away, away)) - self.radius[obj]
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The object of each pair.
+        light : tuple of three (n,) float arrays
+            Position of the light of each pair, in the axes of the scene.  The arrays may have any
+            shape that broadcasts with (n,).
+
+        Returns
+        -------
+        side : int8 array
+            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`, in the shape to which the arguments
+            broadcast.
+        """
+        tolerance = LIGHT_TOLERANCE * self.coordinate_size[self.objects.positions(object_index)]
+        return side_of(self.signed_distance(object_index, light), tolerance)
+
+    def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
+        """Compute the distance of each point from the surface of an object; negative inside.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The object of each pair of an object and a point.
+        point : tuple of three (n,) float arrays
+            The point of each pair, in the axes of the scene.  The arrays may have any shape that
+            broadcasts with (n,).
+
+        Returns
+        -------
+        distance : float array
+            Signed distances, in the shape to which the arguments broadcast.  For boxes, this is the
+            largest of the signed distances from the planes of the six faces: outside of the box, at
+            most the distance from the box.
+        """
+        sphere = self.objects.positions(object_index)
+        offset = map3(np.subtract, take3(self.center, sphere), point)
+        return np.sqrt(dot(offset, offset)) - self.radius[sphere]
 
     def occludes(
         self,
         eye: Floats,
-        obj: Ints,
-        p: Triple,
+        object_index: Ints,
+        hit: Triple,
         light: Triple,
         light_side: Sides,
-        offset: Floats | None = None,
+        growth: Floats | None = None,
     ) -> Bools:
-        """Test whether objects block the open segments from points `p` to `light`, pair by pair.
+        """Test, pair by pair, whether an object blocks the open segment from a hit to a light.
 
-        A root strictly between the ends blocks.  An end within its tolerance of a surface is on
-        it; a point on a sphere is then on its outer side, or, if the eye is inside, on its inner.
+        A segment is blocked if it crosses the surface strictly between its ends.  An end that lies
+        within its tolerance of the surface counts as on the surface.  For a hit on a sphere, the
+        segment then starts on the side of the sphere on which the eye lies.
 
         Parameters
         ----------
-        eye : (3,)
-        obj : (n,)
-        p, light : three (n,)
-        light_side : (n,)
-            The `side` that each light is on.
-        offset : (n,), optional
-            Distance of the offset surface that blocks instead; none does if it shrinks to nothing.
+        eye : (3,) float array
+            Position of the eye, in the axes of the scene.
+        object_index : (n,) int array
+            The object of each pair of an object and a segment.
+        hit, light : tuples of three (n,) float arrays
+            Both ends of each segment, in the axes of the scene.
+        light_side : (n,) int8 array
+            Result of `side` for the object and the light.
+        growth : (n,) float array, optional
+            Distance by which the object is grown before the test; a negative value shrinks the
+            object.  An object that shrinks to nothing blocks nothing.
+
+        Returns
+        -------
+        blocked : (n,) bool array
+            Whether the object blocks the segment.
         """
-        to_light = map3(np.subtract, light, p)
-        to_center = map3(np.subtract, take3(self.center, obj), p)
-        radius = self.radius[obj]
-        if offset is not None:
-            radius = np.maximum(radius + offset, 0)
-        # Where both ends are outside, a sphere blocks if the closest approach to its centre lies
-        # between them and within the sphere.
+        sphere = self.objects.positions(object_index)
+        to_light = map3(np.subtract, light, hit)
+        to_center = map3(np.subtract, take3(self.center, sphere), hit)
+        radius = self.radius[sphere]
+        if growth is not None:
+            radius = np.maximum(radius + growth, 0)
+        # If both ends are outside, the sphere blocks the segment if the point of the line that is
+        # closest to the centre lies between the ends and inside the sphere.
         b, length2 = dot(to_center, to_light), dot(to_light, to_light)
-        nearest = b / length2
-        aside = map3(lambda c, d: c - nearest * d, to_center, to_light)
-        blocked: Bools = (dot(aside, aside) < radius * radius) & (b > 0) & (b < length2)
+        closest = b / length2
+        perpendicular = map3(lambda c, d: c - closest * d, to_center, to_light)
+        is_within = dot(perpendicular, perpendicular) < radius * radius
+        blocked: Bools = is_within & (b > 0) & (b < length2)
         height = np.sqrt(dot(to_center, to_center)) - radius
-        side = side_of(height, hit_tolerance(self.size[obj], p, eye))
-        at = indices((side != OUTSIDE) | (light_side != OUTSIDE))
-        if at.size:
-            side, light_side, inner = side[at], light_side[at], self.eye_inside[obj[at]]
-            b, length2 = b[at], length2[at]
-            blocked[at] = np.where(
+        side = side_of(height, hit_tolerance(self.coordinate_size[sphere], hit, eye))
+        special = indices((side != OUTSIDE) | (light_side != OUTSIDE))
+        if special.size:
+            side, light_side = side[special], light_side[special]
+            b, length2 = b[special], length2[special]
+            starts_inside = self.eye_inside[sphere[special]]
+            blocked[special] = np.where(
                 side == ON,
-                np.where(inner, (b < 0) | (light_side == OUTSIDE), b > 0),
+                np.where(starts_inside, (b < 0) | (light_side == OUTSIDE), b > 0),
                 np.where(light_side == ON, (side == OUTSIDE) & (b < length2), side != light_side),
             )
         return blocked
 
     def capsules(
-        self, obj: Ints, start: Triple, end: Triple, thickness: Floats
+        self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether objects meet, and whether they cut, the capsules around segments.
+        """Test, pair by pair, whether an object meets a capsule, and whether it cuts the capsule.
 
-        A capsule, all that is within a thickness of a segment, holds all segments from the ball
-        around its start to its end (Haines and Wallace, Shaft culling, 1991).  An object that does
-        not meet it, or holds all of it inside, blocks none of them.  One that cuts it blocks all:
-        somewhere it holds the full cross-section, and the ball around the start is outside it.
-        Both are on the safe side of rounding.
+        A capsule consists of all points within a certain distance, the thickness, of a segment
+        (Haines and Wallace, Shaft culling, 1991).  It contains all segments from a ball around its
+        start to its end.
+
+        1. If the object does not meet the capsule, or the capsule lies entirely inside the object,
+           then the object blocks none of these segments.
+        2. If the object cuts the capsule, it blocks all of them: it contains a whole cross-section
+           of the capsule, and the ball around the start is outside the object.
+
+        Both results are conservative: rounding errors never exclude an object that blocks a
+        segment, and never let an object block all segments if it does not.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The object of each pair of an object and a capsule.
+        start, end : tuples of three (n,) float arrays
+            Both ends of the segment, in the axes of the scene.
+        thickness : (n,) float array
+            Radius of the capsule.
+
+        Returns
+        -------
+        meets : (n,) bool array
+            False if the object certainly blocks none of the segments.
+        cuts : (n,) bool array
+            True if the object certainly blocks all of the segments.
         """
-        center, radius = take3(self.center, obj), self.radius[obj]
+        sphere = self.objects.positions(object_index)
+        center, radius = take3(self.center, sphere), self.radius[sphere]
         d = map3(np.subtract, end, start)
         to_center = map3(np.subtract, center, start)
-        along, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
-        to_end2 = distance2 - 2 * along + length2
-        # Squared distance from the centre to the line, and how far squares may be off.
-        aside2, error = distance2 - along * along / length2, SQUARE_ROUNDING * distance2
+        b, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
+        to_end2 = distance2 - 2 * b + length2
+        # Squared distance of the centre from the line, and a bound on the error of squares.
+        line_distance2, error = distance2 - b * b / length2, SQUARE_ROUNDING * distance2
         outer = (radius + thickness) ** 2 + error
         inner = np.maximum(radius - thickness, 0) ** 2 - error
-        from_start, from_end = distance2 > outer, to_end2 > outer
-        before, behind = along < 0, along > length2
-        around = np.maximum(distance2, to_end2) < inner
-        # Where the segment is a point, `aside2` is NaN: the sphere does not cut it.
-        meets = ~((aside2 > outer) | (from_start & before) | (from_end & behind) | around)
-        cuts = from_start & ~(before | behind) & (aside2 < inner)
+        starts_outside, ends_outside = distance2 > outer, to_end2 > outer
+        is_before, is_behind = b < 0, b > length2
+        contains_capsule = np.maximum(distance2, to_end2) < inner
+        # If the segment is a single point, `line_distance2` is NaN: the sphere does not cut it.
+        misses = (
+            (line_distance2 > outer) | (starts_outside & is_before) | (ends_outside & is_behind)
+        )
+        meets = ~(misses | contains_capsule)
+        cuts = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner)
         return meets, cuts
 
 
-def _tangents(along: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
-    """Slopes (along / ahead) between which rays from the origin meet discs.
+def _tangents(u: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
+    """Compute the slopes of the rays from the origin that touch discs in a plane.
 
-    `along`, `ahead`: the disc's centre; `chord2`: its squared radius, negative or NaN if there is
-    none; `power`: the centre's squared distance less that.
+    Parameters
+    ----------
+    u, ahead : (n,) float arrays
+        The centre (u, ahead) of each disc.  The slope of a ray is u / ahead.
+    chord2 : (n,) float array
+        Squared radius of each disc; negative or NaN if there is no disc.
+    power : (n,) float array
+        u^2 + ahead^2 - chord2: negative if the origin is inside the disc.
+
+    Returns
+    -------
+    low, high : (n,) float arrays
+        Rays ahead with slopes between these meet the disc; NaN if there is no disc.
     """
-    # The tangents lie at an angle to either side of the centre.  From inside all rays meet the
-    # disc; where rounding decides, on the disc, half of them.
-    surely = np.maximum(power - NEARLY_ZERO_POWER * (along * along + ahead * ahead), 0)
-    half = np.arctan2(np.sqrt(chord2), np.sqrt(surely))
-    middle = np.arctan2(along, ahead)
-    half[power < 0] = np.inf
-    ends = (np.clip(m, -np.pi / 2, np.pi / 2) for m in (middle - half, middle + half))
-    # The tangent of pi / 2, as rounded, is 1.6e16: windows may be wider.
-    low, high = (np.where(abs(m) < np.pi / 2, np.tan(m), np.copysign(np.inf, m)) for m in ends)
+    # The tangents lie at the same angle on either side of the centre.  If the origin is inside the
+    # disc, all rays meet the disc.  If rounding decides whether it is inside, the origin counts as
+    # on the disc, and half of the rays meet the disc.
+    power_bound = np.maximum(power - NEARLY_ZERO_POWER * (u * u + ahead * ahead), 0)
+    half_angle = np.arctan2(np.sqrt(chord2), np.sqrt(power_bound))
+    center_angle = np.arctan2(u, ahead)
+    half_angle[power < 0] = np.inf
+    ends = (
+        np.clip(angle, -np.pi / 2, np.pi / 2)
+        for angle in (center_angle - half_angle, center_angle + half_angle)
+    )
+    # The tangent of the rounded number pi / 2 is 1.6e16, but windows may be wider.
+    low, high = (
+        np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
+        for angle in ends
+    )
     return low, high

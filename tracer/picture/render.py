@@ -32,7 +32,6 @@ import numpy as np
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.refine import antialiased, prefers_supersampling
 from tracer.arrays import CACHE_SIZE, Floats
-from tracer.geometry.camera import camera_frame
 from tracer.picture.lint import SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Distribution, WorkerPool, in_order, processors
@@ -292,8 +291,7 @@ class RenderJob:
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         right, down = shift.tolist()
-        frame = camera_frame(scene.camera, scene.width, scene.height, (right, down))
-        self.prepared = PreparedScene(scene, frame)
+        self.prepared = PreparedScene(scene, (right, down))
         self._samples_per_side = samples_per_side
         self._is_classified = samples_per_side > 1 and not prefers_supersampling(
             self.prepared, samples_per_side
@@ -302,7 +300,7 @@ class RenderJob:
         self._lattice = Lattice.of(samples_per_side) if is_supersampled else CENTRES
         self.seconds = self._estimated_seconds(scene)
         self._max_samples = _MAX_TILE_SAMPLES * self._size_factor
-        block_samples = self.prepared.at_once(self._max_samples)
+        block_samples = self.prepared.batch_size(self._max_samples)
         self._max_block_pixels = max(1, block_samples // self._lattice.size)
 
     @property

@@ -1,4 +1,8 @@
-"""The points that samples see."""
+"""Hits: the points where rays from the eye meet surfaces.
+
+Hits are grouped by the shape of the object that they lie on.  Within a group, they are divided into
+runs: consecutive samples of one row that hit the same face of the same object.
+"""
 
 from __future__ import annotations
 
@@ -13,96 +17,117 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 
 
 class ShapeHits(NamedTuple):
-    """The hits on objects of one shape.
+    """The n hits on objects of one shape, in runs.
+
+    A run consists of consecutive hits in one row of samples, on the same face of the same object.
 
     Attributes
     ----------
     shape : Spheres or Boxes
-    part : slice
-        Their places among the hits.
-    sample : (n,)
-        Which sample.
-    counts : (runs,)
-        Runs are neighbours in one row that see one object and one face of it: how many samples
-        each has.
-    obj : (runs,)
-        Which object each sees (spheres first).
-    face, sign, level, n, height
-        See `Spheres.surface`.
+        The objects on which the hits lie.
+    interval : slice
+        The positions of these hits among all hits of a `Hits`.
+    sample : (n,) int array
+        The sample whose ray meets the surface at each hit.
+    run_length : (runs,) int array
+        Number of hits in each run.
+    run_object : (runs,) int array
+        Index of the object of each run, among all objects.
+    face, sign, level : arrays
+        The face of each run: see `Spheres.surface`.
+    normal : tuple of three float arrays
+        Unit normals on the side of the eye, in the axes of the camera: (runs,) for planar shapes,
+        otherwise (n,).  `expand` converts both to (n,).
+    eye_height : float array
+        Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
 
     shape: Shape
-    part: slice
+    interval: slice
     sample: Ints
-    counts: Ints
-    obj: Ints
+    run_length: Ints
+    run_object: Ints
     face: Ints
     sign: Floats
     level: Floats
-    n: Triple
-    height: Floats
+    normal: Triple
+    eye_height: Floats
 
     def repeat_runs(self, values: Any) -> Any:
-        """Values of runs, repeated for each of their samples."""
-        return repeat_runs(values, self.counts)
+        """Repeat the values (runs,) of runs, so that there is one value (n,) for each hit."""
+        return repeat_runs(values, self.run_length)
 
-    def at_samples(self, values: Floats) -> Floats:
-        """`n`'s components or `height`, or what is made of them, for each sample."""
-        return repeat_runs(values, self.counts) if self.shape.flat else values
+    def expand(self, values: Floats) -> Floats:
+        """Return values of `normal` or `eye_height`, or computed from them, for each hit (n,)."""
+        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
-    def of(self, values: NDArray[Any]) -> Any:
-        """Values of objects, spheres first, for each of the samples that see them."""
-        return self.repeat_runs(values[self.obj])
+    def per_sample(self, values: NDArray[Any]) -> Any:
+        """Return, from values of all objects of the scene, the value (n,) of each hit's object."""
+        return self.repeat_runs(values[self.run_object])
 
-    def height_of(self, position: Floats, vector: Triple, out: Floats) -> None:
-        """Height `out` (n,) of a point over the tangent planes.
+    def height_of(self, position: Floats, vector: Triple) -> Floats:
+        """Compute the height of a point over the tangent plane at each hit.
 
-        `position` (3,): in the scene's axes; `vector`, three (n,): from the hits to the point, in
-        the camera's axes.
+        Parameters
+        ----------
+        position : (3,) float array
+            The point, in the axes of the scene.
+        vector : tuple of three (n,) float arrays
+            Vectors from the hits to the point, in the axes of the camera.
+
+        Returns
+        -------
+        height : (n,) float array
+            Signed distances of the point from the tangent planes; positive on the side of the eye.
         """
-        if self.shape.flat:
-            # Along the scene's axes a light in a face's plane is at height 0 exactly.
-            out[:] = self.repeat_runs(self.sign * (position[self.face] - self.level))
-        else:
-            dot(self.n, vector, out)
+        if self.shape.is_planar:
+            # In the axes of the scene, a light in the plane of a face has height 0 exactly.
+            return self.expand(self.sign * (position[self.face] - self.level))
+        return dot(self.normal, vector)
 
 
 class Hits(NamedTuple):
-    """The points that samples see, shape by shape.
+    """The n hits of samples, shape by shape and run by run.
+
+    A run consists of consecutive hits in one row of samples, on the same face of the same object.
 
     Attributes
     ----------
-    prepared, samples
-    p : (3, n)
-        Points seen from the eye, in the camera's axes.
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        The positions in the picture through which the rays pass.
+    local : (3, n) float array
+        Vectors from the eye to the hits, in the axes of the camera.
     groups : list of ShapeHits
-    sample : (n,)
-        The sample that each point is seen by.
-    first : (runs + 1,)
-        Where each run of points begins, through all groups, and the end of the last.
-    obj : (runs,)
-        The object that each run sees.
+        The hits on spheres, and the hits on boxes, if there are any.
+    sample : (n,) int array
+        The sample whose ray meets a surface at each hit.
+    run_start : (runs + 1,) int array
+        Index of the first hit of each run, through all groups; the last element is n.
+    run_object : (runs,) int array
+        Index of the object of each run, among all objects.
     """
 
     prepared: PreparedScene
     samples: Samples
-    p: Floats
+    local: Floats
     groups: list[ShapeHits]
     sample: Ints
-    first: Ints
-    obj: Ints
+    run_start: Ints
+    run_object: Ints
 
     @property
     def hit_object(self) -> Ints:
-        """The object (n,) that each point lies on."""
-        return self.obj.repeat(np.diff(self.first))
+        """Index (n,) of the object on which each hit lies."""
+        return self.run_object.repeat(np.diff(self.run_start))
 
     @property
     def distance(self) -> Floats:
-        """Distance (n,) of each point from the eye."""
-        x, y, z = self.p
+        """Distance (n,) of each hit from the eye."""
+        x, y, z = self.local
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def points(self, index: Ints | slice) -> Triple:
-        """Some of the points in the scene's axes."""
-        return self.prepared.frame.point_to_scene(take3(self.p, index))
+        """Return the positions of hits, given by index, in the axes of the scene."""
+        return self.prepared.frame.point_to_scene(take3(self.local, index))

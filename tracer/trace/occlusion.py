@@ -238,9 +238,8 @@ class _OccluderSearch:
             own_object = packets.object_index[queried]
             for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried]):
                 triples[1] += start
-                is_box = triples[2] >= self._prepared.boxes.first
                 for shape in self._prepared.shapes:
-                    of_shape = triples.take(indices(is_box == shape.flat), axis=1)
+                    of_shape = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
                     for batch in batches(packets.child_count[of_shape[1]]):
                         yield shape, of_shape[:, batch]
 
@@ -501,7 +500,7 @@ def _packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> lis
     levels : list of Packets
         Either [row packets] or [square packets, row packets].
     """
-    width = hits.prepared.packet_pixels * hits.samples.density  # of a packet, in samples
+    width = hits.prepared.packet_width * hits.samples.density  # of a packet, in samples
     max_row_hits = int(min(max(width, 1), _MAX_ROW_HITS))
     row_packets = _row_packets(hits, frontlit, footprint, max_row_hits)
     side = int(min(width, _MAX_SQUARE_SIDE))
@@ -533,11 +532,11 @@ def _row_packets(hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits
         The groups of hits, each with its object, its bounding sphere, and the lights that any of
         its hits faces.
     """
-    run_size = np.diff(hits.first)
+    run_size = np.diff(hits.run_start)
     run, offset = segment_indices(-(-run_size // max_hits))
     offset *= max_hits
-    start, count = hits.first[run] + offset, np.minimum(run_size[run] - offset, max_hits)
-    object_index, is_lit = hits.obj[run], np.logical_or.reduceat(frontlit, start, axis=1)
+    start, count = hits.run_start[run] + offset, np.minimum(run_size[run] - offset, max_hits)
+    object_index, is_lit = hits.run_object[run], np.logical_or.reduceat(frontlit, start, axis=1)
     center, radius = _bounding_spheres(hits, start, count)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
@@ -578,7 +577,7 @@ def _square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packet
     for position in hits.samples.grid_position(hits.sample.take(first_hit)):
         square_key = square_key * (position.max() // side + 1) + position // side
     order = square_key.argsort(kind="stable")
-    depth = hits.p[2].take(first_hit)
+    depth = hits.local[2].take(first_hit)
     layer = hits.prepared.frame.layer(depth, side / hits.samples.density)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     start, count = run_lengths(square_key[order], layer[order])
@@ -604,11 +603,14 @@ def _bounding_spheres(hits: Hits, start: Ints, count: Ints) -> tuple[Floats, Flo
         Radii of the spheres.
     """
     if isinstance(hits.samples, Scattered) or hits.prepared.spheres.eye_inside.any():
-        corner, opposite = (f.reduceat(hits.p, start, axis=1) for f in (np.minimum, np.maximum))
+        corner, opposite = (f.reduceat(hits.local, start, axis=1) for f in (np.minimum, np.maximum))
     else:
         # Hits in one row of samples lie on a straight line, or on an arc of less than half a
         # circle.  A sphere whose diameter is the chord from the first to the last contains both.
-        corner, opposite = hits.p.take(start, axis=1), hits.p.take(start + count - 1, axis=1)
+        corner, opposite = (
+            hits.local.take(start, axis=1),
+            hits.local.take(start + count - 1, axis=1),
+        )
     half_diagonal = 0.5 * (opposite - corner)
     center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))

@@ -1,4 +1,8 @@
-"""Visibility: the nearest surface at sample positions."""
+"""Visibility: which surface does the ray through each sample meet first?
+
+Rays are tested only with objects that may be visible at their samples: with the samples in the span
+of a row that an object covers.  Then the nearest of the intersections at each sample is selected.
+"""
 
 from __future__ import annotations
 
@@ -7,140 +11,216 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, changes, indices, ranges, repeat_runs
+from tracer.arrays import Bools, Floats, Ints, indices, ranges, repeat_runs, run_starts
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
-# Pixels along each side of the squares at whose borders runs of scattered samples end.
-_TILE = 4.0
+# Runs of scattered samples end at the borders of squares of this width, in pixels.
+_RUN_WIDTH = 4.0
+
+# Larger than the distance of any intersection, and less than infinity, the distance of a miss.
+_MAX_DISTANCE = np.finfo(np.float64).max
 
 
 def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
-    """The nearest surface at each sample; at exactly equal distances, the first in the file."""
-    groups = _candidates(prepared, samples)
-    return _hits(prepared, samples, _seen(prepared, groups, _nearest(samples, groups)))
+    """Find the nearest surface at each sample.
+
+    Of several surfaces at exactly the same distance, the first in the scene file is visible.
+    Samples whose rays meet no surface have no hit.
+    """
+    groups = _intersections(prepared, samples)
+    return _hits(prepared, samples, _visible(prepared, groups, _nearest_distance(samples, groups)))
 
 
 def nearest_and_hidden(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """The `nearest_hits`, and the hits hidden behind them."""
-    groups = _candidates(prepared, samples)
-    nearest = _nearest(samples, groups)
+    """Find the nearest surface at each sample, and all surfaces behind it.
+
+    Returns
+    -------
+    nearest : Hits
+        The same as from `nearest_hits`.
+    hidden : Hits
+        The hits on objects that are hidden by the nearest surface.  A sample may have several.
+    """
+    groups = _intersections(prepared, samples)
+    nearest = _nearest_distance(samples, groups)
     hidden = [g.where((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
-    seen = _seen(prepared, groups, nearest)
-    return _hits(prepared, samples, seen), _hits(prepared, samples, hidden)
+    visible = _visible(prepared, groups, nearest)
+    return _hits(prepared, samples, visible), _hits(prepared, samples, hidden)
 
 
-class _Candidates(NamedTuple):
-    """Pairs (sample, object): where rays meet objects, hidden or not.
+class _Intersections(NamedTuple):
+    """n pairs of a sample and an object of one shape, with the distance at which the ray meets it.
+
+    The pairs are arranged in spans: consecutive samples in one row, paired with one object.
 
     Attributes
     ----------
     shape : Spheres or Boxes
-    counts : (spans,), or None
-        Spans are samples that follow each other in one row, paired with one object; None if each
-        has one sample.
-    obj : (spans,)
-        An object of that shape.
-    g : (spans,)
-        The second component of the rays' directions.
-    sample, s, t : (n,)
-        Which sample, the first component of its ray's direction, and the distance in
-        units of the direction's length, infinite for a miss.
-    detail : (n,)
-        See `Spheres.hit`.
+        The objects.
+    counts : (spans,) int array or None
+        Number of samples in each span; None if each span has one sample.
+    object_index : (spans,) int array
+        The object of each span.
+    g : (spans,) float array
+        Second component of the rays in each span.
+    sample : (n,) int array
+        The sample of each pair.
+    s : (n,) float array
+        First component of the sample's ray.
+    t : (n,) float array
+        Distance of the intersection, in units of the length of the ray's direction (s, g, depth);
+        infinity if the ray misses the object.
+    detail : (n,) array
+        Second result of `Spheres.hit` or `Boxes.hit`.
     """
 
     shape: Shape
     counts: Ints | None
-    obj: Ints
+    object_index: Ints
     g: Floats
     sample: Ints
     s: Floats
     t: Floats
     detail: NDArray[Any]
 
-    def where(self, mask: Bools) -> _Candidates:
-        """The pairs where the mask holds."""
+    def where(self, mask: Bools) -> _Intersections:
+        """Select pairs by a mask (n,)."""
         index = indices(mask)
         if index.size == mask.size:
             return self
-        shape, counts, obj, g, *pairs = self
+        shape, counts, object_index, g, *pairs = self
         if counts is None:
-            obj, g = obj.take(index), g.take(index)
+            object_index, g = object_index.take(index), g.take(index)
         else:
             counts = np.diff(index.searchsorted(counts.cumsum()), prepend=0)
-        return _Candidates(shape, counts, obj, g, *(values.take(index) for values in pairs))
+        pairs = [values.take(index) for values in pairs]
+        return _Intersections(shape, counts, object_index, g, *pairs)
 
     def runs(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
-        """The first hit of each run, see `ShapeHits`; `ahead` (n,): their depth before the eye.
+        """Divide the intersections into runs, and return the index of the first in each run.
 
-        Runs of scattered samples end at the borders of squares and of layers of depth.
+        A run consists of consecutive hits in one row of samples, on the same face of the same
+        object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
+        pixels, and of layers of depth: see `CameraFrame.layer`.
+
+        Parameters
+        ----------
+        samples : Rows or Scattered
+            All samples.
+        frame : CameraFrame
+            The rays of the camera.
+        ahead : (n,) float array
+            Depth of each intersection: component along w of the vector from the eye.
         """
-        begins = changes(self.detail) if self.shape.flat else np.zeros(ahead.size, dtype=np.bool_)
+        planar = self.shape.is_planar
+        is_start = run_starts(self.detail) if planar else np.zeros(ahead.size, dtype=np.bool_)
         if self.counts is None:
-            x, y = samples.at(self.sample)
-            layer = frame.layer(ahead, _TILE)
-            begins |= changes(self.obj, np.floor(y), np.floor(x / _TILE), layer)
+            x, y = samples.positions(self.sample)
+            layer = frame.layer(ahead, _RUN_WIDTH)
+            is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
         else:
-            begins[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
-            begins[1:] |= np.diff(self.sample) > 1  # what hides samples in between
-        return indices(begins)
+            is_start[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
+            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the samples between
+        return indices(is_start)
 
 
-def _candidates(prepared: PreparedScene, samples: Samples) -> list[_Candidates]:
-    """Find all pairs of samples and objects that spans do not rule out, for each shape."""
-    frame, found = prepared.frame, []
-    s, down = samples.across(frame), frame.down(samples.y)
+def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
+    """Intersect the ray of each sample with the objects that may be visible at the sample.
+
+    Returns
+    -------
+    groups : list of _Intersections
+        The pairs of a sample and an object, for each shape.  They include rays that miss.
+    """
+    frame, groups = prepared.frame, []
+    all_s, all_g = samples.across(frame), frame.down(samples.y)
     for shape in prepared.shapes:
-        obj, row, first, counts = samples.covered(shape, prepared)
-        sample = first if counts is None else ranges(first, counts)
-        g, across = down.take(row), s.take(sample)
-        t, detail = shape.hit(frame, obj, g, across, counts)
-        found.append(_Candidates(shape, counts, obj, g, sample, across, t, detail))
-    return found
+        object_index, row, first_sample, counts = samples.covered(shape, prepared)
+        sample = first_sample if counts is None else ranges(first_sample, counts)
+        g, s = all_g.take(row), all_s.take(sample)
+        t, detail = shape.hit(frame, object_index, g, s, counts)
+        groups.append(_Intersections(shape, counts, object_index, g, sample, s, t, detail))
+    return groups
 
 
-def _nearest(samples: Samples, groups: list[_Candidates]) -> Floats:
-    """The distance (n,) of each sample's nearest candidate."""
-    # Larger than any distance, and less than the infinity of what misses.
-    nearest = np.full(samples.size, np.finfo(np.float64).max)
+def _nearest_distance(samples: Samples, groups: list[_Intersections]) -> Floats:
+    """Return the distance (n,) of the nearest intersection at each sample.
+
+    The unit is the length of the ray's direction.  The distance is `_MAX_DISTANCE` if the ray meets
+    no surface.
+    """
+    nearest = np.full(samples.size, _MAX_DISTANCE)
     for group in groups:
         np.minimum.at(nearest, group.sample, group.t)
     return nearest
 
 
-def _seen(prepared: PreparedScene, groups: list[_Candidates], nearest: Floats) -> list[_Candidates]:
-    """Of all candidates those that are seen, given the distance of each sample's nearest."""
-    first = [group.where(group.t == nearest.take(group.sample)) for group in groups]
-    if sum(g.t.size for g in first) == np.count_nonzero(nearest < np.finfo(np.float64).max):
-        return first
-    # Of those that share a sample, the first in the file.
-    index = prepared.surfaces.file_index
-    ranks = [repeat_runs(index.take(g.obj), g.counts) for g in first]
-    least = np.full(nearest.size, index.size)
-    for group, rank in zip(first, ranks, strict=True):
-        np.minimum.at(least, group.sample, rank)
-    return [g.where(m == least.take(g.sample)) for g, m in zip(first, ranks, strict=True)]
+def _visible(
+    prepared: PreparedScene, groups: list[_Intersections], nearest: Floats
+) -> list[_Intersections]:
+    """Select the intersections that are visible: one for each sample whose ray meets a surface.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    groups : list of _Intersections
+        All intersections, for each shape.
+    nearest : (samples,) float array
+        Distance of the nearest intersection at each sample.
+
+    Returns
+    -------
+    visible : list of _Intersections
+        The nearest intersection at each sample; of several, that with the object that is first in
+        the scene file.
+    """
+    visible = [group.where(group.t == nearest.take(group.sample)) for group in groups]
+    if sum(g.t.size for g in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
+        return visible  # no sample has two
+    file_index = prepared.surfaces.file_index
+    ranks = [repeat_runs(file_index.take(g.object_index), g.counts) for g in visible]
+    first = np.full(nearest.size, file_index.size)
+    for group, rank in zip(visible, ranks, strict=True):
+        np.minimum.at(first, group.sample, rank)
+    return [
+        group.where(rank == first.take(group.sample))
+        for group, rank in zip(visible, ranks, strict=True)
+    ]
 
 
-def _hits(prepared: PreparedScene, samples: Samples, candidates: list[_Candidates]) -> Hits:
-    """Hits of candidates that are seen."""
-    frame = prepared.frame
-    parts = [part for part in candidates if part.t.size]
-    ends = np.cumsum([0] + [part.t.size for part in parts]).tolist()
-    p, groups, none = np.empty((3, ends[-1])), [], np.zeros(0, dtype=np.intp)
-    for part, start, end in zip(parts, ends, ends[1:], strict=False):
-        here = p[:, start:end]
-        np.multiply(part.t, part.s, out=here[0])
-        np.multiply(part.t, repeat_runs(part.g, part.counts), out=here[1])
-        np.multiply(part.t, frame.depth, out=here[2])
-        first = part.runs(samples, frame, here[2])
-        counts, obj = np.diff(first, append=end - start), repeat_runs(part.obj, part.counts)[first]
-        surface = part.shape.surface(frame, obj, counts, here, part.t, part.detail)
-        groups.append(ShapeHits(part.shape, slice(start, end), part.sample, counts, obj, *surface))
-    first = np.concatenate([none, [0], *(group.counts for group in groups)]).cumsum()
-    sample = np.concatenate([none, *(group.sample for group in groups)])
-    obj = np.concatenate([none, *(group.obj for group in groups)])
-    return Hits(prepared, samples, p, groups, sample, first, obj)
+def _hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
+    """Compute the hits, with their surfaces, from intersections without misses.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        All samples.
+    groups : list of _Intersections
+        The intersections, for each shape.
+    """
+    frame, groups = prepared.frame, [group for group in groups if group.t.size]
+    ends = np.cumsum([0] + [group.t.size for group in groups]).tolist()
+    local, shape_hits, none = np.empty((3, ends[-1])), [], np.zeros(0, dtype=np.intp)
+    for group, start, end in zip(groups, ends, ends[1:], strict=False):
+        group_local = local[:, start:end]
+        np.multiply(group.t, group.s, out=group_local[0])
+        np.multiply(group.t, repeat_runs(group.g, group.counts), out=group_local[1])
+        np.multiply(group.t, frame.depth, out=group_local[2])
+        run_start = group.runs(samples, frame, group_local[2])
+        length = np.diff(run_start, append=end - start)
+        run_object = repeat_runs(group.object_index, group.counts)[run_start]
+        surface = group.shape.surface(frame, run_object, length, group_local, group.t, group.detail)
+        interval = slice(start, end)
+        shape_hits.append(
+            ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)
+        )
+    run_start = np.concatenate([none, [0], *(group.run_length for group in shape_hits)]).cumsum()
+    sample = np.concatenate([none, *(group.sample for group in shape_hits)])
+    run_object = np.concatenate([none, *(group.run_object for group in shape_hits)])
+    return Hits(prepared, samples, local, shape_hits, sample, run_start, run_object)

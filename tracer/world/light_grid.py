@@ -60,7 +60,6 @@ from tracer.arrays import (
     run_lengths,
     segment_indices,
 )
-from tracer.scene.model import Surfaces
 
 POSITION_ERROR = 1e-9
 """Bounds on positions are widened by this fraction of the coordinates from which they are computed.
@@ -238,7 +237,7 @@ class LightGrid(NamedTuple):
 
 
 def light_grid(
-    lights: Floats, surfaces: Surfaces, position_error: Floats, lit: Bools, shades: Bools
+    lights: Floats, low: Floats, high: Floats, position_error: Floats, lit: Bools, shades: Bools
 ) -> LightGrid | None:
     """Build the grid that finds the objects that may lie between a point and each light.
 
@@ -248,8 +247,8 @@ def light_grid(
     ----------
     lights : (lights, 3) float array
         Positions of the lights.
-    surfaces : Surfaces
-        The n objects of the scene: spheres, then boxes.
+    low, high : (3, n) float arrays
+        Opposite corners of the bounding boxes of all objects, in the axes of the scene.
     position_error : (n,) float array
         Bound on the rounding errors of points on each object, by which the object is enlarged.
     lit : (n,) bool array
@@ -264,10 +263,7 @@ def light_grid(
     """
     if not (len(lights) and position_error.size > 1 and lit.any()):
         return None
-    center, radius = surfaces.center, surfaces.radius[:, None]
-    # Copied so that each axis is contiguous: minima over columns would take ten times as long.
-    low = np.concatenate([center - radius, surfaces.min_pt]).T.copy() - position_error
-    high = np.concatenate([center + radius, surfaces.max_pt]).T.copy() + position_error
+    low, high = low - position_error, high + position_error
     light, error = _move_closer(lights, low, high)
     low, high = (light - error) - high[:, None], (light + error) - low[:, None]
     octant_count = 8 * len(lights)

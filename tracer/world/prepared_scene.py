@@ -1,46 +1,56 @@
-"""A scene as one camera sees it: what all samples of a picture share."""
+"""A scene prepared for one camera: the data that all samples of a picture share.
+
+Threads may share a `PreparedScene`.  Its arrays never change.  Lights are prepared when they are
+first needed, in batches, and a lock protects the cache that contains the batches.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from math import sqrt
+from threading import Lock
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, changes
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, run_starts
 from tracer.geometry.box import Boxes
-from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.camera import ScreenBounds, camera_frame
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
 from tracer.world.light_grid import POSITION_ERROR, LightGrid, light_grid
 
 Shape: TypeAlias = Spheres | Boxes
-"""All objects of one kind; see `Spheres` for what they answer."""
+"""All objects of one kind; `Spheres` documents the methods."""
 
 # Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
 # number of lights, and of pairs of a light and an object, in one batch of lights.
 _MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
 
-# Maximum memory, in bytes, for prepared lights that are kept for the next batch of samples.
+# No more batches of lights are cached when the cache has at least this many bytes.  To prepare
+# other batches again takes less time than most of the work for which they are prepared.
 _MAX_CACHED_BYTES = 1 << 26
 
-# Pixels across a packet, as a part of the side of the square of pixels that each object has if all
-# share the picture evenly.
-_PART = 0.75
+# Width of a packet (a group of neighbouring hits) relative to sqrt(pixels / objects), the side of
+# the square of pixels that each object has if all objects share the picture evenly.
+_PACKET_SCALE = 0.75
 
 
 class Lights(NamedTuple):
-    """Some lights of a scene, prepared for its surfaces.
+    """A batch of lights, prepared for the n objects of a scene.
 
     Attributes
     ----------
-    position, local, intensity : (lights, 3)
-        In the scene's axes, and in the camera's as seen from the eye; linear RGB.
-    side : (lights, n)
-        The side of each object that each light is on: see `Spheres.side`.
-    grid : LightGrid
-        Lists of objects by direction from each light; None if nothing can be shaded.
+    position : (lights, 3) float array
+        Positions of the lights, in the axes of the scene.
+    local : (lights, 3) float array
+        Vectors from the eye to the lights, in the axes of the camera.
+    intensity : (lights, 3) float array
+        Linear RGB intensities.
+    side : (lights, n) int8 array
+        Side of each object's surface on which the light lies: see `Spheres.side`.
+    grid : LightGrid or None
+        Lists of objects by their direction from each light; None if no object can be in shadow.
     """
 
     position: Floats
@@ -51,53 +61,74 @@ class Lights(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that they take."""
+        """Size of the largest arrays, in bytes."""
         arrays = [self.side, *(self.grid or ())]
-        return sum(m.nbytes for m in arrays if isinstance(m, np.ndarray))
+        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 class PreparedScene:
-    """A scene prepared for one camera; objects are numbered together, spheres first.
+    """A scene with n objects, prepared for its camera.
+
+    Objects have indices: see `ObjectRange`.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    offset : (float, float)
+        Moves every ray by this number of pixels to the right, and down.
 
     Attributes
     ----------
-    frame, spheres, boxes
-    file_index, shader_index : (n,)
-        See `Surfaces`.
-    bounds, eye_inside
-        As in `Spheres`, of all n objects.
-    curvature : (n,)
-        One over the radius; 0 for planes.
-    repeated : (n,)
-        Whether an object equals one that is earlier in the file: it is never seen, and shades
-        nothing more.
+    surfaces : Surfaces
+        The surfaces of the scene.
+    frame : CameraFrame
+        The rays of the camera.
+    spheres, boxes : Spheres, Boxes
+        The objects.
+    shapes : tuple of Spheres and Boxes
+        Those of `spheres` and `boxes` that contain objects.
+    bounds : ScreenBounds
+        Bounding rectangles of all objects in the picture.
+    eye_inside : (n,) bool array
+        Whether the eye is inside the object, or on its surface.
+    curvature : (n,) float array
+        1 / radius of spheres, and 0 for boxes.
+    is_duplicate : (n,) bool array
+        Whether the object is equal to an object earlier in the file.  Such an object is never
+        visible, and casts no shadow that the other object does not cast.
     depth_complexity : float
-        How many objects at most lie behind a sample, on average over any row.
+        Bound on the mean number of objects behind a sample in any row of the picture.
     window : (slice, slice)
-        Rows and columns of the picture outside of which nothing is seen.
+        Rows and columns of the picture outside of which no object is visible.
     light_count : int
-    diffuse, specular : (3, n)
-    exponent : (n,)
-    glossy : (n,)
-        Whether an object has highlights at all.
-    position_error : (n,)
-        More than rounding can displace a point on each object.
-    packet_pixels : float
-        How many pixels packets may have across.
+        Number of lights in the scene.
+    diffuse, specular : (3, n) float arrays
+        Linear RGB colours of the objects.
+    exponent : (n,) float array
+        Exponents of the highlights.
+    glossy : (n,) bool array
+        Whether the object has highlights.
+    position_error : (n,) float array
+        Upper bound on the rounding errors of points on each object.
+    packet_width : float
+        Width of a packet, a group of neighbouring hits, in pixels.
     """
 
-    def __init__(self, scene: Scene, frame: CameraFrame) -> None:
-        surfaces = scene.surfaces
-        spheres, boxes = Spheres.of(frame, surfaces), Boxes.of(frame, surfaces)
-        self.surfaces, self.frame, self.spheres, self.boxes = surfaces, frame, spheres, boxes
-        self.repeated = _repeated(surfaces)
-        bounds = ScreenBounds(*map(np.append, spheres.bounds, boxes.bounds))
-        self.bounds = bounds._replace(top=np.where(self.repeated, np.inf, bounds.top))
-        self.eye_inside = np.append(spheres.eye_inside, boxes.eye_inside)
-        self.curvature = np.append(1 / spheres.radius, np.zeros(boxes.count))
+    def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.surfaces = surfaces = scene.surfaces
+        self.frame = frame = camera_frame(scene.camera, scene.width, scene.height, offset)
+        self.spheres = Spheres.from_surfaces(frame, surfaces)
+        self.boxes = Boxes.from_surfaces(frame, surfaces)
+        shapes: tuple[Shape, ...] = self.spheres, self.boxes  # in the order of their indices
+        self._all_shapes, self.shapes = shapes, tuple(s for s in shapes if s.objects.size)
+        self.is_duplicate = _duplicates(surfaces)
+        bounds = ScreenBounds(*map(np.concatenate, zip(*(s.bounds for s in shapes), strict=True)))
+        self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
+        self.eye_inside = np.concatenate([shape.eye_inside for shape in shapes])
+        self.curvature = np.concatenate([shape.curvature for shape in shapes])
         self.depth_complexity = self.bounds.depth_complexity(frame)
         self.window = self.bounds.window(frame)
-        self._lights, self.light_count = scene.lights, len(scene.lights)
         colors = [
             (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
             for s in surfaces.shaders
@@ -105,64 +136,70 @@ class PreparedScene:
         table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
         self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
         self.glossy = np.any(table[3:6] > 0, axis=0)
-        size = np.append(spheres.size, boxes.size)
+        size = np.concatenate([shape.coordinate_size for shape in shapes])
         self.position_error = POSITION_ERROR * (size + np.abs(frame.eye).sum())
-        # Packets lie along rows: more pixels across make them longer, more rows only more numerous.
+        # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
+        # pixels are lower than wide, there are more packets instead.
         pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
-        self.packet_pixels = _PART * sqrt(pixels / max(size.size, 1))
-        self._kept = list[Lights]()
+        self.packet_width = _PACKET_SCALE * sqrt(pixels / max(size.size, 1))
+        self._lights, self.light_count = scene.lights, len(scene.lights)
+        self._cache, self._lock = dict[int, Lights](), Lock()
 
-    @property
-    def shapes(self) -> tuple[Shape, ...]:
-        """The kinds of objects that there are."""
-        both: tuple[Shape, ...] = self.spheres, self.boxes
-        return tuple(shape for shape in both if shape.count)
-
-    def at_once(self, samples: int) -> int:
-        """Up to so many samples, or as many as memory allows at a time."""
-        return max(1, min(samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
+    def batch_size(self, max_samples: int) -> int:
+        """Return how many samples, at most `max_samples`, to trace together to limit memory."""
+        return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """All lights, as many at a time as memory allows."""
-        step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // max(self.curvature.size, 1)))
-        for number, start in enumerate(range(0, self.light_count, step)):
-            if number < len(self._kept):
-                yield self._kept[number]
-                continue
-            batch = self.lights(slice(start, start + step))
-            # Preparing the others again takes less time than most of what they are prepared for.
-            if sum(kept.nbytes for kept in self._kept) < _MAX_CACHED_BYTES:
-                self._kept.append(batch)
-            yield batch
+        """All lights of the scene, in batches; the number of lights in a batch limits memory."""
+        object_count = max(self.curvature.size, 1)
+        step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
+        for start in range(0, self.light_count, step):
+            yield self._light_batch(slice(start, start + step))
 
-    def lights(self, part: slice = slice(None)) -> Lights:
-        """Prepare some of the lights, or all."""
-        lights = self._lights[part]
+    def _light_batch(self, index: slice) -> Lights:
+        """Return a batch of lights, given by a slice, from the cache if possible."""
+        # With the lock, threads wait for a batch instead of preparing the same batch twice.
+        with self._lock:
+            if index.start in self._cache:
+                return self._cache[index.start]
+            if sum(lights.nbytes for lights in self._cache.values()) < _MAX_CACHED_BYTES:
+                return self._cache.setdefault(index.start, self.lights(index))
+        return self.lights(index)
+
+    def lights(self, index: slice = slice(None)) -> Lights:
+        """Prepare lights of the scene, by default all of them, without use of the cache."""
+        lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
-        sides = [
-            shape.side(shape.first + np.arange(shape.count), (x, y, z))
-            for shape in (self.spheres, self.boxes)
-        ]
+        sides = [shape.side(shape.objects.indices(), (x, y, z)) for shape in self._all_shapes]
+        boxes = [shape.bounding_boxes() for shape in self._all_shapes]
+        low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
         lit = self.bounds.in_picture(self.frame)
         return Lights(
             position=position,
             local=np.column_stack(self.frame.to_camera(position)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
-            grid=light_grid(position, self.surfaces, self.position_error, lit, ~self.repeated),
+            grid=light_grid(position, low, high, self.position_error, lit, ~self.is_duplicate),
         )
 
 
-def _repeated(surfaces: Surfaces) -> Bools:
-    """See `PreparedScene.repeated`."""
-    radius, ends = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
-    spheres = [*surfaces.center.T, radius, radius, radius + np.inf]  # no box ends there
-    numbers = np.concatenate([spheres, ends], axis=1)
-    # By one number that hardly any others share: equal objects then follow each other.
-    number = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
-    order = np.lexsort((surfaces.file_index, number))
-    repeated = np.empty(order.size, dtype=np.bool_)
-    repeated[order] = ~changes(*numbers[:, order])
-    return repeated
+def _duplicates(surfaces: Surfaces) -> Bools:
+    """Find objects that are equal to objects earlier in the file.
+
+    Returns
+    -------
+    is_duplicate : (n,) bool array
+        Whether an equal object has a smaller `file_index`.
+    """
+    radius, corners = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    # Six numbers for each object.  No box has a corner at infinity, so no sphere equals a box.
+    spheres = [*surfaces.center.T, radius, radius, radius + np.inf]
+    numbers = np.concatenate([spheres, corners], axis=1)
+    # Sort by a hash: duplicates become neighbours, and the first in the file comes first.
+    number_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
+    order = np.lexsort((surfaces.file_index, number_hash))
+    is_duplicate = np.empty(order.size, dtype=np.bool_)
+    is_duplicate[order] = ~run_starts(*numbers[:, order])
+    return is_duplicate

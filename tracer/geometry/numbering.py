@@ -1,0 +1,77 @@
+"""Numbering of objects: all objects of a scene have indices together, shape by shape.
+
+The spheres come first, then the boxes, each in the order of their arrays in `Surfaces`.  Only this
+module depends on that order; other modules use an `ObjectRange` to relate indices to shapes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tracer.arrays import Bools, Ints
+from tracer.scene.model import Surfaces
+
+
+class ObjectRange(NamedTuple):
+    """The consecutive indices of all objects of one shape.
+
+    Attributes
+    ----------
+    start : int
+        Index of the first object of the shape, among all objects of the scene.
+    size : int
+        Number of objects of the shape.
+    """
+
+    start: int
+    size: int
+
+    @property
+    def slice(self) -> slice:
+        """The part of an array of all objects that belongs to the objects of the shape."""
+        return slice(self.start, self.start + self.size)
+
+    def indices(self) -> Ints:
+        """Return the indices (size,) of all objects of the shape."""
+        return np.arange(self.start, self.start + self.size)
+
+    def contains(self, object_index: Ints) -> Bools:
+        """Test, for each index of an object, whether the object has the shape.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            Indices among all objects of the scene.
+
+        Returns
+        -------
+        is_of_shape : (n,) bool array
+        """
+        return (object_index >= self.start) & (object_index < self.start + self.size)
+
+    def positions(self, object_index: Ints) -> Ints:
+        """Convert indices among all objects to positions in the arrays of the shape.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            Indices of objects of the shape, among all objects of the scene.
+
+        Returns
+        -------
+        position : (n,) int array
+            Positions in the arrays that contain only the objects of the shape.
+        """
+        return object_index - self.start if self.start else object_index
+
+
+def sphere_range(surfaces: Surfaces) -> ObjectRange:
+    """Return the indices of the spheres among all objects."""
+    return ObjectRange(0, len(surfaces.radius))
+
+
+def box_range(surfaces: Surfaces) -> ObjectRange:
+    """Return the indices of the boxes among all objects."""
+    return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))
