@@ -1,15 +1,13 @@
-"""One HTML page that shows pairs of pictures and holds all that it shows."""
+"""One HTML page that shows pairs of pictures, and contains everything that it shows."""
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jinja2 import Environment
+from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
 
@@ -18,12 +16,28 @@ from reference.figures import Floats
 from reference.pictures import Codes
 
 TEMPLATE = HERE / "page.html"
-# Longer side of a thumbnail in pixels.
-_THUMBNAIL = 96
+
+# Maximum side of a thumbnail in pixels.
+_MAX_THUMBNAIL = 96
+
+Pair: TypeAlias = dict[str, Any]
+"""Two pictures and their difference, for the template: see `pair`."""
 
 
 class Cell(NamedTuple):
-    """A cell of the overview; `link` is the index of a pair, `thumbnail` a PNG."""
+    """A part of a cell in the overview table.
+
+    Attributes
+    ----------
+    text : str
+        What it says.
+    link : int, optional
+        Index of the pair to which it leads.
+    good : bool, optional
+        Whether it reports a success or a failure, if either.
+    thumbnail : bytes, optional
+        A small picture as a PNG.
+    """
 
     text: str
     link: int | None = None
@@ -31,93 +45,78 @@ class Cell(NamedTuple):
     thumbnail: bytes | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pair:
-    """Two pictures and their difference, all PNGs of one size; `shown` is the caption of that.
+def pair(a: Codes, b: Codes, difference: Floats, gain: float, **content: Any) -> Pair:
+    """Prepare two pictures and their difference for the template.
 
-    `left` and `right` say what the pictures are; `worst` is a pixel that gets a ring.
+    Parameters
+    ----------
+    a, b : (height, width, 3) uint8 arrays
+        8-bit codes of the left and the right picture.
+    difference : (height, width, 3) float array
+        A picture of the difference, from 0 to 1, as `reference.figures.amplified` returns it.
+    gain : float
+        Factor by which the difference is amplified; 0 if there is none.
+    **content
+        Values for the template.  Required are `name` and `word` (str: the heading and the
+        verdict), `good` (bool), `left` and `right` (str: names of the pictures), and `figures` (a
+        sequence of pairs of a name and a value).  Optional are `comment` (str), `faults` and
+        `notes` (sequences of paragraphs), `worst` (column and row of a pixel to mark by a ring),
+        and `thumbnail` (bytes).
     """
-
-    name: str
-    good: bool
-    word: str
-    left: str
-    right: str
-    width: int
-    height: int
-    left_png: bytes
-    right_png: bytes
-    difference: bytes
-    shown: str
-    figures: Sequence[tuple[str, object]]
-    comment: str = ""
-    faults: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    worst: tuple[int, int] | None = None
-    thumbnail: bytes | None = None
-
-    @classmethod
-    def of(cls, a: Codes, b: Codes, difference: Floats, gain: float, **told: Any) -> Pair:
-        """Codes (h, w, 3), and their difference in 0 ... 1 with its gain, as `amplified` has it."""
-        return cls(
-            width=a.shape[1],
-            height=a.shape[0],
-            left_png=png(a),
-            right_png=png(b),
-            difference=png(np.round(255 * difference).astype(np.uint8)),
-            shown=f"difference × {gain:,.10g}" if gain else "no difference",
-            **told,
-        )
+    height, width, _ = a.shape
+    optional = {"comment": "", "faults": (), "notes": (), "worst": None, "thumbnail": None}
+    pictures = {
+        "left_png": png(a),
+        "right_png": png(b),
+        "difference": png(np.round(255 * difference).astype(np.uint8)),
+        "shown": f"difference × {gain:,.10g}" if gain else "no difference",
+    }
+    return optional | pictures | {"width": width, "height": height} | content
 
 
-def page(
-    *,
-    title: str,
-    lead: str,
-    verdict: str,
-    good: bool,
-    overview: str,
-    head: Sequence[str],
-    rows: Sequence[Sequence[Sequence[Cell]]],
-    pairs: Sequence[Pair],
-    legend: str,
-    source: str = "",
-    faults: Sequence[str] = (),
-    charts: Iterable[tuple[str, bytes]] = (),
-) -> str:
-    """The page as HTML.
+def page(**content: Any) -> str:
+    """Render the page.
 
-    A place in a row holds some cells.  `charts` are titles and SVGs; `faults` says what could not
-    be compared, `source` how the rest was.
+    Parameters
+    ----------
+    **content
+        Values for the template: `title`, `lead` and `verdict` (str: the heading, and the first
+        paragraph with the verdict at its end), `good` (bool), `overview` (str: name of the
+        table), `head` (a sequence of column titles), `rows` (for each row a sequence of cells, each
+        a sequence of Cell), `pairs` (a sequence of Pair), and `legend` (str).  Optional are
+        `source` (str: how the pictures were made), `faults` (a sequence of paragraphs about what
+        could not be compared) and `charts` (pairs of a title and an SVG as bytes).
+
+    Returns
+    -------
+    html : str
+        The page.  A picture that is shown more than once is stored once.
     """
-    held: dict[bytes, str] = {}
+    stored: dict[bytes, str] = {}
 
     def picture(data: bytes) -> Markup:
-        """The attributes of a picture: its content, or where that is held already."""
-        if data in held:
-            return Markup('data-same="{}"').format(held[data])
-        held[data] = f"picture-{len(held)}"
-        return Markup('id="{}" src="{}"').format(held[data], _data(data))
+        """Return the attributes of an image: its data, or the id of an equal image."""
+        if data in stored:
+            return Markup('data-same="{}"').format(stored[data])
+        stored[data] = f"picture-{len(stored)}"
+        return Markup('id="{}" src="{}"').format(stored[data], _data_url(data))
 
-    environment = Environment(autoescape=True, trim_blocks=True)
-    environment.filters |= {"source": picture, "png": _data}
-    environment.filters["svg"] = lambda svg: _data(svg, "svg+xml")
+    environment = Environment(autoescape=True, trim_blocks=True, undefined=StrictUndefined)
+    environment.filters |= {"source": picture, "png": _data_url}
+    environment.filters["svg"] = lambda svg: _data_url(svg, "svg+xml")
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(
-        title=title, lead=lead, verdict=verdict, good=good, overview=overview, head=head, rows=rows,
-        pairs=pairs, legend=legend, source=source, faults=faults, charts=charts,
-    )  # fmt: skip
+    return template.render({"source": "", "faults": (), "charts": ()} | content)
 
 
 def png(codes: Codes, *, thumbnail: bool = False) -> bytes:
-    """Codes (h, w, 3) as a PNG, or as a small one."""
-    data, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
+    """Encode 8-bit codes (height, width, 3) as a PNG, reduced in size if it is a thumbnail."""
+    file, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
     if thumbnail:
-        image.thumbnail((_THUMBNAIL, _THUMBNAIL))
-    image.save(data, format="PNG")
-    return data.getvalue()
+        image.thumbnail((_MAX_THUMBNAIL, _MAX_THUMBNAIL))
+    image.save(file, format="PNG")
+    return file.getvalue()
 
 
-def _data(content: bytes, kind: str = "png") -> str:
-    """A picture as an address that holds it."""
+def _data_url(content: bytes, kind: str = "png") -> str:
+    """Return a URL that contains a picture; `kind` is "png" or "svg+xml"."""
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from reference import page as pages
 from reference.figures import Floats, amplified
 from reference.handins.results import Result, count_of
-from reference.page import Cell, Pair, png
+from reference.page import Cell, Pair, pair, png
 from reference.pictures import Codes
 
 _LEGEND = (
@@ -21,7 +20,7 @@ _LEGEND = (
 
 def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
     """A hand-in and the right picture, of one size."""
-    return Pair.of(
+    return pair(
         *codes,
         *amplified(*light),
         name=str(result.picture),
@@ -52,7 +51,7 @@ def _cell(result: Result, pair: Pair | None, link: int | None) -> Cell:
     text, cause = result.word, (result.kind or "").partition("|")[0]
     if text == "differs" and cause != "unknown":
         text = cause.replace("+", " + ")
-    return Cell(text, link, result.agrees, pair.thumbnail if pair else None)
+    return Cell(text, link, result.agrees, pair["thumbnail"] if pair else None)
 
 
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
@@ -78,7 +77,7 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
         overview="By student and by scene",
         head=["student", *scenes],
         rows=rows,
-        pairs=[replace(pair, name=os.path.relpath(name, folder)) for name, pair in pairs.items()],
+        pairs=[pair | {"name": os.path.relpath(name, folder)} for name, pair in pairs.items()],
         legend=_LEGEND,
         faults=faults + [result.error or f"{result.picture}: {result.diagnosis}"
                          for result in results if result.picture not in {None, *pairs}],

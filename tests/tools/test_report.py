@@ -1,4 +1,4 @@
-"""The report page: what it holds, and its command."""
+"""The report page: its content, and the command that writes it."""
 
 import base64
 import io
@@ -18,12 +18,13 @@ from reference.check import CheckResult
 from reference.figures import figures, linear
 from reference.report import main, page
 from tracer import load_scene
+from tracer.command.failure import Failure
 
 WIDTH, HEIGHT = 8, 6
 
 
 def colours(blue: int) -> NDArray[np.uint8]:
-    """Every pixel in a colour of its own: 10 + 30 column, 10 + 40 row, `blue`."""
+    """Return codes that differ in all pixels: red 10 + 30 column, green 10 + 40 row, and `blue`."""
     row, column = np.mgrid[:HEIGHT, :WIDTH]
     return np.dstack([10 + 30 * column, 10 + 40 * row, np.full_like(row, blue)]).astype(np.uint8)
 
@@ -32,46 +33,46 @@ TRACER, MITSUBA = colours(blue=40), colours(blue=200)
 
 
 def result(name: str = "pair") -> CheckResult:
-    """A made-up comparison of two pictures that differ in blue, one pixel of it masked."""
+    """Make the result of a comparison: pictures that differ in blue, and one excluded pixel."""
     a, b = linear(TRACER), linear(MITSUBA)
     mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
     mask[5, 7] = True
     none = np.zeros_like(mask)
     pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
-    asked = {"asked": 30, "wrong": 30, "first": (0, 0)}
+    arbitration = {"asked": 30, "wrong": 30, "first": (0, 0)}
     times = {"tracer_seconds": 0.0123, "mitsuba_seconds": 4.5}
-    found = figures(a, b, mask)
-    return CheckResult(name=name, figures=found, variant="scalar_rgb", **pictures, **times, **asked)
+    measured = figures(a, b, mask)
+    return CheckResult(
+        name=name, figures=measured, variant="scalar_rgb", **pictures, **times, **arbitration
+    )
 
 
 CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle r="4"/></svg>'
 
 
-def test_page_holds_everything():
-    """Whatever it refers to is in it; names and comments are escaped once, and ids unique."""
-    results = [result("<b>&"), replace(result("two"), wrong=0)]
-    text = page(results, {"<b>&": "Shows <one> & more."}, [("Chart", CHART)])
-    for told in (
+def test_the_page_contains_everything_that_it_shows():
+    results = [(result("<b>&"), "Shows <one> & more."), (replace(result("two"), wrong=0), "")]
+    text = page(results, [("Chart", CHART)])
+    for expected in (
         "12.3 ms",
         "4.50 s",
         "Shows &lt;one&gt; &amp; more.",
         'alt="&lt;b&gt;&amp;: tracer"',
         "✗ DIFFERS",
         "✗ undecided",
-        "against the tracer on 30 of 30 pixels that it was asked about",
         "Mitsuba or the converter is wrong on 47 pixels, the first at column 0, row 0",
-        "<dt>edge pixels left out</dt><dd>1</dd>",
+        "<dt>edge pixels excluded</dt><dd>1</dd>",
         base64.b64encode(CHART).decode(),
         "0 agree.",
     ):
-        assert told in text
+        assert expected in text
     assert "<!--" not in text
-    assert "&amp;lt;" not in text
+    assert "&amp;lt;" not in text, "a name is escaped twice"
     ids = re.findall(r' id="([^"]*)"', text)
     assert len(ids) == len(set(ids))
     assert text.count('<section class="scene"') == 2
     sources = re.findall(r'(?:src|href)="([^"]*)"', text)
-    assert len(sources) == 3 + 2 + 1  # the other pair's pictures are the same
+    assert len(sources) == 3 + 2 + 1  # the pictures of the second pair equal those of the first
     assert text.count(" data-same=") == 3
     assert all(source.startswith(("data:image/", "#")) for source in sources)
     pictures = [
@@ -80,20 +81,23 @@ def test_page_holds_everything():
     ]
     np.testing.assert_array_equal(pictures[0], TRACER)
     np.testing.assert_array_equal(pictures[1], MITSUBA)
-    # linear(40) - linear(200) = -0.57 times 1, in the blue of "darker"; grey where masked.
+    # linear(40) - linear(200) = -0.57, amplified once, in the blue of "darker".
     blue = np.round(255 * 0.5695 * np.array([0.34, 0.71, 0.91]))
     np.testing.assert_array_equal(pictures[2][0, 0], blue)
-    assert pictures[2][5, 7].tolist() == [76, 76, 76]
+    assert pictures[2][5, 7].tolist() == [76, 76, 76], "an excluded pixel is grey"
 
 
 @pytest.fixture
 def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """The command, in Mitsuba's plainest variant: its status, its errors, and the page."""
+    """Return a function that runs the command in Mitsuba's scalar variant.
+
+    It returns the exit status, the text on standard error, and the page.
+    """
 
     def call(output: Path | str, *arguments: Path | str) -> tuple[int, str, str]:
         status = main(["--variant", "scalar_rgb", *map(str, arguments), "-o", str(output)])
-        made = Path(output)
-        text = made.read_text(encoding="utf-8") if made.is_file() else ""
+        page = Path(output)
+        text = page.read_text(encoding="utf-8") if page.is_file() else ""
         return status, capsys.readouterr().err, text
 
     return call
@@ -107,7 +111,9 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
         ("utf-8", "", "<!-- ask somebody -->", ""),
     ],
 )
-def test_what_a_scene_shows_is_its_first_comment(tmp_path, report, encoding, before, within, shown):
+def test_a_scene_is_described_by_its_first_comment(
+    tmp_path, report, encoding, before, within, shown
+):
     scene = f"<image>9 9</image><camera/>{within}<surface type='Sphere'/>"
     text = f"<?xml version='1.0' encoding='{encoding}'?>{before}<scene>{scene}</scene>"
     (tmp_path / "a.xml").write_text(text, encoding=encoding)
@@ -118,8 +124,7 @@ def test_what_a_scene_shows_is_its_first_comment(tmp_path, report, encoding, bef
     assert "ask somebody" not in html
 
 
-def test_what_is_in_the_way(small, report, monkeypatch, capsys):
-    """No scene is replaced, and no pipe; where a shell has closed the errors, the page is made."""
+def test_neither_a_scene_nor_a_pipe_is_replaced(small, report, capsys):
     link, pipe = small.with_name("link.xml"), small.with_name("pipe")
     link.symlink_to(small.name)
     with pytest.raises(SystemExit, match="2"):
@@ -127,14 +132,30 @@ def test_what_is_in_the_way(small, report, monkeypatch, capsys):
     assert f"{link}: this would replace an input" in capsys.readouterr().err
     assert load_scene(small).width == 40
     os.mkfifo(pipe)
-    assert report(pipe, small) == (1, f"{pipe}: cannot be written: not a regular file\n", "")
+    with pytest.raises(Failure) as caught:
+        report(pipe, small)
+    message = f"{pipe}: cannot be written: not a regular file; choose another with -o"
+    assert (str(caught.value), caught.value.status) == (message, 1)
     assert pipe.is_fifo()
+
+
+def test_scenes_that_cannot_be_compared_are_reported(small, report):
+    missing, page = small.with_name("missing.xml"), small.with_name("report.html")
+    status, error, text = report(page, small, missing)
+    reason = "No such file or directory; check the path and its permissions"
+    message = f"{missing}: cannot be read: {reason}"
+    assert (status, error) == (1, f"{message}\n")
+    assert f"Not compared: {message}" in text
+    assert "1 agree." in text
+
+
+def test_without_standard_error_the_page_is_written(small, report, monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     status, _, text = report(small.with_name("report.html"), small)
     assert (status, "All agree." in text) == (0, True)
 
 
-def test_scenes_of_one_name_are_told_apart(small, report):
+def test_scenes_with_the_same_name_are_named_by_their_paths(small, report):
     other = small.parent / "other" / small.name
     other.parent.mkdir()
     text = small.read_text(encoding="utf-8")
