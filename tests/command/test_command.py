@@ -21,6 +21,7 @@ from converters import to_mitsuba
 from reference import compare
 from tracer.command import cli
 from tracer.command.failure import Failure
+from tracer.picture.lint import Exposure
 from tracer.picture.png import Compressed
 from tracer.picture.render import Tile
 
@@ -348,10 +349,13 @@ def test_the_bar_counts_pixels(monkeypatch):
     monkeypatch.setattr(cli, "perf_counter", iter([0, 0.9, 1.1]).__next__)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     progress = cli._Progress("a.png", 600, show=True)
-    tiles = [Tile(Compressed(b"", 0, 0), 100 * k, k < 3) for k in (1, 2, 3)]
+    exposures = Exposure(), Exposure(), Exposure(is_black=False, lit=7, clipped=2)
+    tiles = [
+        Tile(Compressed(b"", 0, 0), 100 * k, e) for k, e in zip((1, 2, 3), exposures, strict=True)
+    ]
     watched = progress.watch(iter(tiles))
-    assert [next(watched), next(watched), progress.black] == [*tiles[:2], True]
-    assert [*watched, progress.black] == [tiles[2], False]
+    assert [next(watched), next(watched), progress.exposure] == [*tiles[:2], Exposure()]
+    assert [*watched, progress.exposure] == [tiles[2], exposures[2]]
     assert shown == [(300, 600), (600, 600)]  # none before a second has passed
 
 

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scene_files import small
 
 import tracer
 from tracer import Box, Camera, Lambertian, PointLight, SceneWarning, Sphere, render
+from tracer.picture.lint import Exposure
 
 FILE = """<scene>
 <camera><viewPoint>0 0 5</viewPoint></camera> <image>9 9</image>
@@ -60,6 +62,7 @@ def test_an_explanation_names_what_keeps_a_light_out(path):
     pixel = tracer.explain(tracer.load_scene(path), 4, 4)
     assert str(pixel.surface) == "Sphere 0 (line 5)"
     assert pixel.distance == pytest.approx(4)
+    assert (pixel.eye, pixel.direction) == ((0, 0, 5), (0, 0, -1))
     np.testing.assert_allclose((pixel.point, pixel.normal), [(0, 0, 1)] * 2, atol=1e-12)
     above, right = pixel.lights
     assert (above.line, above.occluders) == (3, ())
@@ -107,6 +110,7 @@ def test_the_command_explains_and_writes_no_picture(path):
 
 BALL = scene_of(Sphere(), camera=Camera(view_point=(0, 0, 4)), size=(8, 8), lights=(3, 5, 4))
 NOTHING, DARK = "no object is in view", "no light reaches anything in view"
+BETWEEN = "no pixel's centre sees an object"
 COLOR = "diffuseColor 200 100 0 of surface 1 looks like 0 to 255; for 0 to 1, write 0.784"
 INTENSITY = "intensity 255 255 255 of light 0 looks like 0 to 255; for 0 to 1, write 1 1 1"
 
@@ -122,11 +126,36 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
         ({"surfaces": ()}, NOTHING),
         ({"lights": ()}, "the scene has no light: the picture is black; add <light>"),
         ({"lights": (), "surfaces": ()}, "the scene has no light"),
-        ({"lights": [PointLight(position=(0, 0, 0))]}, f"{DARK}: .* see the lights' positions"),
-        ({"lights": [PointLight(position=(0, 0, 0))], "surfaces": [CUBE]}, "see the lights'"),
-        # In large pictures not every pixel is looked at, but all parts of them are.
-        ({"width": 600, "height": 600, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.4)],
+        ({"lights": [PointLight(position=(0, 0, -9))]}, f"{DARK}: .* see the lights' positions"),
+        # One light inside a surface and one behind it; and two lights inside surfaces.
+        ({"lights": [PointLight(position=(0, 0, z)) for z in (0, -9)]}, "see the lights' positi"),
+        ({"lights": [PointLight(position=(0, 0, z), line=9) for z in (0, 0.5)]},
+         r"^no light .* black; light 0 \(line 9\) is inside surface 0: move it out$"),
+        ({"lights": [PointLight(position=(0, 0, 0))], "surfaces": [FLAT, CUBE]},
+         "light 0 is inside surface 1: move it out"),
+        ({"width": 600, "height": 600, "surfaces": [Sphere(center=(1.5, 0, 0), radius=0.1)],
           "lights": [PointLight(position=(1.5, 0, 0))]}, DARK),
+        # Lights that are off, all or one of two.
+        ({"lights": [PointLight(position=(3, 5, 4), intensity=(0, 0, 0), line=9)]},
+         r"^all lights have .* black; increase that of light 0 \(line 9\)$"),
+        ({"lights": [*BALL.lights, PointLight(position=(3, 5, 4), intensity=(0, 0, 0), line=9)]},
+         r"^light 1 \(line 9\) has intensity 0 0 0: it has no effect; remove it$"),
+        # Surfaces that are black, or of another colour than the light.
+        ({"surfaces": [replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0)), line=7),
+                       Sphere(center=(99, 0, 0))]},
+         r"^all surfaces in view are black: .*; see the shader of surface 0 \(line 7\)$"),
+        ({"surfaces": [Sphere(shader=Lambertian(diffuse=(0, 1, 1)))],
+          "lights": [PointLight(position=(3, 5, 4), intensity=(1, 0, 0))]},
+         "^the surfaces in view reflect no colour of the lights: .*; see the shader of surface 0$"),
+        # Objects between the centres of pixels, narrow and wide; and one beside a corner.
+        ({"surfaces": [Sphere(radius=0.1, line=7)]},
+         rf"^{BETWEEN}: .*; surface 0 \(line 7\) is narrower than a pixel: try --samples"),
+        ({"surfaces": [Box(min_pt=(0.01, -9, 0), max_pt=(0.02, 9, 0.01))]},
+         f"^{BETWEEN}: .*; surface 0 is narrower than a pixel"),
+        ({"surfaces": [Sphere(center=(2.75, 2.75, 0))]}, f"{BETWEEN}: .*; see viewPoint, viewDir"),
+        # More than half of the lit pixels are clipped.
+        ({"lights": [PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3)), *BALL.lights]},
+         "^7. % of the pixels that are not black are brighter than 1, .*, first that of light 0$"),
         # The eye inside, of a ball and of the first of two boxes.
         ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
         ({"surfaces": [Sphere(center=(0, 0, -9)), WIDE, TALL]}, f"{DARK}: .* inside surface 1:"),
@@ -149,11 +178,10 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
     "scene",
     [
         BALL,
-        # Brighter than white, as lights may be; and black surfaces, which no light makes brighter.
-        replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3))]),
-        replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(9, 0, 9))]),
+        # Brighter than white in some pixels; black surfaces in front of others.
+        replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(1.3, 1, 1))]),
         replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
-                                Sphere(center=(99, 0, 0))]),
+                                Sphere(center=(0, 0, -9), radius=8)]),
         replace(BALL, width=100, height=104),
         replace(BALL, width=104, height=100),
         small("room"),
@@ -161,6 +189,23 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
 )  # fmt: skip
 def test_other_scenes_do_not_warn(scene):
     assert render(scene).shape == (scene.height, scene.width, 3)
+
+
+def test_exposure_of_a_large_picture_is_estimated():
+    image = np.zeros((200, 300, 3))
+    assert Exposure.of_pixels(image) == Exposure(is_black=True, lit=0, clipped=0)
+    image[:100, :, 1] = 0.5
+    image[:20, :, 2] = 1.5
+    is_black, lit, clipped = Exposure.of_pixels(image)
+    assert (is_black, lit / 30_000, clipped / 6_000) == (False, pytest.approx(1, abs=0.01),
+                                                         pytest.approx(1, abs=0.01))  # fmt: skip
+    assert Exposure().including(Exposure.of_pixels(image)) == (False, lit, clipped)
+
+
+def test_a_notebook_shows_an_explanation_as_text():
+    printer, pixel = Mock(), tracer.explain(BALL, 4, 4)
+    pixel._repr_pretty_(printer, cycle=False)
+    printer.text.assert_called_once_with(str(pixel))
 
 
 def test_a_notebook_shows_a_scene_as_its_picture():

@@ -17,7 +17,7 @@ from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.explanation import explain
-from tracer.picture.lint import scene_warnings
+from tracer.picture.lint import Exposure, scene_warnings
 from tracer.picture.parallel import WorkerPool, processors
 from tracer.picture.png import PNG, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, Tile, render_tiles
@@ -198,7 +198,7 @@ def _render(path: str, output: str, arguments: argparse.Namespace) -> None:
         write_tiles(file, scene.width, scene.height, (tile.data for tile in tiles))
     if arguments.quiet:
         return
-    for warning in scene_warnings(scene, black=progress.black):
+    for warning in scene_warnings(scene, progress.exposure):
         print_line(sys.stderr, printable(f"{path}: warning: {warning}"))
     seconds = perf_counter() - start
     line = f"{output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
@@ -258,12 +258,13 @@ class _Progress:
 
     Attributes
     ----------
-    black : bool
-        Whether all pixels so far are black.
+    exposure : Exposure
+        How much of the picture so far is black or clipped.
     """
 
     def __init__(self, name: str, pixels: int, *, show: bool) -> None:
-        self.name, self.pixels, self.black = os.path.basename(printable(name)), pixels, True
+        self.name, self.pixels = os.path.basename(printable(name)), pixels
+        self.exposure = Exposure()
         lost = sys.stderr is None or sys.stderr.closed
         self.show = show and not lost and sys.stderr.isatty()
 
@@ -273,7 +274,7 @@ class _Progress:
         try:
             for tile in tiles:
                 yield tile
-                self.black &= tile.black
+                self.exposure = self.exposure.including(tile.exposure)
                 done += tile.pixels
                 if bar is None and self.show and perf_counter() - start > _SLOW:
                     bar = self._bar()

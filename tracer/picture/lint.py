@@ -1,59 +1,166 @@
-"""Warnings for valid scenes that look like mistakes."""
+"""Warnings for valid scenes that look like mistakes.
+
+Most warnings follow from the scene alone.  Only if a picture is black, rays are traced to find out
+which objects are visible, and why no light reaches them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
 from tracer.scene.schema import number
-from tracer.trace.first_hits import first_hits
+from tracer.trace.samples import pixel_centers
+from tracer.trace.visibility import nearest_hits
+from tracer.world.prepared_scene import PreparedScene
 
-# A colour of whole numbers, with one of at least this size, is taken to be from 0 to 255.
-_LEAST_CODE = 10
+# A colour of whole numbers counts as one from 0 to 255 if at least one of them is this large.
+_MIN_CODE = 10
 
-# Pixels that are so many times as wide as high, or as high as wide, are taken for a slip.
-_STRETCHED = 1.05
+# Pixels count as stretched by mistake if they are more than this many times as wide as high, or as
+# high as wide.
+_MAX_ASPECT = 1.05
 
-# A black picture is searched for objects at this many positions along each side, at most.
-_PROBE_SIDE = 256
+# Maximum number of pixels of one rectangle of the picture that are examined for clipping.
+_MAX_EXAMINED = 1 << 12
 
 
 class SceneWarning(UserWarning):
     """A valid scene that looks like a mistake: stretched, without light, colours up to 255."""
 
 
-def scene_warnings(scene: Scene, *, black: bool) -> Iterator[str]:
-    """Yield a warning for each suspicious property; `black`: whether the picture is all black."""
-    surfaces = scene.surfaces
-    yield from islice(_codes(scene), 1)
+class Exposure(NamedTuple):
+    """How much of a picture, or of a part of it, is black or clipped.
+
+    Attributes
+    ----------
+    is_black : bool
+        Whether all pixels are black.
+    lit, clipped : int
+        Number of pixels that are not black, and number of pixels with a component larger than 1,
+        which a PNG file cannot represent.  For more than `_MAX_EXAMINED` pixels, these are
+        estimates.
+    """
+
+    is_black: bool = True
+    lit: int = 0
+    clipped: int = 0
+
+    @classmethod
+    def of_pixels(cls, radiance: Floats) -> Exposure:
+        """Examine pixels, given by their linear RGB radiance (rows, columns, 3)."""
+        step = 1 + radiance.size // (3 * _MAX_EXAMINED)
+        red, green, blue = radiance.reshape(-1, 3)[::step].T
+        maximum = np.maximum(np.maximum(red, green), blue)
+        lit, clipped = (step * int(np.count_nonzero(maximum > limit)) for limit in (0, 1))
+        # Row by row, because this search ends at the first row that is not black.
+        return cls(not any(row.any() for row in radiance), lit, clipped)
+
+    def including(self, other: Exposure) -> Exposure:
+        """Return the exposure of these pixels together with others."""
+        is_black = self.is_black and other.is_black
+        return Exposure(is_black, self.lit + other.lit, self.clipped + other.clipped)
+
+
+def scene_warnings(scene: Scene, exposure: Exposure) -> Iterator[str]:
+    """Yield a warning for each property of a scene, or of its picture, that looks like a mistake.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    exposure : Exposure
+        How much of its picture is black or clipped.
+    """
+    code_warnings = [*islice(_code_warnings(scene), 1)]
+    yield from code_warnings
     yield from _ineffective_shaders(scene.surfaces)
     yield from _stretched(scene)
-    if not black:
+    if exposure.is_black:
+        reason, remedy = _reason_for_black(scene)
+        yield f"{reason}: the picture is black; {remedy}"
         return
+    for index, light in enumerate(scene.lights):
+        if not any(light.intensity):
+            yield f"{_light_name(scene, index)} has intensity 0 0 0: it has no effect; remove it"
+    if not code_warnings and 2 * exposure.clipped > exposure.lit:
+        brightest = max(range(len(scene.lights)), key=lambda k: max(scene.lights[k].intensity))
+        share = f"{100 * exposure.clipped / exposure.lit:.0f} % of the pixels that are not black"
+        remedy = f"lower the intensities, first that of {_light_name(scene, brightest)}"
+        yield f"{share} are brighter than 1, and clipped at 1 in the PNG file; {remedy}"
+
+
+@np.errstate(all="ignore")
+def _reason_for_black(scene: Scene) -> tuple[str, str]:
+    """Find out why a picture is black; return the reason and a suggested fix."""
     if not scene.lights:
-        yield "the scene has no light: the picture is black; add <light>"
-        return
-    x, y = (
-        np.arange(0.5, min(size, _PROBE_SIDE)) * max(1, size / _PROBE_SIDE)
-        for size in (scene.width, scene.height)
-    )
-    hit = first_hits(scene, np.tile(x, y.size), y.repeat(x.size)).surface
-    hit = surfaces.file_order[np.unique(hit[hit >= 0])]
-    shaders = {surfaces.shaders[k] for k in surfaces.shader_index[hit].tolist()}
-    if not hit.size:
-        yield "no object is in view: the picture is black; see viewPoint, viewDir and the window"
-    elif any(max(color) > 0 for shader in shaders for _, color in _colors(shader)):
-        remedy = "see the lights' positions"
-        around = hit[_contain_eye(scene)[hit]]
-        if around.size:
-            first = surfaces.file_index[around].min().item()
-            name = _named("surface", first, surfaces[first].line)
-            remedy = f"viewPoint is inside {name}: move it out, or a light in"
-        yield f"no light reaches anything in view: the picture is black; {remedy}"
+        return "the scene has no light", "add <light>"
+    prepared = PreparedScene(scene)
+    visible = _visible_objects(prepared)
+    if not visible.size:
+        return _reason_for_empty(scene, prepared)
+    first = _surface_name(scene, visible)
+    colors = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
+    if not colors.any():
+        return "all surfaces in view are black", f"see the shader of {first}"
+    is_bright = np.array([light.intensity for light in scene.lights]) > 0
+    if not is_bright.any():
+        return "all lights have intensity 0 0 0", f"increase that of {_light_name(scene, 0)}"
+    if not colors[is_bright.any(axis=0)].any():
+        return "the surfaces in view reflect no colour of the lights", f"see the shader of {first}"
+    contains_eye = _containing(prepared, scene.camera.view_point)
+    dark = "no light reaches anything in view"
+    around = visible[contains_eye[visible]]
+    if around.size:
+        name = _surface_name(scene, around)
+        return dark, f"viewPoint is inside {name}: move it out, or a light in"
+    bright = np.flatnonzero(is_bright.any(axis=1)).tolist()
+    positions = [scene.lights[light].position for light in bright]
+    containing = [indices(_containing(prepared, p) & ~contains_eye) for p in positions]
+    if all(objects.size for objects in containing):
+        name = _surface_name(scene, containing[0])
+        return dark, f"{_light_name(scene, bright[0])} is inside {name}: move it out"
+    return dark, "see the lights' positions"
+
+
+def _reason_for_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
+    """Find out why no pixel's centre sees an object; return the reason and a suggested fix."""
+    (top, bottom, left, right), frame = prepared.bounds, prepared.frame
+    is_near = (top < frame.height) & (bottom > 0) & (left < frame.width) & (right > 0)
+    is_near &= (top <= bottom) & (left <= right)
+    if not is_near.any():
+        return "no object is in view", "see viewPoint, viewDir and the window"
+    narrow = indices(is_near & (np.minimum(bottom - top, right - left) < 1))
+    if not narrow.size:
+        remedy = "see viewPoint, viewDir and the window, or try --samples 16"
+        return "no pixel's centre sees an object", remedy
+    name = _surface_name(scene, narrow)
+    return "no pixel's centre sees an object", f"{name} is narrower than a pixel: try --samples 16"
+
+
+def _visible_objects(prepared: PreparedScene) -> Ints:
+    """Return the indices of all objects that are visible at the centre of any pixel."""
+    rows, columns = prepared.window
+    width = max(1, columns.stop - columns.start)
+    step = max(1, prepared.batch_size(BATCH_SIZE) // width)
+    visible = [np.zeros(0, dtype=np.intp)]
+    for top in range(rows.start, rows.stop if columns.start < columns.stop else rows.start, step):
+        samples = pixel_centers(slice(top, min(top + step, rows.stop)), columns)
+        visible.append(np.unique(nearest_hits(prepared, samples).run_object))
+    return np.unique(np.concatenate(visible))
+
+
+def _containing(prepared: PreparedScene, point: VectorLike) -> Bools:
+    """Return, for each object (n,), whether a point of the scene is inside it."""
+    x, y, z = np.asarray(point, dtype=np.float64)[:, None]
+    shapes = prepared.shapes
+    distances = [shape.signed_distance(shape.objects.indices(), (x, y, z)) for shape in shapes]
+    return np.concatenate(distances) < 0
 
 
 def _ineffective_shaders(surfaces: Surfaces) -> Iterator[str]:
@@ -90,47 +197,51 @@ def _stretched(scene: Scene) -> Iterator[str]:
     """Yield a warning if pixels are far from square."""
     width, height, camera = scene.width, scene.height, scene.camera
     across, down = camera.view_width, camera.view_height
-    if not 1 / _STRETCHED <= across * height / (down * width) <= _STRETCHED:
+    if not 1 / _MAX_ASPECT <= across * height / (down * width) <= _MAX_ASPECT:
         window = f"{width} x {height} pixels show a window of {number(across)} x {number(down)}"
         columns = max(1, round(height * across / down))
         remedy = f"viewWidth {down * width / height:.6g}, or {columns} columns,"
         yield f"{window}, stretched; {remedy} would make them square"
 
 
-def _contain_eye(scene: Scene) -> Bools:
-    """Find surfaces (S + B,), in the order of the arrays, that the eye is inside of."""
-    surfaces, eye = scene.surfaces, np.asarray(scene.camera.view_point)
-    spheres = np.linalg.norm(surfaces.center - eye, axis=1) < surfaces.radius
-    boxes = ((surfaces.min_pt < eye) & (eye < surfaces.max_pt)).all(axis=1)
-    return np.concatenate([spheres, boxes])
-
-
-def _named(what: str, index: int, line: int | None) -> str:
-    """Name a light or surface by its index in the file, and its line there."""
+def _name(what: str, index: int, line: int | None) -> str:
+    """Name a light or a surface by its index in the file, and by its line if it has one."""
     return f"{what} {index}" if line is None else f"{what} {index} (line {line})"
 
 
+def _light_name(scene: Scene, index: int) -> str:
+    """Name a light, given by its index."""
+    return _name("light", index, scene.lights[index].line)
+
+
+def _surface_name(scene: Scene, object_index: Ints) -> str:
+    """Name the surface that is first in the file, of objects given by their indices (n,)."""
+    index = scene.surfaces.file_index[object_index].min().item()
+    return _name("surface", index, scene.surfaces[index].line)
+
+
 def _colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
-    """Yield the colours of a shader, and their tags."""
+    """Yield the tag and the value of each colour of a shader."""
     yield "diffuseColor", shader.diffuse
     if isinstance(shader, Phong):
         yield "specularColor", shader.specular
 
 
-def _codes(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that looks like 8-bit codes."""
+def _code_warnings(scene: Scene) -> Iterator[str]:
+    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1."""
     surfaces = scene.surfaces
     colors = [
-        ("intensity", light.intensity, _named("light", k, light.line))
-        for k, light in enumerate(scene.lights)
+        ("intensity", light.intensity, _light_name(scene, index))
+        for index, light in enumerate(scene.lights)
     ]
+    # Each shader is named by the first surface in the file that uses it.
     shaders, users = np.unique(surfaces.shader_index[surfaces.file_order], return_index=True)
-    for k, user in zip(shaders.tolist(), users.tolist(), strict=True):
-        for name, color in _colors(surfaces.shaders[k]):
-            if max(color) >= _LEAST_CODE:
-                colors.append((name, color, _named("surface", user, surfaces[user].line)))
-    for name, color, where in colors:
-        if max(color) >= _LEAST_CODE and all(value == int(value) <= 255 for value in color):
-            given = " ".join(map(number, color))
-            right = " ".join(f"{value / 255:.3g}" for value in color)
-            yield f"{name} {given} of {where} looks like 0 to 255; for 0 to 1, write {right}"
+    for shader, user in zip(shaders.tolist(), users.tolist(), strict=True):
+        for tag, color in _colors(surfaces.shaders[shader]):
+            if max(color) >= _MIN_CODE:
+                colors.append((tag, color, _name("surface", user, surfaces[user].line)))
+    for tag, color, owner in colors:
+        if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
+            codes = " ".join(map(number, color))
+            fractions = " ".join(f"{value / 255:.3g}" for value in color)
+            yield f"{tag} {codes} of {owner} looks like 0 to 255; for 0 to 1, write {fractions}"

@@ -32,7 +32,7 @@ import numpy as np
 from tracer.antialias.lattice import CENTRES, Lattice
 from tracer.antialias.refine import antialiased, prefers_supersampling
 from tracer.arrays import CACHE_SIZE, Floats
-from tracer.picture.lint import SceneWarning, scene_warnings
+from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Distribution, WorkerPool, in_order, processors
 from tracer.picture.png import Compressed, compressed, write_png
@@ -113,8 +113,9 @@ def render(
     Warns
     -----
     SceneWarning
-        If no object is in view, no light reaches any object, a colour seems to be given as 0 to 255
-        instead of 0 to 1, or pixels are far from square.
+        If the picture is black, more than half of its lit pixels are brighter than 1, a light or a
+        shader has no effect, a colour seems to be given as 0 to 255 instead of 0 to 1, or pixels
+        are far from square.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
@@ -137,8 +138,7 @@ def render(
     for index, radiance in work:
         if radiance is not None:
             image[tiles[index]] = radiance
-    # Row by row, because this search ends at the first row that is not black.
-    for warning in scene_warnings(scene, black=not any(row.any() for row in image)):
+    for warning in scene_warnings(scene, Exposure.of_pixels(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
@@ -180,13 +180,13 @@ class Tile(NamedTuple):
         The compressed pixels.
     pixels : int
         Number of pixels in the tile.
-    black : bool
-        Whether all pixels of the tile are black.
+    exposure : Exposure
+        How much of the tile is black or clipped.
     """
 
     data: Compressed
     pixels: int
-    black: bool
+    exposure: Exposure
 
 
 def render_tiles(job: RenderJob, pool: WorkerPool | None = None) -> Iterator[Tile]:
@@ -358,7 +358,7 @@ class RenderJob:
         """Render one tile, given by its rows and columns, and compress it for a PNG file."""
         radiance = self.render_tile(rectangle)
         data = compressed(radiance, from_left=rectangle[1].start == 0)
-        return Tile(data, radiance.size // 3, not radiance.any())
+        return Tile(data, radiance.size // 3, Exposure.of_pixels(radiance))
 
     @_QUIET
     def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
