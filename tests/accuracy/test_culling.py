@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain, pairwise, product
-from time import process_time
+from time import process_time, sleep
 from unittest.mock import patch
 
 import numpy as np
@@ -19,7 +20,7 @@ from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, render
 from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Bools, Floats, Ints
-from tracer.geometry.camera import camera_frame
+from tracer.geometry.camera import ScreenBounds, camera_frame
 from tracer.geometry.sphere import Spheres
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
@@ -38,6 +39,10 @@ def brute_force(scene: Scene) -> Floats:
     with (
         patch("tracer.trace.samples.spans", _all_rows),
         patch("tracer.trace.radiance.occlusion", _all_occluders),
+        patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
+        patch.object(
+            ScreenBounds, "window", lambda *_: (slice(0, scene.height), slice(0, scene.width))
+        ),
     ):
         return render(scene)
 
@@ -298,6 +303,36 @@ def test_many_lights_are_taken_some_at_a_time(monkeypatch):
         for part in chain([prepared.lights()], prepared.light_batches)
     ]
     assert sizes == [{9}, {4}, {4}, {1}]
+
+
+def test_threads_share_prepared_lights(monkeypatch):
+    # Each preparation of lights takes so long that all threads ask for the same batch meanwhile.
+    scene = crowd(40, width=48, height=27)
+    positions = [(6.0 - k, 8.0, 7.0) for k in range(9)]
+    scene = replace(scene, lights=[replace(scene.lights[0], position=p) for p in positions])
+    alone, prepared, prepare = render(scene), PreparedScene(scene), PreparedScene.lights
+    starts = []
+
+    def prepare_slowly(prepared: PreparedScene, index: slice) -> Lights:
+        starts.append(index.start)
+        sleep(0.05)
+        return prepare(prepared, index)
+
+    def batches(_: object) -> list[Lights]:
+        return [*prepared.light_batches]
+
+    monkeypatch.setattr(PreparedScene, "lights", prepare_slowly)
+    with ThreadPoolExecutor(4) as pool:
+        all_batches = [*pool.map(batches, range(4))]
+        assert starts == [0, 4, 8]
+        for lights in zip(*all_batches, strict=True):
+            assert all(each is lights[0] for each in lights)
+        found = np.concatenate([lights.position for lights in all_batches[3]])
+        np.testing.assert_array_equal(found, positions)
+        # The same for a picture whose tiles threads render.
+        for name in ("_MIN_TILE_SAMPLES", "_MIN_TILE_PIXELS"):
+            monkeypatch.setattr(f"tracer.picture.render.{name}", 100)
+        np.testing.assert_array_equal(render(scene, executor=pool), alone)
 
 
 def test_a_hundred_equal_surfaces_take_no_longer_than_one():

@@ -8,7 +8,17 @@ import pytest
 from probe import Surface, scene_of
 from random_scenes import random_scene
 
-from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, first_hits, render
+from tracer import (
+    Box,
+    Camera,
+    FirstHits,
+    Lambertian,
+    PointLight,
+    Scene,
+    Sphere,
+    first_hits,
+    render,
+)
 from tracer.trace import first_hits as first_hits_module
 
 
@@ -120,8 +130,42 @@ def test_first_hits_of_many_rays_are_those_of_few(monkeypatch):
     monkeypatch.setattr(first_hits_module, "_RAYS_PER_BATCH", 70)
     many = first_hits(scene, x, y)
     assert np.unique(few.surface).size > 5
-    for name in ("surface", "distance", "normal", "point"):
-        np.testing.assert_array_equal(getattr(many, name), getattr(few, name))
+    assert_same_hits(many, few)
+
+
+def assert_same_hits(first: FirstHits, second: FirstHits) -> None:
+    """Assert that all arrays of first hits are equal, to the last bit."""
+    for name, array in vars(first).items():
+        np.testing.assert_array_equal(array, getattr(second, name))
+
+
+def test_first_hits_of_a_whole_picture(monkeypatch):
+    scene = random_scene("rooms", 7, 23, 31)
+    picture = first_hits(scene)
+    assert (picture.surface.shape, picture.normal.shape) == ((31, 23), (31, 23, 3))
+    row, column = np.indices((31, 23)) + 0.5
+    assert_same_hits(picture, first_hits(scene, column, row))
+    for rays in (100, 7):  # batches of some rows, and of parts of a row
+        monkeypatch.setattr(first_hits_module, "_RAYS_PER_BATCH", rays)
+        assert_same_hits(first_hits(scene), picture)
+    with pytest.raises(TypeError, match="x and y must both be given, or neither"):
+        first_hits(scene, 1.5)
+
+
+@pytest.mark.parametrize("far", [1e7, 2.0**53, 1e20, 1e200, 1e308])
+def test_positions_far_outside_spoil_no_others(far):
+    scene = random_scene("rooms", 7, 40, 30)
+    x, y = np.random.default_rng(4).uniform(0, 30, (2, 300))
+    alone = first_hits(scene, x, y)
+    assert np.unique(alone.surface).size > 3
+    corners = np.array([(far, 1.5), (-far, 2.5), (1.5, far), (2.5, -far), (far, far), (-far, far)])
+    for others in (corners[:2], corners[2:4], corners):
+        together = first_hits(scene, *np.append(others.T, [x, y], axis=1))
+        several = FirstHits(*(array[len(others) :] for array in vars(together).values()))
+        assert_same_hits(several, alone)
+        for index, (far_x, far_y) in enumerate(others):
+            one = FirstHits(*(array[index] for array in vars(together).values()))
+            assert_same_hits(one, first_hits(scene, far_x, far_y))
 
 
 @pytest.mark.parametrize("kind", ["nested", "duplicated", "crowd"])

@@ -20,7 +20,7 @@ from scene_files import NAMES, names, small
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
 from reference.measured.workloads import resized
-from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, PointLight, Scene, Sphere, first_hits, load_scene, render
 from tracer.arrays import Bools, Floats
 
 # Right and down, in pixels: far more than the tracer's rounding, even from 10^8 times as far as
@@ -165,6 +165,18 @@ def test_own_scenes(name):
     # Floats alone do not decide what coincides.
     if name != "touching":
         np.testing.assert_allclose(plain.render(scene), exact, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("width", "height"), [(8, 40), (40, 8)])
+def test_pictures_of_any_aspect(width, height):
+    # Objects in all parts of the picture, also in rows after the last column's number.
+    camera = Camera(view_point=(0, 0, 9), view_width=width / 40, view_height=height / 40)
+    long_axis = (0, 1, 0) if height > width else (1, 0, 0)
+    balls = [Sphere(center=np.multiply(k, long_axis), radius=0.3) for k in range(-4, 5)]
+    scene = scene_of(*balls, camera=camera, size=(width, height), lights=(3, 4, 9))
+    shown = {int(k) for k in first_hits(scene).surface.ravel()}
+    assert shown == {*range(-1, 9)}
+    hold([scene], 1e-12, 0.9)
 
 
 # The oracle judges the scene that is rendered, which scale and shift have rounded.
