@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from converters.mitsuba_xml import WRITTEN
-from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
+from tracer.command.arguments import CommandParser, file_name, is_folder, output_paths, whole_number
 from tracer.command.process import print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
@@ -142,7 +142,7 @@ def add_scenes(parser: argparse.ArgumentParser) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="python -m converters.to_mitsuba",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from tracer.command.arguments import real_path
+from tracer.command.arguments import CommandParser, real_path
 from tracer.command.process import MISUSED
 from tracer.messages import printable
 
@@ -44,7 +44,7 @@ def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.A
     quick : str, optional
         What the option `--quick` does, for the help.  Without it, there is no such option.
     """
-    new_parser = argparse.ArgumentParser(
+    new_parser = CommandParser(
         prog=f"python -m {module}",
         description=doc,
         formatter_class=argparse.RawDescriptionHelpFormatter,

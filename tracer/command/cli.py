@@ -1,59 +1,55 @@
-"""The command line: render scenes to PNG files, watch them, or explain a pixel."""
+"""The command line: render scenes to pictures, watch them, or explain a pixel."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
-from dataclasses import replace
-from time import perf_counter, sleep
-from typing import Any
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from importlib.util import find_spec
+from time import sleep
 
-from tracer.command.arguments import file_name, is_folder, output_paths, whole_number
+from tracer.command.arguments import (
+    CommandParser,
+    file_name,
+    is_folder,
+    output_paths,
+    whole_number,
+)
+from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_result
-from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.explanation import explain
-from tracer.picture.lint import Exposure, scene_warnings
-from tracer.picture.parallel import WorkerPool, processors
-from tracer.picture.png import PNG, write_tiles
-from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, Tile, render_tiles
-from tracer.scene.model import Scene
-from tracer.scene.reader import load_scene
-from tracer.scene.schema import SceneError
+from tracer.picture.parallel import processors
 from tracer.version import __version__
 
 _EXAMPLES = """\
 examples:
   tracer scenes/one-sphere.xml          write scenes/one-sphere.xml.png
-  tracer scenes/*.xml -o pictures/      write every picture to a folder
+  tracer scenes/*.xml -o pictures/      write all pictures to a folder
   tracer room.xml -o room.png --samples 16
-                                        smooth edges, as good as 16 samples a pixel
-  tracer room.xml --size 160x90 --watch
-                                        a small picture, anew whenever room.xml is saved
+                                        edges as smooth as with 16 samples per pixel
+  tracer room.xml -o room.npy           linear radiance, for numpy.load
+  tracer room.xml --size 160 --watch
+                                        a small picture, again after each change
   generate | tracer - -o - | display    from standard input to standard output
 
 exit status:
   0    all scenes were rendered
-  1    some scene could not be read, rendered or written; the others were
+  1    a scene could not be read, rendered or written; all others were rendered
   2    wrong usage
   130  interrupted
+  141  the reader of standard output went away
 """
 
-_BUG = "this is a bug in the tracer; please report it with the scene"
-
-# A bar is shown once a picture turns out to take longer than this, in seconds.
-_SLOW = 1.0
-
-# Seconds between two looks at the scene files, with --watch.
-_PAUSE = 0.1
+# Seconds between two checks of the scene files, with --watch.
+_POLL_SECONDS = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Render scenes to PNG files as the arguments say, and return the exit status.
+    """Run the command with these arguments, or those of the process; return the exit status.
 
     Raises
     ------
@@ -62,234 +58,191 @@ def main(argv: Sequence[str] | None = None) -> int:
     Failure
         If the working folder is gone.
     """
-    arguments, jobs = _parsed(argv)
-    if arguments.watch:
-        return _watch(jobs, arguments)
-    # A list, not a generator: after a failure the other scenes must still be rendered.
-    results = [attempt(_render, *job, arguments) for job in jobs]
-    return FAILED if any(isinstance(result, Failure) for result in results) else 0
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.pixel is not None:
+        return _explain_pixel(parser, arguments)
+    file_format = _file_format(parser, arguments)
+    jobs = _jobs(parser, arguments, file_format)
+    folder = arguments.output if is_folder(arguments.output or "") else None
+    settings = Settings(arguments.samples, arguments.size, file_format, folder)
+    if file_format == "exr" and find_spec("OpenEXR") is None:
+        raise ModuleNotFoundError("No module named 'OpenEXR'", name="OpenEXR")
+    processes = min(arguments.processes or processors(), processors())
+    with closing(Batch(settings, processes, quiet=arguments.quiet)) as batch:
+        if arguments.watch:
+            return _watch(jobs, batch, quiet=arguments.quiet)
+        return 0 if batch.render(jobs) else FAILED
 
 
-def _parsed(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[tuple[str, str]]]:
-    """Parse the arguments; return them, and pairs of the paths of a scene and its picture."""
-    parser = argparse.ArgumentParser(
+def _parser() -> CommandParser:
+    """Return the parser of the command's arguments."""
+    parser = CommandParser(
         prog="tracer",
         description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add = parser.add_argument
-    count: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
-    size = _pair("x", 1, "width and height in pixels, as 640x360")
-    pixel = _pair(",", 0, "column and row, as 160,90")
+    add, count = parser.add_argument, whole_number(1)
     text = "a scene file; - for standard input"
     add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=text)
     text = (
-        "the picture to write, always a PNG; - for standard output; or a folder for those of"
-        " several scenes, which is made if it is missing and PATH ends in /"
+        "the picture to write; - for standard output; or a folder for the pictures of several"
+        " scenes, which is created if it is missing and PATH ends in /"
     )
     add("-o", "--output", type=file_name, metavar="PATH", help=text)
-    text = "smooth edges as well as N samples a pixel would (default: 1, the pixel's centre)"
-    add("--samples", default=1, help=text, **count)
-    text = "width and height of the pictures in pixels, whatever the files say"
-    add("--size", type=size, metavar="WxH", help=text)
+    text = (
+        "format of the pictures: png (8-bit codes), npy (linear radiance, float64) or exr (linear"
+        " radiance, float32); default: as the name of -o, otherwise png"
+    )
+    add("--format", choices=FORMATS, help=text)
+    text = "smooth edges as accurately as N samples per pixel (default: 1, the pixel's centre)"
+    add("--samples", type=count, default=1, metavar="N", help=text)
+    text = "width and height of the pictures in pixels; without xH, in the file's proportions"
+    size = _whole_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
+    add("--size", type=size, metavar="W[xH]", help=text)
     add("--watch", action="store_true", help="render again whenever a scene file is saved")
-    text = "processes that render, at most one for each processor (default: as many as pay)"
-    add("--processes", help=text, **count)
+    text = "processes that render, at most one for each processor (default: one for small pictures,"
+    add("--processes", type=count, metavar="N", help=f"{text} otherwise all)")
     text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
+    pixel = _whole_numbers(",", 0, (2,), "column and row, as 160,90")
     add("--pixel", type=pixel, metavar="X,Y", help=text)
-    add("--quiet", action="store_true", help="report only what goes wrong")
+    add("--quiet", action="store_true", help="print only errors")
     add("--version", action="version", version=f"%(prog)s {__version__}")
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def _whole_numbers(
+    separator: str, minimum: int, counts: tuple[int, ...], rule: str
+) -> Callable[[str], tuple[int, ...]]:
+    """Make a parser of arguments that consist of several whole numbers.
+
+    Parameters
+    ----------
+    separator : str
+        What stands between two numbers.
+    minimum : int
+        The smallest number that is allowed.
+    counts : tuple of int
+        How many numbers are allowed.
+    rule : str
+        What an argument must be, for the message about a wrong one.
+    """
+
+    def parse(text: str) -> tuple[int, ...]:
+        try:
+            numbers = tuple(map(whole_number(minimum), text.split(separator)))
+        except argparse.ArgumentTypeError:
+            numbers = ()
+        if len(numbers) not in counts:
+            raise argparse.ArgumentTypeError(f"must be {rule}, is {text!r}")
+        return numbers
+
+    return parse
+
+
+def _file_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
+    """Return the format of the pictures: that of the option --format, or of the name of -o.
+
+    The parser ends the process with exit status 2 if the name is that of another format.
+    """
+    output = arguments.output or ""
+    stem, suffix = os.path.splitext(output)
+    by_name, by_option = suffix[1:].lower(), arguments.format
+    if is_folder(output) or not suffix:
+        return str(by_option or "png")
+    if by_name not in FORMATS:
+        problem = "pictures are .png, .npy or .exr files"
+        parser.error(printable(f"-o {output}: {problem}; name it {stem}.png"))
+    if by_option not in (None, by_name):
+        problem = f"--format {by_option} needs a name as {stem}.{by_option}"
+        parser.error(printable(f"-o {output}: {problem}"))
+    return by_name
+
+
+def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
+    """Return the scenes to render and the pictures to write.
+
+    The parser ends the process with exit status 2 if the arguments contradict each other.
+
+    Raises
+    ------
+    Failure
+        If the working folder is gone.
+    """
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
-    if arguments.pixel is not None:
-        if output is not None or watch:
-            parser.error("--pixel cannot be combined with -o or --watch")
-        return arguments, [(scene, "") for scene in scenes]
+    for scene in scenes:
+        if os.path.splitext(scene)[1][1:].lower() in FORMATS:
+            parser.error(printable(f"{scene}: a picture is no scene; to write it, use -o {scene}"))
     if "-" in scenes and (output is None or watch):
         parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
     if output == "-":
         if len(scenes) > 1 or watch:
             parser.error("-o -: standard output takes the picture of one scene, and no --watch")
-        return arguments, [(scenes[0], output)]
-    stem, suffix = os.path.splitext(output or "")
-    if suffix.lower() not in ("", ".png") and not is_folder(output):
-        parser.error(printable(f"-o {output}: pictures are PNG files; name it {stem}.png"))
-    pictures = output_paths(parser, scenes, output, [f"{scene}.png" for scene in scenes])
-    return arguments, list(zip(scenes, pictures, strict=True))
+        if file_format == "exr":
+            parser.error("-o -: an EXR file cannot go to standard output")
+        if sys.stdout is not None and sys.stdout.isatty():
+            parser.error("-o -: standard output is a terminal; write the picture to a file")
+        return [Job(scenes[0], output)]
+    if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
+        parser.error(printable(f"-o {output}: not a regular file; for standard output, use -o -"))
+    beside = [f"{scene}.{file_format}" for scene in scenes]
+    pictures = output_paths(parser, scenes, output, beside)
+    return [Job(scene, picture) for scene, picture in zip(scenes, pictures, strict=True)]
 
 
-def _pair(mark: str, least: int, wanted: str) -> Callable[[str], tuple[int, int]]:
-    """Make a parser of arguments that are two whole numbers with a mark between them."""
-    number = whole_number(least)
+def _explain_pixel(parser: CommandParser, arguments: argparse.Namespace) -> int:
+    """Print an explanation of one pixel of each scene, and return the exit status.
 
-    def pair(text: str) -> tuple[int, int]:
-        try:
-            first, second = text.split(mark)
-            return number(first), number(second)
-        except (ValueError, argparse.ArgumentTypeError):
-            raise argparse.ArgumentTypeError(f"must be {wanted}, is {text!r}") from None
-
-    return pair
-
-
-def _watch(jobs: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
-    """Render each scene, and again whenever its file has changed.
-
-    Returns the exit status once nobody reads what this prints any more.
+    The parser ends the process with exit status 2 if the arguments contradict each other.
     """
-    last, rendered = dict[str, object](), dict[str, object]()
-    while arguments.quiet or not (sys.stdout is None or sys.stdout.closed):
-        for scene, output in jobs:
-            try:
-                status = os.stat(scene)
-                now = status.st_mtime_ns, status.st_size, status.st_ino
-            except OSError:
-                now = None
-            # An editor may write a file in pieces: wait until it stops changing.
-            settled = last.get(scene, now) == now
-            last[scene] = now
-            if settled and rendered.get(scene, ()) != now:
-                rendered[scene] = now
-                attempt(_render, scene, output, arguments)
-        sleep(_PAUSE)
-    return 0
+    if arguments.output is not None or arguments.format or arguments.watch:
+        parser.error("--pixel cannot be combined with -o, --format or --watch")
+    if arguments.samples > 1:
+        parser.error("--pixel explains a picture of 1 sample per pixel; leave out --samples")
 
-
-def _render(path: str, output: str, arguments: argparse.Namespace) -> None:
-    """Render a scene to a PNG file, or explain one of its pixels; print the result in a line.
-
-    Parameters
-    ----------
-    path : str
-        The scene file; "-" is standard input.
-    output : str
-        The picture to write; "-" is standard output.
-    arguments : Namespace
-        The arguments of the command.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read, rendered or written, or the pixel not be explained.
-    """
-    start, to_standard_output = perf_counter(), output == "-"
-    scene = _read_scene(path, arguments.size)
-    if arguments.pixel is not None:
+    def explain_one(path: str) -> None:
+        scene = read_scene(path, arguments.size)
         try:
             text = str(explain(scene, *arguments.pixel))
         except ValueError as error:
             raise Failure(path, str(error), "columns and rows count from 0") from error
+        if len(arguments.scenes) > 1:
+            text = f"{printable(path)}:\n{text}"
         with errors_as_failure("standard output", "written"):
             print_result(sys.stdout, text)
-        return
-    if arguments.output is not None and is_folder(arguments.output):
-        with errors_as_failure(arguments.output, "written", "choose another with -o"):
+
+    results = [attempt(explain_one, path) for path in arguments.scenes]
+    return FAILED if any(isinstance(result, Failure) for result in results) else 0
+
+
+def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
+    """Render each scene, and again whenever its file has changed.
+
+    Returns
+    -------
+    status : int
+        The exit status, 0, when the reader of standard output has gone away.
+    """
+    if not quiet:
+        names = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
+        print_line(sys.stderr, f"watching {names}; press Ctrl-C to end")
+    latest, rendered = dict[str, object](), dict[str, object]()
+    while quiet or not (sys.stdout is None or sys.stdout.closed):
+        changed = []
+        for job in jobs:
             try:
-                os.makedirs(arguments.output, exist_ok=True)
-            except (FileExistsError, NotADirectoryError):  # a file, or a link to nothing
-                raise OSError("it is not a folder") from None
-    progress = _Progress(output, scene.width * scene.height, show=not arguments.quiet)
-    with (
-        errors_as_failure(output, "written", "choose another with -o"),
-        open(1, "wb", closefd=False) if to_standard_output else atomic_file(output, PNG) as file,
-    ):
-        tiles = progress.watch(_render_tiles(scene, path, arguments))
-        write_tiles(file, scene.width, scene.height, (tile.data for tile in tiles))
-    if arguments.quiet:
-        return
-    for warning in scene_warnings(scene, progress.exposure):
-        print_line(sys.stderr, printable(f"{path}: warning: {warning}"))
-    seconds = perf_counter() - start
-    line = f"{output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-    print_line(sys.stderr if to_standard_output else sys.stdout, printable(line))
-
-
-def _read_scene(path: str, size: tuple[int, int] | None) -> Scene:
-    """Read a scene from a file, or from standard input if `path` is "-".
-
-    Parameters
-    ----------
-    path : str
-        The scene file, or "-".
-    size : (int, int), optional
-        Width and height of the picture in pixels, in place of those in the file.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read, or the size is too large.
-    """
-    if path == "-" and sys.stdin is None:
-        raise Failure("<stdin>", "cannot be read: it is closed", "name a scene file")
-    with errors_as_failure(path, "read", memory_remedy="split the scene"):
-        scene = load_scene(sys.stdin.buffer if path == "-" else path)
-    if size is None:
-        return scene
-    try:
-        return replace(scene, width=size[0], height=size[1])
-    except SceneError as error:
-        raise Failure("--size", str(error)) from error
-
-
-def _render_tiles(scene: Scene, path: str, arguments: argparse.Namespace) -> Iterator[Tile]:
-    """Render a scene and yield its tiles in order; `path` is the scene's, for messages.
-
-    Raises
-    ------
-    Failure
-        If there is too little memory, or the tracer fails because of a bug.
-    """
-    size = f"make the image smaller than {scene.width} x {scene.height} pixels"
-    samples = f" or take fewer samples than {arguments.samples}" * (arguments.samples > 1)
-    memory_remedy = size + samples
-    with errors_as_failure(
-        path, "rendered", _BUG, memory_remedy=memory_remedy, errors=(ValueError,)
-    ):
-        job = RenderJob(scene, arguments.samples)
-        wanted = arguments.processes or (processors() if job.seconds >= MIN_POOL_SECONDS else 1)
-        workers = min(wanted, processors(), len(job.tiles(shared=True))) - 1
-        with closing(WorkerPool(workers)) as pool:
-            yield from render_tiles(job, pool)
-
-
-class _Progress:
-    """Progress of a picture, with a bar once it turns out to be slow.
-
-    Attributes
-    ----------
-    exposure : Exposure
-        How much of the picture so far is black or clipped.
-    """
-
-    def __init__(self, name: str, pixels: int, *, show: bool) -> None:
-        self.name, self.pixels = os.path.basename(printable(name)), pixels
-        self.exposure = Exposure()
-        lost = sys.stderr is None or sys.stderr.closed
-        self.show = show and not lost and sys.stderr.isatty()
-
-    def watch(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
-        """Yield the same tiles, and count their pixels."""
-        start, done, bar = perf_counter(), 0, None
-        try:
-            for tile in tiles:
-                yield tile
-                self.exposure = self.exposure.including(tile.exposure)
-                done += tile.pixels
-                if bar is None and self.show and perf_counter() - start > _SLOW:
-                    bar = self._bar()
-                if bar:
-                    bar.update(done - bar.n)
-        finally:
-            if bar:
-                bar.close()
-
-    def _bar(self) -> Any:
-        """Make a progress bar; False if there can be none: a picture must not fail for that."""
-        # Not installed, or the environment has settings for it that it cannot read.
-        with suppress(ImportError, ValueError):
-            from tqdm import tqdm  # takes longer to import than a small picture to render
-
-            tqdm.monitor_interval = 0  # else it starts a thread
-            return tqdm(desc=self.name, total=self.pixels, unit="px", unit_scale=True, leave=False)
-        return False
+                status = os.stat(job.scene)
+                version = status.st_mtime_ns, status.st_size, status.st_ino
+            except OSError:
+                version = None
+            # An editor may write a file in pieces: wait until it stops changing.
+            is_settled = latest.get(job.scene, version) == version
+            latest[job.scene] = version
+            if is_settled and rendered.get(job.scene, ()) != version:  # () is no version: None is
+                rendered[job.scene] = version
+                changed.append(job)
+        if changed:
+            batch.render(changed)
+        sleep(_POLL_SECONDS)
+    return 0

@@ -19,6 +19,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+from tracer.files import remove_part_files
+
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -263,12 +265,9 @@ class WorkerPool:
 def _begin_worker(initializer: Callable[[], None] | None) -> None:
     """Prepare a worker process, and call `initializer`, if there is one.
 
-    The worker ignores SIGINT, other signals end it immediately, and a thread ends it when the
-    parent process has ended.
+    The worker ignores SIGINT, and a thread ends it when the parent process has ended.
     """
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
-        if number := getattr(signal, name, None):
-            signal.signal(number, signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         threading.Thread(target=end_with_parent, daemon=True).start()
     except RuntimeError:  # the system has no thread left
@@ -287,4 +286,5 @@ def end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        remove_part_files()
         os._exit(1)

@@ -21,8 +21,8 @@ import io
 import operator
 import pickle
 import warnings
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from functools import cached_property, partial
 from itertools import product
 from math import isqrt
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -35,7 +35,7 @@ from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Distribution, WorkerPool, in_order, processors
-from tracer.picture.png import Compressed, compressed, write_png
+from tracer.picture.png import compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
 from tracer.world.prepared_scene import PreparedScene
@@ -172,24 +172,26 @@ def to_png(scene: Scene, samples: int = 1) -> bytes:
 
 
 class Tile(NamedTuple):
-    """A rendered tile (a rectangle of pixels), compressed for a PNG file.
+    """A rendered tile (a rectangle of pixels), encoded for a file.
 
     Attributes
     ----------
-    data : Compressed
-        The compressed pixels.
+    data : object
+        The encoded pixels.
     pixels : int
         Number of pixels in the tile.
     exposure : Exposure
         How much of the tile is black or clipped.
     """
 
-    data: Compressed
+    data: Any
     pixels: int
     exposure: Exposure
 
 
-def render_tiles(job: RenderJob, pool: WorkerPool | None = None) -> Iterator[Tile]:
+def render_tiles(
+    job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compressed
+) -> Iterator[Tile]:
     """Render a picture, and yield its tiles in order, from top to bottom and from left to right.
 
     Parameters
@@ -198,21 +200,24 @@ def render_tiles(job: RenderJob, pool: WorkerPool | None = None) -> Iterator[Til
         The picture to render.
     pool : WorkerPool, optional
         Worker processes that render tiles, too.  By default this process renders the whole picture.
+    encode : callable
+        Encodes the radiance of a tile; called as `compressed` is, which encodes for a PNG file.
 
     Yields
     ------
     tile : Tile
-        A rectangle of pixels, compressed for a PNG file.
+        A rectangle of pixels, encoded.
     """
     workers = pool.workers if pool else 0
     if workers:
         _ = [*job.prepared.light_batches]  # prepares the lights once, before the process forks
         _remember(job)
+    render_tile = partial(job.encoded_tile, encode)
     tiles = Distribution(
-        job.compressed_tile,
+        render_tile,
         job.tiles(shared=workers > 0),
         pool,
-        job.compressed_tile,
+        render_tile,
         lambda _, result: isinstance(result, Tile),
         workers=workers,
     )
@@ -354,10 +359,10 @@ class RenderJob:
         """The pickled arguments, which identify the job in all processes."""
         return pickle.dumps(self._arguments)
 
-    def compressed_tile(self, rectangle: Rectangle) -> Tile:
-        """Render one tile, given by its rows and columns, and compress it for a PNG file."""
+    def encoded_tile(self, encode: Callable[..., Any], rectangle: Rectangle) -> Tile:
+        """Render one tile, given by its rows and columns, and encode it as in `render_tiles`."""
         radiance = self.render_tile(rectangle)
-        data = compressed(radiance, from_left=rectangle[1].start == 0)
+        data = encode(radiance, from_left=rectangle[1].start == 0)
         return Tile(data, radiance.size // 3, Exposure.of_pixels(radiance))
 
     @_QUIET
