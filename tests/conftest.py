@@ -11,7 +11,7 @@ from hypothesis import settings
 
 from tracer.antialias import refine as antialias
 
-# Examples of each Hypothesis test; a test may ask for a multiple of them.  The quick profile
+# Examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
 # tries the same examples in every run, the thorough profile others, by the seed from `.ci/run`.
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=300, deadline=None, print_blob=True)

@@ -42,7 +42,7 @@ def start_process(
 
     def begin() -> None:
         signal.alarm(300)  # the alarm survives the loading of the program
-        for kind in INTERRUPTS:  # nohup ignores some of them, as scripts in the background do
+        for kind in INTERRUPTS:  # nohup and background scripts ignore some signals
             signal.signal(kind, signal.SIG_DFL)
         prepare()
 
