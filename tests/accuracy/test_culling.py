@@ -65,8 +65,8 @@ def _all_occluders(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
             for obj in shape.objects.indices():
                 at = np.flatnonzero(lit & ~dark & (own != obj))
                 end = tuple(np.full((3, at.size), light[:, None]))
-                every, eye, p = np.full(at.size, obj), prepared.frame.eye, hits.points(at)
-                dark[at] = shape.occludes(eye, every, p, end, shape.side(every, end))
+                every, p = np.full(at.size, obj), hits.points(at)
+                dark[at] = shape.occludes(every, p, end, shape.side(every, end))
     return blocked
 
 
@@ -427,6 +427,6 @@ def test_what_is_seen_towards_a_horizon_costs_no_more_than_elsewhere(monkeypatch
     balls = [Sphere(center=(x, 0.1, z), radius=0.1) for x, z in at]
     camera = Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1))
     scene = scene_of(floor, *balls, camera=camera, size=(64, 64), lights=(30, 40, 20))
-    tried = record_calls(monkeypatch, Spheres, "occludes", lambda _, eye, owner, *rest: owner.size)
+    tried = record_calls(monkeypatch, Spheres, "occludes", lambda _, owner, *rest: owner.size)
     render(scene, samples=4)
     assert 0 < sum(tried) < 64 * 64

@@ -139,15 +139,12 @@ def assert_same_hits(first: FirstHits, second: FirstHits) -> None:
         np.testing.assert_array_equal(array, getattr(second, name))
 
 
-def test_first_hits_of_a_whole_picture(monkeypatch):
+def test_first_hits_of_a_whole_picture():
     scene = random_scene("rooms", 7, 23, 31)
     picture = first_hits(scene)
     assert (picture.surface.shape, picture.normal.shape) == ((31, 23), (31, 23, 3))
     row, column = np.indices((31, 23)) + 0.5
     assert_same_hits(picture, first_hits(scene, column, row))
-    for rays in (100, 7):  # batches of some rows, and of parts of a row
-        monkeypatch.setattr(first_hits_module, "_RAYS_PER_BATCH", rays)
-        assert_same_hits(first_hits(scene), picture)
     with pytest.raises(TypeError, match="x and y must both be given, or neither"):
         first_hits(scene, 1.5)
 

@@ -92,7 +92,7 @@ def silhouette_pixels(
         obj, row, left, right = spans(shape, prepared, lines[:-1], between, height=1.0)
         full, full_end = left, right
         for line in (row, row + 1):
-            begin, end = shape.row_extent(prepared.frame, obj, lines[line], 0.0)
+            begin, end = shape.row_extent(obj, lines[line], 0.0)
             full, full_end = np.maximum(full, begin), np.minimum(full_end, end)
         fills = (top[obj] < lines[row]) & (bottom[obj] > lines[row + 1]) & (full < full_end)
         left, stop = np.floor(left), np.floor(right) + 1

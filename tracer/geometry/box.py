@@ -43,7 +43,7 @@ class Boxes:
 
     Attributes
     ----------
-    is_planar, objects, bounds, eye_inside, curvature, coordinate_size
+    is_planar, frame, objects, bounds, eye_inside, curvature, coordinate_size
         As in `Spheres`.
     min_pt, max_pt : (3, n) float arrays
         Opposite corners, with the smallest and with the largest coordinates.
@@ -55,6 +55,7 @@ class Boxes:
 
     is_planar: ClassVar = True
 
+    frame: CameraFrame
     objects: ObjectRange
     min_pt: Floats
     max_pt: Floats
@@ -77,16 +78,9 @@ class Boxes:
         for component, axis in zip((u, v, w), frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=on_face)
         size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
-        return cls(
-            objects=box_range(surfaces),
-            min_pt=min_pt,
-            max_pt=max_pt,
-            planes=(u, v, w * frame.depth),
-            bounds=_screen_bounds(frame, low, high),
-            eye_inside=inside,
-            curvature=np.zeros(inside.size),
-            coordinate_size=size,
-        )
+        objects, planes = box_range(surfaces), (u, v, w * frame.depth)
+        bounds, curvature = _screen_bounds(frame, low, high), np.zeros(inside.size)
+        return cls(frame, objects, min_pt, max_pt, planes, bounds, inside, curvature, size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return the corners of axis-aligned bounding boxes: see `Spheres.bounding_boxes`."""
@@ -94,14 +88,13 @@ class Boxes:
 
     # Where rays from the eye meet the objects.
 
-    def row_extent(
-        self, frame: CameraFrame, object_index: Ints, rows: Floats, height: float
-    ) -> tuple[Floats, Floats]:
+    def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute, for pairs of a box and a row of the picture, where the box begins and ends.
 
         Arguments and results are those of `Spheres.row_extent`.
         """
-        box, g = self.objects.positions(object_index), frame.down(rows + height / 2)
+        frame, box = self.frame, self.objects.positions(object_index)
+        g = frame.down(rows + height / 2)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
         # Rounding errors may turn rays; the margin contains the turned rays, too.
         margin = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.max_ray_size
@@ -117,7 +110,7 @@ class Boxes:
         return frame.column(low), frame.column(high)
 
     def hit(
-        self, frame: CameraFrame, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Sides]:
         """Compute the distances at which rays meet boxes, and the faces that they meet.
 
@@ -129,8 +122,8 @@ class Boxes:
         Arguments and results are those of `Spheres.hit`.  `detail` is twice the axis to which the
         face is perpendicular, plus 1 if the normal of the face points up this axis.
         """
-        box, eye = self.objects.positions(object_index), frame.eye.tolist()
-        (u, v, w), near, far, faces = frame.axes.tolist(), [], [], []
+        frame, box = self.frame, self.objects.positions(object_index)
+        eye, (u, v, w), near, far, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
         for k in range(3):
             d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], counts)
             low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
@@ -162,13 +155,7 @@ class Boxes:
         return np.where(meets & (t > 0), t, np.inf), face
 
     def surface(
-        self,
-        frame: CameraFrame,
-        object_index: Ints,
-        counts: Ints,
-        local: Floats,
-        t: Floats,
-        detail: Sides,
+        self, object_index: Ints, counts: Ints, local: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane at hits.
 
@@ -181,8 +168,8 @@ class Boxes:
         face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
         level = np.where(self.eye_inside[box] == (sign > 0), low, high)
-        eye_height = sign * (frame.eye[face] - level)
-        x, y, z = (np.asarray(sign * axis[face]) for axis in frame.axes)
+        eye_height = sign * (self.frame.eye[face] - level)
+        x, y, z = (np.asarray(sign * axis[face]) for axis in self.frame.axes)
         return face, sign, level, (x, y, z), eye_height
 
     # Which shadow segments the objects block.
@@ -216,11 +203,10 @@ class Boxes:
 
     def occludes(
         self,
-        eye: Floats,
         object_index: Ints,
         hit: Triple,
         light: Triple,
-        light_side: Sides,
+        side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
         """Test, pair by pair, whether a box blocks the open segment from a hit to a light.
@@ -233,7 +219,7 @@ class Boxes:
         if growth is not None:
             low, high = map3(lambda c: c - growth, low), map3(lambda c: c + growth, high)
         size = self.coordinate_size[self.objects.positions(object_index)]
-        start = _snap(hit, low, high, hit_tolerance(size, hit, eye))
+        start = _snap(hit, low, high, hit_tolerance(size, hit, self.frame.eye))
         end = _snap(light, low, high, LIGHT_TOLERANCE * size)
         blocked = _crosses(start, end, low, high)
         if growth is not None:

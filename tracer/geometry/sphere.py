@@ -45,6 +45,8 @@ class Spheres:
     ----------
     is_planar : bool
         Whether objects of this shape consist of planar faces.
+    frame : CameraFrame
+        The rays of the camera.
     objects : ObjectRange
         Indices of the spheres among all objects of the scene.
     center : (3, n) float array
@@ -69,6 +71,7 @@ class Spheres:
 
     is_planar: ClassVar = False
 
+    frame: CameraFrame
     objects: ObjectRange
     center: Floats
     radius: Floats
@@ -91,17 +94,10 @@ class Spheres:
         power = np.where(is_on, 0, height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
         rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
-        return cls(
-            objects=sphere_range(surfaces),
-            center=center,
-            radius=radius,
-            local=local,
-            power=power,
-            bounds=ScreenBounds.from_slopes(frame, rows, columns),
-            eye_inside=power <= 0,
-            curvature=1 / radius,
-            coordinate_size=np.abs(center).sum(axis=0) + radius,
-        )
+        bounds = ScreenBounds.from_slopes(frame, rows, columns)
+        objects, size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
+        inside, curvature = power <= 0, 1 / radius
+        return cls(frame, objects, center, radius, local, power, bounds, inside, curvature, size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return the corners of axis-aligned bounding boxes, in the axes of the scene.
@@ -115,16 +111,11 @@ class Spheres:
 
     # Where rays from the eye meet the objects.
 
-    def row_extent(
-        self, frame: CameraFrame, object_index: Ints, rows: Floats, height: float
-    ) -> tuple[Floats, Floats]:
-        """Compute, for pairs of an object and a row of the picture, where the object begins and
-        ends in the row.
+    def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
+        """Compute where objects begin and end in rows of the picture, for pairs of both.
 
         Parameters
         ----------
-        frame : CameraFrame
-            The rays of the camera.
         object_index : (n,) int array
             The object of each pair.
         rows : (n,) float array
@@ -144,19 +135,19 @@ class Spheres:
         # same row.  Their distance at the sphere is at most `margin`.  So a sphere that is larger
         # by the margin is met by the ray in the middle whenever any ray of the row meets the
         # sphere.
-        sphere = self.objects.positions(object_index)
+        frame, sphere = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere]
         slope_margin = 0.5 * height * frame.step_v / frame.depth
         grown = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
         power = self.power[sphere] - (grown - radius) * (grown + radius)
         g = frame.down(rows + height / 2)
-        hypot2, u, ahead, chord2 = self._discs(frame, sphere, grown, g)
+        hypot2, u, ahead, chord2 = self._discs(sphere, grown, g)
         low, high = _tangents(u, ahead, chord2, power)
         hypot = np.sqrt(hypot2)
         return frame.column(low * hypot), frame.column(high * hypot)
 
     def _discs(
-        self, frame: CameraFrame, sphere: Ints, radius: Floats, g: Floats
+        self, sphere: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Intersect spheres with the planes of rays: each plane cuts a disc out of its sphere.
 
@@ -165,8 +156,6 @@ class Spheres:
 
         Parameters
         ----------
-        frame : CameraFrame
-            The rays of the camera.
         sphere : (n,) int array
             Position of each sphere in the arrays of this class.
         radius : (n,) float array
@@ -183,14 +172,14 @@ class Spheres:
         chord2 : (n,) float array
             Squared radius of the disc; negative if the plane misses the sphere.
         """
-        (u, v, w), depth = take3(self.local, sphere), frame.depth
+        (u, v, w), depth = take3(self.local, sphere), self.frame.depth
         hypot2 = g * g + depth * depth
         hypot = np.sqrt(hypot2)
         offset, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
         return hypot2, u, ahead, (radius - offset) * (radius + offset)
 
     def hit(
-        self, frame: CameraFrame, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
     ) -> tuple[Floats, Floats]:
         """Compute the distances at which rays meet objects.
 
@@ -201,8 +190,6 @@ class Spheres:
 
         Parameters
         ----------
-        frame : CameraFrame
-            The rays of the camera.
         object_index : (spans,) int array
             A span consists of consecutive rays in one row that are tested with the same object: the
             index of this object.
@@ -224,7 +211,7 @@ class Spheres:
             and the direction d = (s, g, depth).  For boxes, it is an int8 number of the face.
         """
         sphere = self.objects.positions(object_index)
-        hypot2, u, ahead, chord2 = self._discs(frame, sphere, self.radius[sphere], g)
+        hypot2, u, ahead, chord2 = self._discs(sphere, self.radius[sphere], g)
         hypot = np.sqrt(hypot2)
         power = self.power[sphere]
         length2 = s * s + repeat_runs(hypot2, counts)
@@ -242,13 +229,7 @@ class Spheres:
         return np.where(t > 0, t, np.inf), root
 
     def surface(
-        self,
-        frame: CameraFrame,
-        object_index: Ints,
-        counts: Ints,
-        local: Floats,
-        t: Floats,
-        detail: Floats,
+        self, object_index: Ints, counts: Ints, local: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane at hits.
 
@@ -256,8 +237,6 @@ class Spheres:
 
         Parameters
         ----------
-        frame : CameraFrame
-            The rays of the camera.
         object_index : (runs,) int array
             The object of each run.
         counts : (runs,) int array
@@ -340,11 +319,10 @@ class Spheres:
 
     def occludes(
         self,
-        eye: Floats,
         object_index: Ints,
         hit: Triple,
         light: Triple,
-        light_side: Sides,
+        side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
         """Test, pair by pair, whether an object blocks the open segment from a hit to a light.
@@ -355,14 +333,12 @@ class Spheres:
 
         Parameters
         ----------
-        eye : (3,) float array
-            Position of the eye, in the axes of the scene.
         object_index : (n,) int array
             The object of each pair of an object and a segment.
         hit, light : tuples of three (n,) float arrays
             Both ends of each segment, in the axes of the scene.
-        light_side : (n,) int8 array
-            Result of `side` for the object and the light.
+        side : (n,) int8 array
+            The side of the object's surface on which the light lies: see `Spheres.side`.
         growth : (n,) float array, optional
             Distance by which the object is grown before the test; a negative value shrinks the
             object.  An object that shrinks to nothing blocks nothing.
@@ -386,16 +362,16 @@ class Spheres:
         is_within = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_within & (b > 0) & (b < length2)
         height = np.sqrt(dot(to_center, to_center)) - radius
-        side = side_of(height, hit_tolerance(self.coordinate_size[sphere], hit, eye))
-        special = indices((side != OUTSIDE) | (light_side != OUTSIDE))
+        hit_side = side_of(height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye))
+        special = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
         if special.size:
-            side, light_side = side[special], light_side[special]
+            hit_side, side = hit_side[special], side[special]
             b, length2 = b[special], length2[special]
             starts_inside = self.eye_inside[sphere[special]]
             blocked[special] = np.where(
-                side == ON,
-                np.where(starts_inside, (b < 0) | (light_side == OUTSIDE), b > 0),
-                np.where(light_side == ON, (side == OUTSIDE) & (b < length2), side != light_side),
+                hit_side == ON,
+                np.where(starts_inside, (b < 0) | (side == OUTSIDE), b > 0),
+                np.where(side == ON, (hit_side == OUTSIDE) & (b < length2), hit_side != side),
             )
         return blocked
 

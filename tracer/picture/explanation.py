@@ -285,6 +285,6 @@ def _occluders(hits: Hits, lights: Lights) -> Ints:
         same_hit = hits.points(np.zeros_like(others))
         same_light = take3(lights.position.T, np.zeros_like(others))
         side = lights.side[0, others]
-        blocks = shape.occludes(hits.prepared.frame.eye, others, same_hit, same_light, side)
+        blocks = shape.occludes(others, same_hit, same_light, side)
         occluders.append(others[blocks])
     return np.concatenate(occluders)

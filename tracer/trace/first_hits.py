@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +10,7 @@ from numpy.typing import ArrayLike
 from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.scene.model import Scene
 from tracer.trace.hits import Hits
-from tracer.trace.samples import Samples, Scattered, pixel_centers
+from tracer.trace.samples import Scattered
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
@@ -90,65 +87,22 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     """
     if (x is None) != (y is None):
         raise TypeError("x and y must both be given, or neither")
-    prepared = PreparedScene(scene)
-    if x is None:
-        return _gather(prepared, (scene.height, scene.width), _picture_batches(prepared))
+    if x is None or y is None:
+        y, x = np.indices((scene.height, scene.width)) + 0.5
     across, down = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    if across.shape != down.shape:
-        raise ValueError(f"x and y must have one shape, have {across.shape} and {down.shape}")
+    shape = across.shape
+    if shape != down.shape:
+        raise ValueError(f"x and y must have one shape, have {shape} and {down.shape}")
+    across, down = across.ravel(), down.ravel()
     if not (np.isfinite(across).all() and np.isfinite(down).all()):
         raise ValueError("x and y must be finite")
-    batches = _position_batches(prepared, across.ravel(), down.ravel())
-    flat = _gather(prepared, (across.size,), batches)
-    return FirstHits(
-        *(array.reshape(across.shape + array.shape[1:]) for array in vars(flat).values())
-    )
-
-
-def _picture_batches(prepared: PreparedScene) -> Iterator[tuple[tuple[slice, slice], Samples]]:
-    """Divide the picture into batches; yield their rows and columns, and the pixels' centres."""
-    width, height = prepared.frame.width, prepared.frame.height
-    max_rays = prepared.batch_size(_RAYS_PER_BATCH)
-    column_step, row_step = min(width, max_rays), max(1, max_rays // width)
-    for top, left in product(range(0, height, row_step), range(0, width, column_step)):
-        rows = slice(top, min(top + row_step, height))
-        columns = slice(left, min(left + column_step, width))
-        yield (rows, columns), pixel_centers(rows, columns)
-
-
-def _position_batches(
-    prepared: PreparedScene, x: Floats, y: Floats
-) -> Iterator[tuple[Ints, Samples]]:
-    """Divide positions (n,) into batches; yield their indices, and the positions as samples."""
+    prepared, count = PreparedScene(scene), across.size
+    arrays = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
     step = prepared.batch_size(_RAYS_PER_BATCH)
-    for start in range(0, x.size, step):
-        samples, order = Scattered.from_positions(x[start : start + step], y[start : start + step])
-        yield start + order, samples
-
-
-def _gather(
-    prepared: PreparedScene, shape: tuple[int, ...], batches: Iterable[tuple[Any, Samples]]
-) -> FirstHits:
-    """Find the first hits of samples in batches, and arrange them in arrays.
-
-    Parameters
-    ----------
-    prepared : PreparedScene
-        The scene.
-    shape : tuple of int
-        Shape of the arrays.
-    batches : iterable of (index, samples)
-        For each batch, an index into arrays of this shape, and the samples at this index.
-    """
-    result = FirstHits(
-        np.empty(shape, dtype=np.intp),
-        np.empty(shape),
-        np.empty((*shape, 3)),
-        np.empty((*shape, 3)),
-    )
-    for index, samples in batches:
-        batch = FirstHits.from_hits(nearest_hits(prepared, samples))
-        for name, array in vars(result).items():
-            values = getattr(batch, name)
-            array[index] = values.reshape(array[index].shape)
-    return result
+    for start in range(0, count, step):
+        batch = slice(start, start + step)
+        samples, order = Scattered.from_positions(across[batch], down[batch])
+        hits = FirstHits.from_hits(nearest_hits(prepared, samples))
+        for array, values in zip(arrays, vars(hits).values(), strict=True):
+            array[start + order] = values
+    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))

@@ -475,9 +475,9 @@ def _blocks(
         Whether the object blocks the segment.
     """
     light, hit, occluder = triples
-    eye, light_position = hits.prepared.frame.eye, take3(lights.position.T, light)
+    light_position = take3(lights.position.T, light)
     light_side = take_2d(lights.side, light, occluder)
-    return shape.occludes(eye, occluder, hits.points(hit), light_position, light_side, growth)
+    return shape.occludes(occluder, hits.points(hit), light_position, light_side, growth)
 
 
 def _packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:

@@ -69,7 +69,7 @@ def spans(
     owner, row = segment_indices(np.maximum(stop - start, 0), start)
     position = near[owner]
     object_index = position + shape.objects.start
-    left, right = shape.row_extent(prepared.frame, object_index, rows[row], height)
+    left, right = shape.row_extent(object_index, rows[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
     kept = indices(left <= right)
     return object_index[kept], row[kept], left[kept] - pad, right[kept] + pad

@@ -141,7 +141,7 @@ def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersect
         object_index, row, first_sample, counts = samples.covered(shape, prepared)
         sample = first_sample if counts is None else ranges(first_sample, counts)
         g, s = all_g.take(row), all_s.take(sample)
-        t, detail = shape.hit(frame, object_index, g, s, counts)
+        t, detail = shape.hit(object_index, g, s, counts)
         groups.append(_Intersections(shape, counts, object_index, g, sample, s, t, detail))
     return groups
 
@@ -215,7 +215,7 @@ def _hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections
         run_start = group.runs(samples, frame, group_local[2])
         length = np.diff(run_start, append=end - start)
         run_object = repeat_runs(group.object_index, group.counts)[run_start]
-        surface = group.shape.surface(frame, run_object, length, group_local, group.t, group.detail)
+        surface = group.shape.surface(run_object, length, group_local, group.t, group.detail)
         interval = slice(start, end)
         shape_hits.append(
             ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)
