@@ -1,6 +1,7 @@
-"""The camera as the scene file describes it, and the part of the scene that it sees.
+"""Convert a camera to the window that its rays go through, and find what the camera shows.
 
-The tracer's own camera is judged by pictures that are made with this one: they share no code.
+The window is computed independently of the tracer's own camera, because pictures that are rendered
+through it validate the tracer's camera.
 """
 
 from __future__ import annotations
@@ -17,15 +18,26 @@ __all__ = ["Floats", "Window", "bounds", "visible_points", "window_of"]
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Rays across the picture and down: the next finer grid is used where one hits too little.
-_GRIDS = 12, 48, 192
+# Numbers of rays along each side of the picture.  The next number is tried if fewer than
+# _MIN_VISIBLE_POINTS rays hit a surface.
+_RAYS_PER_SIDE = 12, 48, 192
+_MIN_VISIBLE_POINTS = 12
 
 
 class Window(NamedTuple):
-    """A window seen from the eye.
+    """The window of a camera, as seen from the eye.
 
-    `axes` (3, 3) are unit vectors to the right and down along its edges, and ahead through it;
-    `center` (3,) leads from the eye to its middle, along these.
+    Attributes
+    ----------
+    eye : (3,) float array
+        Position of the eye.
+    axes : (3, 3) float array
+        Unit vectors in rows: to the right and down, along the window's edges, and ahead, at right
+        angles to the window.
+    center : (3,) float array
+        Vector from the eye to the window's centre, in components along the axes.
+    width, height : float
+        Size of the window.
     """
 
     eye: Floats
@@ -35,7 +47,17 @@ class Window(NamedTuple):
     height: float
 
     def points(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Vectors (..., 3) from the eye to points of the window: 0, 0 is its upper left corner."""
+        """Return the vectors from the eye to points of the window.
+
+        Parameters
+        ----------
+        x, y : float or float array
+            Distances from the window's left and upper edges, relative to its width and height.
+
+        Returns
+        -------
+        vectors : (..., 3) float array
+        """
         right, down, ahead = self.axes
         across = self.center[0] + (np.asarray(x)[..., None] - 0.5) * self.width
         below = self.center[1] + (np.asarray(y)[..., None] - 0.5) * self.height
@@ -44,7 +66,7 @@ class Window(NamedTuple):
 
 
 def window_of(camera: Camera) -> Window:
-    """The window of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2)."""
+    """Return the window of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2)."""
     direction = _unit(camera.view_dir)
     normal = _unit(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
     ahead = normal if normal @ direction > 0 else -normal
@@ -55,14 +77,20 @@ def window_of(camera: Camera) -> Window:
 
 
 def _unit(vector: Sequence[float] | Floats) -> Floats:
-    """Unit vector (3,); scaled first, so that no square over- or underflows."""
-    scaled = np.asarray(vector) / np.abs(vector).max()
+    """Return the unit vector (3,) in the direction of a vector (3,) other than 0."""
+    scaled = np.asarray(vector) / np.abs(vector).max()  # so that no square over- or underflows
     unit: Floats = scaled / np.linalg.norm(scaled)
     return unit
 
 
 def bounds(surfaces: Surfaces) -> Floats:
-    """Corners (2, 3) of a box around all surfaces; the origin where there is none."""
+    """Return the bounding box of all surfaces.
+
+    Returns
+    -------
+    corners : (2, 3) float array
+        Minimum and maximum coordinates; 0 if there are no surfaces.
+    """
     radius = surfaces.radius[:, None]
     low = np.concatenate([surfaces.center - radius, surfaces.min_pt])
     high = np.concatenate([surfaces.center + radius, surfaces.max_pt])
@@ -70,14 +98,19 @@ def bounds(surfaces: Surfaces) -> Floats:
 
 
 def visible_points(scene: Scene) -> Floats:
-    """Points (n, 3) that rays spread evenly over the picture hit: a dozen or more if they can.
+    """Return the points where rays through a regular grid of the picture hit surfaces.
 
-    They tell how large a scene is and where, which changes no picture.
+    The points show where the visible part of the scene is, and how large it is.  The grid is
+    refined until about a dozen rays hit a surface, if any do.
+
+    Returns
+    -------
+    points : (n, 3) float array
     """
-    for grid in _GRIDS:
-        y, x = (np.indices((grid, grid)).reshape(2, -1) + 0.5) / grid
-        found = first_hits(scene, x * scene.width, y * scene.height)
-        points: Floats = found.point[found.surface >= 0]
-        if len(points) >= _GRIDS[0]:
+    for count in _RAYS_PER_SIDE:
+        y, x = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
+        hits = first_hits(scene, x * scene.width, y * scene.height)
+        points: Floats = hits.point[hits.surface >= 0]
+        if len(points) >= _MIN_VISIBLE_POINTS:
             break
     return points

@@ -1,4 +1,8 @@
-"""A scene as Mitsuba 3 XML: similar, by stock plugins, or exactly, by this project's own."""
+"""Convert a scene to a file for Mitsuba 3, in one of two flavours.
+
+*exact*: this project's own plugins compute the same picture as the tracer.  *stock*: the plugins
+that come with Mitsuba compute a similar picture.
+"""
 
 from __future__ import annotations
 
@@ -6,88 +10,123 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import atan, degrees, isqrt
 from typing import NamedTuple, TypeGuard
+from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 
 from converters.camera import Floats, Window, bounds, visible_points, window_of
-from converters.mitsuba_xml import document, element, matrix, plugin, rgb, xyz
+from converters.mitsuba_xml import ConversionError, Document, matrix, plugin, rgb, xyz
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
 __all__ = ["SAMPLES", "convert", "exact", "gain", "normalisation", "squared", "stock"]
 
 SAMPLES = {"stock": 64, "exact": 1}
-"""The flavours, a similar picture and the same: samples a pixel, if not given."""
+"""Default number of samples per pixel of each flavour."""
 
-# What overflows is an error when it is written.
-_QUIET = np.errstate(all="ignore")
+# Overflow is not an error where it occurs, but where a number is written.
+_IGNORE_OVERFLOW = np.errstate(all="ignore")
 
-# Mitsuba's float32 is best off with scenes about this large, centred on the origin.
-_EXTENT = 10.0
+# Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
+_SCENE_SIZE = 10.0
 
-# Largest error of a hit point, in roundings (2^-24) of the largest length in the scene.
+# Maximum error of a hit in the exact flavour, in roundings (2^-24) of the scene's largest length.
 _TOLERANCE_ROUNDINGS = 32
 
-# A stock scene of which so much is seen, no farther from the origin than so many times that, keeps
-# the file's coordinates.
-_OWN_EXTENT, _OWN_OFFSET = (0.1, 1e6), 10.0
+# A stock scene keeps the file's coordinates if the size of its visible part is between the first
+# two numbers, and its distance from the origin is at most the third, relative to the size.
+_MIN_OWN_SIZE, _MAX_OWN_SIZE, _MAX_OWN_DISTANCE = 0.1, 1e6, 10.0
 
-# Largest sphere of a stock scene, whose hit points err by 1e-7 of its radius, and the least share
-# of its size that a scene is given for that: shadow rays start 1e-4 above what may be small.
-_LARGEST_RADIUS, _SMALLER = 300.0, 1e-4
+# Maximum radius of a sphere in a stock scene.  Hits on it have an error of 1e-7 of the radius, and
+# Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down for larger spheres,
+# but at most by _MIN_SHRINKAGE, so that shadow rays do not start above its small objects.
+_MAX_RADIUS, _MIN_SHRINKAGE = 300.0, 1e-4
 
-# Half thickness of flat boxes, relative to the largest coordinate; where the stock camera begins to
-# see, relative to the farthest point of all surfaces.
-_THINNEST = _NEAREST = 1e-6
+# Half the thickness of a flat box, relative to the largest coordinate in the scene.
+_MIN_HALF_THICKNESS = 1e-6
+
+# Distance from the stock camera to its near plane, relative to the distance of its far plane.
+_NEAR_DISTANCE = 1e-6
+
+# Maximum field of view in degrees.  Closer to 180, float32 has too few digits of it.
+_MAX_FOV = 179.99
+
+# Maximum number of pixels in a converted picture.
+_MAX_PIXELS = 1 << 28
 
 
 def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
-    """Convert a scene to Mitsuba XML, in a flavour, a key of `SAMPLES`.
+    """Convert a scene to the content of a file for Mitsuba.
 
-    Raises ValueError for numbers beyond those of float32, and for too many square pixels.
+    Parameters
+    ----------
+    scene : Scene
+    flavour : str
+        A key of `SAMPLES`.
+    samples : int, optional
+        Number of samples per pixel; the default depends on the flavour.
+
+    Returns
+    -------
+    text : str
+
+    Raises
+    ------
+    ConversionError
+        If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
     """
     count = SAMPLES[flavour] if samples is None else samples
-    return {"stock": stock, "exact": exact}[flavour](scene, count)
+    return str({"stock": stock, "exact": exact}[flavour](scene, count))
 
 
 class Normalisation(NamedTuple):
-    """Moves and scales a scene, p -> (p - center) * scale, which changes no picture."""
+    """A translation and a scaling of the scene, p -> (p - center) * scale.
+
+    It changes no picture, but keeps the numbers in the range where float32 is accurate.
+    """
 
     center: Floats
     scale: float
 
     def __call__(self, points: Floats) -> Floats:
-        """Normalised points (..., 3)."""
+        """Return the normalised points (..., 3)."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
         center = ", ".join(f"{x:.6g}" for x in self.center)
-        here = f"where the scene file has p, this has {self.scale:.6g} (p - c), c = ({center}).\n"
-        return "It is moved and scaled, for float32, which changes no picture:\n" + here
+        formula = f"{self.scale:.6g} (p - c), c = ({center})"
+        return (
+            "It is moved and scaled, for float32, which changes no picture:\n"
+            f"the point p of the scene file is {formula} here.\n"
+        )
 
 
 def normalisation(scene: Scene) -> Normalisation:
-    """Moves the part of a scene that is seen to the origin, and scales it to 10 units."""
+    """Return the normalisation that moves the visible part of a scene to the origin.
+
+    The visible part is scaled to 10 units.  If no surface is visible, all are normalised.
+    """
     points = visible_points(scene)
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else bounds(scene.surfaces)
-    extent = float((high - low).max())
-    return Normalisation((low + high) / 2, _EXTENT / extent if extent > 0 else 1.0)
+    size = float((high - low).max())
+    return Normalisation((low + high) / 2, _SCENE_SIZE / size if size > 0 else 1.0)
 
 
-def _stock_place(scene: Scene) -> Normalisation:
-    """Keep the file's own coordinates, unless float32 would spoil the picture."""
-    place = normalisation(scene)
-    least, most = _OWN_EXTENT
-    near = np.abs(place.center).max() * place.scale <= _OWN_OFFSET * _EXTENT
-    if near and least <= _EXTENT / place.scale <= most:
-        place = Normalisation(np.zeros(3), 1.0)
-    largest = place.scale * float(scene.surfaces.radius.max(initial=0))
-    if largest > _LARGEST_RADIUS:
-        place = place._replace(scale=place.scale * max(_LARGEST_RADIUS / largest, _SMALLER))
-    return place
+def _stock_normalisation(scene: Scene) -> Normalisation:
+    """Return a normalisation that keeps the file's coordinates, if float32 allows it."""
+    normalised = normalisation(scene)
+    size = _SCENE_SIZE / normalised.scale
+    is_near = np.abs(normalised.center).max() <= _MAX_OWN_DISTANCE * size
+    if is_near and _MIN_OWN_SIZE <= size <= _MAX_OWN_SIZE:
+        normalised = Normalisation(np.zeros(3), 1.0)
+    largest = normalised.scale * float(scene.surfaces.radius.max(initial=0))
+    if largest > _MAX_RADIUS:
+        shrinkage = max(_MAX_RADIUS / largest, _MIN_SHRINKAGE)
+        normalised = normalised._replace(scale=normalised.scale * shrinkage)
+    return normalised
 
 
-def _film(scene: Scene) -> str:
-    """A linear picture, each sample counted in its own pixel only."""
+def _film(scene: Scene) -> Element:
+    """Return a linear picture, in which each sample counts in its own pixel only."""
     return plugin(
         "film",
         "hdrfilm",
@@ -99,33 +138,62 @@ def _film(scene: Scene) -> str:
     )
 
 
-def _shapes(scene: Scene, place: Normalisation, names: Sequence[str]) -> list[str]:
-    """Write all surfaces in file order; `names`: of the shaders' BSDFs."""
+def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
+    """Convert all surfaces.
+
+    Parameters
+    ----------
+    scene : Scene
+    normalised : Normalisation
+    bsdf_names : sequence of str
+        For each shader of the scene, the name of its BSDF.
+
+    Returns
+    -------
+    shapes : list of Element
+        A shape for each surface, in the file's order.
+    """
     surfaces = scene.surfaces
-    half = (surfaces.max_pt - surfaces.min_pt) * (place.scale / 2)
-    # A cube of no thickness has no inverse transform.
-    half[half == 0] = _THINNEST * np.abs(place(bounds(surfaces))).max()
-    balls = place(surfaces.center).tolist(), (surfaces.radius * place.scale).tolist()
-    # Mitsuba's cube, from -1 to 1 along each axis, is scaled and moved.
-    cubes = half.tolist(), ((place(surfaces.min_pt) + place(surfaces.max_pt)) / 2).tolist()
-    bsdfs = [element(f'ref id="{names[k]}"') for k in surfaces.shader_index.tolist()]
+    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalised.scale / 2)
+    # A cube without thickness has no inverse transform.
+    half_size[half_size == 0] = _MIN_HALF_THICKNESS * np.abs(normalised(bounds(surfaces))).max()
+    spheres = normalised(surfaces.center).tolist(), (surfaces.radius * normalised.scale).tolist()
     shapes = [
-        plugin("shape", "sphere", xyz("point", "center", center), bsdf, radius=radius)
-        for center, radius, bsdf in zip(*balls, bsdfs[: len(balls[0])], strict=True)
+        plugin("shape", "sphere", xyz("point", "center", center), radius=radius)
+        for center, radius in zip(*spheres, strict=True)
     ]
-    for scale, middle, bsdf in zip(*cubes, bsdfs[len(shapes) :], strict=True):
-        steps = xyz("scale", None, scale), xyz("translate", None, middle)
-        to_world = element('transform name="to_world"', *steps)
-        shapes.append(plugin("shape", "cube", to_world, bsdf))
+    # Mitsuba's cube, which extends from -1 to 1 along each axis, is scaled and moved.
+    centers = (normalised(surfaces.min_pt) + normalised(surfaces.max_pt)) / 2
+    for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
+        to_world = Element("transform", name="to_world")
+        to_world.extend([xyz("scale", None, scale), xyz("translate", None, center)])
+        shapes.append(plugin("shape", "cube", to_world))
+    for shape, shader in zip(shapes, surfaces.shader_index.tolist(), strict=True):
+        shape.append(Element("ref", id=bsdf_names[shader]))
     return [shapes[index] for index in np.argsort(surfaces.file_index).tolist()]
 
 
 def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Name each shader's BSDF, equal ones alike; also return the shader of each name in use."""
+    """Choose a name for the BSDF of each shader; equal shaders get the same name.
+
+    Returns
+    -------
+    names : list of str
+        For each shader of the surfaces, the name of its BSDF.
+    used : dict of Shader
+        The shaders that surfaces refer to, by the names of their BSDFs.
+    """
     named: dict[Shader, str] = {}
     names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
     used = {names[shader] for shader in np.unique(surfaces.shader_index).tolist()}
     return names, {name: shader for shader, name in named.items() if name in used}
+
+
+def _document(comment: str, parts: Sequence[Element]) -> Document:
+    """Return a scene with these plugins."""
+    root = Element("scene", version="3.0.0")
+    root.extend(parts)
+    return Document(comment, root)
 
 
 _EXACT = """
@@ -137,40 +205,41 @@ variant that ends in _rgb, and "import converters.plugins".
 {moved}"""
 
 
-@_QUIET
-def exact(scene: Scene, samples: int = 1) -> str:
-    """By this project's plugins, the same picture: one sample takes the pixel's centre."""
-    place = normalisation(scene)
-    names, bsdfs = _bsdf_names(scene.surfaces)
-    largest = max(_EXTENT, float(scene.surfaces.radius.max(initial=0)) * place.scale)
+@_IGNORE_OVERFLOW
+def exact(scene: Scene, samples: int = 1) -> Document:
+    """Convert a scene to the exact flavour; with one sample per pixel, at the pixel's centre."""
+    normalised = normalisation(scene)
+    names, shaders = _bsdf_names(scene.surfaces)
+    largest = max(_SCENE_SIZE, float(scene.surfaces.radius.max(initial=0)) * normalised.scale)
     parts = [
         plugin("integrator", "every_light", tolerance=_TOLERANCE_ROUNDINGS * largest * 2.0**-24),
-        _exact_sensor(scene, place, samples),
+        _exact_sensor(scene, normalised, samples),
     ]
     for light in scene.lights:
-        position = xyz("point", "position", place(np.array(light.position)))
+        position = xyz("point", "position", normalised(np.array(light.position)))
         intensity = xyz("vector", "intensity", light.intensity)
         parts.append(plugin("emitter", "unattenuated_point", position, intensity))
-    for name, shader in bsdfs.items():
+    for name, shader in shaders.items():
         phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-        lobes = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
-        parts.append(plugin("bsdf", "blinn_phong", *lobes, name=name, exponent=phong.exponent))
-    return document(_EXACT.format(moved=place), [*parts, *_shapes(scene, place, names)])
+        colors = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
+        parts.append(plugin("bsdf", "blinn_phong", *colors, name=name, exponent=phong.exponent))
+    shapes = _shapes(scene, normalised, names)
+    return _document(_EXACT.format(moved=normalised), [*parts, *shapes])
 
 
-def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
-    """The camera by its eye and its window; its rays start on a box around the scene."""
+def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
+    """Convert the camera to the plugin "window": its rays start on a box around the scene."""
     window = window_of(scene.camera)
     right, down, _ = window.axes
-    # A little wider than the scene, so that no ray starts on a surface.
-    (low, high), margin = place(bounds(scene.surfaces)), 1e-3 * _EXTENT
+    # The box is slightly larger than the scene, so that no ray starts on a surface.
+    (low, high), margin = normalised(bounds(scene.surfaces)), 1e-3 * _SCENE_SIZE
     return plugin(
         "sensor",
         "window",
-        xyz("point", "eye", place(window.eye)),
-        xyz("vector", "corner", window.points(0, 0) * place.scale),
-        xyz("vector", "right", right * (window.width * place.scale)),
-        xyz("vector", "down", down * (window.height * place.scale)),
+        xyz("point", "eye", normalised(window.eye)),
+        xyz("vector", "corner", window.points(0, 0) * normalised.scale),
+        xyz("vector", "right", right * (window.width * normalised.scale)),
+        xyz("vector", "down", down * (window.height * normalised.scale)),
         xyz("point", "low", low - margin),
         xyz("point", "high", high + margin),
         _film(scene),
@@ -179,13 +248,22 @@ def _exact_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
 
 
 def squared(scene: Scene) -> Scene:
-    """A scene with as many columns, in square pixels, and a window of as many rows as fit best."""
+    """Return a scene of the same width with square pixels.
+
+    The number of rows is the one that shows the window best, to within half a pixel; the window's
+    height is adjusted to it.
+
+    Raises
+    ------
+    ConversionError
+        If there would be more than 2^28 pixels.
+    """
     camera = scene.camera
     rows = scene.width * camera.view_height / camera.view_width
-    if not scene.width * rows <= 1 << 28:
-        raise ValueError(
-            f"cannot be converted: Mitsuba's pixels are square, and {rows:.3g} rows of"
-            f" {scene.width} are too many; make viewWidth larger or viewHeight smaller"
+    if not scene.width * rows <= _MAX_PIXELS:
+        raise ConversionError(
+            f"Mitsuba's pixels are square, and {rows:.3g} rows of {scene.width} are too many;"
+            " make viewWidth larger or viewHeight smaller"
         )
     height = max(1, round(rows))
     if height == rows == scene.height:
@@ -200,8 +278,8 @@ with stock plugins only: it opens in the plain mitsuba command.
 The geometry and the camera are exact. Approximate are
 - the lights: Mitsuba's fall off with the square of the distance, those of the scene format do
   not fall off at all. The strength of each is right at one distance, which is given beside it;
-- highlights: Blinn-Phong's (n.h)^p is stood in for by a Beckmann lobe of the same height and
-  width, which brightens towards the silhouettes.
+- highlights: a Beckmann lobe of the same height and width takes the place of Blinn-Phong's
+  (n.h)^p; it brightens towards the silhouettes.
 {notes}"""
 
 _SQUARE = """Its pixels are square: {width} x {height} of them show the window, to within half
@@ -213,120 +291,161 @@ divided by {gain:g}, lights multiplied.
 """
 
 
-@_QUIET
-def stock(scene: Scene, samples: int = 64) -> str:
-    """By stock plugins, a similar picture: point lights that fall off."""
-    place, square, strength = _stock_place(scene), squared(scene), gain(scene.surfaces)
-    names, bsdfs = _bsdf_names(scene.surfaces)
-    seen = visible_points(scene)
-    if not len(seen):
-        seen = bounds(scene.surfaces).mean(axis=0, keepdims=True)
+@_IGNORE_OVERFLOW
+def stock(scene: Scene, samples: int = 64) -> Document:
+    """Convert a scene to the stock flavour: square pixels, and lights that fall off."""
+    normalised, square, factor = _stock_normalisation(scene), squared(scene), gain(scene.surfaces)
+    names, shaders = _bsdf_names(scene.surfaces)
+    points = visible_points(scene)
+    if not len(points):
+        points = bounds(scene.surfaces).mean(axis=0, keepdims=True)
+    count = _samples_for_lights(samples, len(scene.lights))
     parts = [
-        # Light straight from the lights, of which one is picked at random for each sample.
+        # Light directly from the lights, of which one is picked at random for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _stock_sensor(square, place, _evenly(samples, len(scene.lights))),
-        *(_point(light, place, strength, place(seen)) for light in scene.lights),
-        *(_stock_bsdf(shader, name, strength) for name, shader in bsdfs.items()),
-        *_shapes(scene, place, names),
+        _stock_sensor(square, normalised, count),
+        *(_stock_light(light, normalised, factor, normalised(points)) for light in scene.lights),
+        *(_stock_bsdf(shader, name, factor) for name, shader in shaders.items()),
+        *_shapes(scene, normalised, names),
     ]
     notes = ""
     if square.height != scene.height:
         notes += _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
-    if strength != 1:
-        notes += _GAIN.format(gain=strength)
-    if place.scale != 1 or place.center.any():
-        notes += str(place)
-    return document(_STOCK.format(notes=notes), parts)
+    if factor != 1:
+        notes += _GAIN.format(gain=factor)
+    if normalised.scale != 1 or normalised.center.any():
+        notes += str(normalised)
+    return _document(_STOCK.format(notes=notes), parts)
 
 
-def _evenly(samples: int, lights: int) -> int:
-    """Round samples up until Mitsuba's `multijitter` gives each light equally many."""
+def _samples_for_lights(samples: int, light_count: int) -> int:
+    """Round a number of samples up until Mitsuba's `multijitter` gives each light equally many."""
     count = samples
-    while lights and samples >= lights and (count % lights or count % isqrt(count)):
+    while light_count and samples >= light_count and (count % light_count or count % isqrt(count)):
         count += 1
     return count
 
 
-def _to_world(window: Window, place: Normalisation) -> str:
-    """Mitsuba's cameras look along +z with +x to the left and +y up."""
+def _to_world(window: Window, normalised: Normalisation) -> Element:
+    """Return the transform of a stock camera, which looks along +z with +x left and +y up."""
     right, down, ahead = window.axes
-    rows = np.column_stack([-right, -down, ahead, place(window.eye)])
+    rows = np.column_stack([-right, -down, ahead, normalised(window.eye)])
     return matrix("to_world", [*rows, (0, 0, 0, 1)])
 
 
-def _stock_sensor(scene: Scene, place: Normalisation, samples: int) -> str:
-    """The camera by its field of view and principal point."""
+def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
+    """Convert the camera to Mitsuba's "perspective": a field of view and a principal point."""
     window = window_of(scene.camera)
     across, below, depth = window.center
+    fov = degrees(2 * atan(window.width / 2 / depth))
+    if not 0 < np.float32(fov) <= _MAX_FOV:
+        raise ConversionError(
+            f"its field of view would be {fov:g} degrees, and Mitsuba needs more than 0 and at most"
+            f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
+        )
     farthest = np.abs(bounds(scene.surfaces) - window.eye).max(axis=0)
-    far = place.scale * float(np.linalg.norm(farthest)) or 1.0
+    far = normalised.scale * float(np.linalg.norm(farthest)) or 1.0
     return plugin(
         "sensor",
         "perspective",
-        _to_world(window, place),
+        _to_world(window, normalised),
         _film(scene),
         plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
-        fov=degrees(2 * atan(window.width / 2 / depth)),
-        # What rounding leaves of zero is zero.
+        fov=fov,
+        # Rounding errors of 0 become 0.
         principal_point_offset_x=round(float(across / window.width), 12),
         principal_point_offset_y=round(float(below / window.height), 12),
-        # The window may be anywhere: it only says what is in the picture.
-        near_clip=_NEAREST * far,
+        # The window itself hides nothing, at whatever distance it is.
+        near_clip=_NEAR_DISTANCE * far,
         far_clip=2 * far,
     )
 
 
-def _point(light: PointLight, place: Normalisation, strength: float, seen: Floats) -> str:
-    """A light that is right at one distance: that of least squares over points (n, 3)."""
-    position = place(np.array(light.position))
-    square = ((seen - position) ** 2).sum(axis=1)
-    # In units of the largest, whatever the scene's; in the light itself nothing is divided by zero.
-    largest = float(square.max()) or 1.0
-    inverse = 1 / np.maximum(square / largest, 1e-12)
-    distance2 = largest * float(inverse.sum() / (inverse * inverse).sum())
+def _stock_light(
+    light: PointLight, normalised: Normalisation, factor: float, points: Floats
+) -> Element:
+    """Convert a light to a Mitsuba light that falls off, and is as strong at one distance.
+
+    Parameters
+    ----------
+    light : PointLight
+    normalised : Normalisation
+    factor : float
+        Factor that reflectances are divided by.
+    points : (n, 3) float array
+        Normalised points.  The distance is chosen so that the squared error of the irradiance at
+        these is a minimum.
+
+    Returns
+    -------
+    emitter : Element
+    """
+    position = normalised(np.array(light.position))
+    distance2 = ((points - position) ** 2).sum(axis=1)
+    # Relative to the largest, so that nothing overflows; a point in the light counts as near it.
+    largest = float(distance2.max()) or 1.0
+    inverse = 1 / np.maximum(distance2 / largest, 1e-12)
+    best_distance2 = largest * float(inverse.sum() / (inverse * inverse).sum())
     # A diffuse surface reflects 1 / pi of its reflectance.
-    intensity = np.array(light.intensity) * (np.pi * strength * distance2)
-    note = f"<!-- right at a distance of {distance2**0.5:.4g} -->"
-    at = xyz("point", "position", position)
-    return plugin("emitter", "point", note, at, rgb("intensity", intensity))
+    intensity = np.array(light.intensity) * (np.pi * factor * best_distance2)
+    note = Comment(f" right at a distance of {best_distance2**0.5:.4g} ")
+    point = xyz("point", "position", position)
+    return plugin("emitter", "point", note, point, rgb("intensity", intensity))
 
 
 def gain(surfaces: Surfaces) -> float:
-    """Factor that reflectances are divided by: 1, or the largest; those of blends count twice."""
+    """Return the factor that all reflectances are divided by, so that none is above 1.
+
+    It is 1, or the largest reflectance if that is larger; those in blends count twice.
+    """
     used = [surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist()]
-    needed = [(2 if _is_blend(shader) else 1) * np.array(_lobes(shader)) for shader in used]
+    needed = [(2 if _is_blend(shader) else 1) * np.array(_reflectances(shader)) for shader in used]
     return float(np.max(needed, initial=1))
 
 
 def _is_blend(shader: Shader) -> TypeGuard[Phong]:
-    """Whether two BSDFs are blended, half and half: a diffuse one and a highlight."""
+    """Return whether a shader has a highlight, so that it becomes a blend of two BSDFs."""
     return isinstance(shader, Phong) and any(shader.specular)
 
 
-def _lobes(shader: Shader) -> tuple[Floats, Floats]:
-    """Diffuse and specular reflectance (3,), as Mitsuba measures them."""
+def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
+    """Return the diffuse and the specular reflectance (3,), as Mitsuba defines them."""
     diffuse = np.array(shader.diffuse)
     if not isinstance(shader, Phong):
         return diffuse, np.zeros(3)
-    # The stock lobe's height is its reflectance times (exponent + 2) / 8.
+    # The height of the stock lobe is its reflectance times (exponent + 2) / 8.
     return diffuse, np.array(shader.specular) * 8 / (shader.exponent + 2)
 
 
-def _stock_bsdf(shader: Shader, name: str, strength: float) -> str:
-    diffuse, specular = _lobes(shader)
+def _stock_bsdf(shader: Shader, name: str, factor: float) -> Element:
+    """Convert a shader to stock BSDFs.
+
+    Parameters
+    ----------
+    shader : Lambertian or Phong
+    name : str
+        Name of the BSDF.
+    factor : float
+        Factor that reflectances are divided by.
+
+    Returns
+    -------
+    bsdf : Element
+    """
+    diffuse, specular = _reflectances(shader)
     if _is_blend(shader):
-        # A Beckmann lobe as wide as the highlight; a blend of weight 0.5 halves both.
+        # The Beckmann lobe is as wide as the highlight.  A blend of weight 0.5 halves both BSDFs.
         lobe = plugin(
             "bsdf",
             "roughconductor",
-            rgb("specular_reflectance", 2 * specular / strength),
+            rgb("specular_reflectance", 2 * specular / factor),
             material="none",
             distribution="beckmann",
             alpha=(2 / (shader.exponent + 2)) ** 0.5,
         )
-        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / strength))
+        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / factor))
         bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:
-        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / strength))
+        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / factor))
     return plugin("bsdf", "twosided", bsdf, name=name)

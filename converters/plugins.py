@@ -135,7 +135,7 @@ class EveryLight(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         if not mi.variant().endswith(("_rgb", "_rgb_double")):
-            raise RuntimeError(f"needs an RGB variant of Mitsuba; {mi.variant()} is none")
+            raise RuntimeError(f"needs an RGB variant of Mitsuba, not {mi.variant()}")
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):

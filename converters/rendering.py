@@ -1,4 +1,4 @@
-"""Mitsuba's pictures of scenes."""
+"""Render scenes with Mitsuba."""
 
 from __future__ import annotations
 
@@ -18,14 +18,24 @@ from tracer.files import atomic_file
 
 __all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
 
-_EXR = b"\x76\x2f\x31\x01"  # how a file of this format begins
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
 
-# More samples in a picture than Mitsuba counts, in 32 bits, would end in a riddle.
-_MOST_SAMPLES = 2**32 - 1
+# Maximum number of samples in a picture: Mitsuba's counter of 32 bits would overflow.
+_MAX_SAMPLES = 2**32 - 1
 
 
 class Rendering(NamedTuple):
-    """A picture by Mitsuba: (h, w, 3) float64, linear; by which variant, in how many seconds."""
+    """A picture rendered by Mitsuba.
+
+    Attributes
+    ----------
+    image : (h, w, 3) float array
+        Linear radiance.
+    variant : str
+        Mitsuba's variant.
+    seconds : float
+        Time to render, without loading the scene.
+    """
 
     image: Floats
     variant: str
@@ -35,42 +45,67 @@ class Rendering(NamedTuple):
 def render_mitsuba(
     scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
 ) -> Floats:
-    """Render a scene with Mitsuba: (h, w, 3) float64, linear; stock flavours in square pixels.
+    """Render a scene with Mitsuba.
 
-    Takes the flavour's samples a pixel, and the fastest variant that works here, unless they are
-    given.  Raises ImportError for a variant that does not work, ValueError for more samples than
-    Mitsuba can count and for what `convert` refuses.
+    Parameters
+    ----------
+    scene : Scene
+    samples : int, optional
+        Number of samples per pixel; the default depends on the flavour.
+    variant : str, optional
+        Mitsuba's variant; the default is the fastest that works on this machine.
+    flavour : str
+        A key of `SAMPLES`.  The picture of a stock flavour has square pixels.
+
+    Returns
+    -------
+    image : (h, w, 3) float array
+        Linear radiance.
+
+    Raises
+    ------
+    ImportError
+        If the variant does not work here.
+    ValueError
+        If there are more samples than Mitsuba can count, or the scene cannot be converted.
     """
-    every = scene.width * scene.height * (isqrt((samples or SAMPLES[flavour]) - 1) + 1) ** 2
-    if every > _MOST_SAMPLES:
+    per_side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
+    total = scene.width * scene.height * per_side**2
+    if total > _MAX_SAMPLES:
         raise ValueError(
-            f"{every} samples are too many: Mitsuba takes {_MOST_SAMPLES} at most;"
-            " use fewer a pixel"
+            f"{total} samples are too many: Mitsuba takes {_MAX_SAMPLES} at most;"
+            " use fewer per pixel"
         )
     return load(convert(scene, flavour, samples), variant)().image
 
 
 def load(text: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load a converted scene; each call of what is returned renders it."""
+    """Load a converted scene in a variant of Mitsuba; return a function that renders it."""
     chosen = use(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 
-    # Otherwise every run would warn that Python plugins are slow in scalar variants.
+    # Otherwise each process would warn that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
     scene = mi.load_string(text)
 
-    def rendered() -> Rendering:
+    def render_loaded() -> Rendering:
         start = perf_counter()
         image = np.array(mi.render(scene), dtype=np.float64)
         return Rendering(image, chosen, perf_counter() - start)
 
-    return rendered
+    return render_loaded
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
-    """Write a linear picture (h, w, 3) as float32 EXR."""
+    """Write a linear picture (h, w, 3) as an EXR file of float32.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written, or a file that is not an EXR exists at the path.
+    """
     ensure()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    with atomic_file(path, _EXR) as file:
+    with atomic_file(path, _EXR_MAGIC) as file:
         file.write(stream.raw_buffer())

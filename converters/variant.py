@@ -1,8 +1,8 @@
-"""Which Mitsuba variant this machine can run: LLVM where it works, else scalar.
+"""Choose the Mitsuba variant that this machine can run: LLVM where it works, otherwise scalar.
 
-The ``llvm_ad_rgb`` variant needs a shared libLLVM.  Without one Mitsuba says so, but with some
-versions of LLVM (15 and 16, for instance) the first kernel aborts the whole process.  So a child
-process tries a small kernel first, once for each process that asks.
+The variant ``llvm_ad_rgb`` needs a shared libLLVM.  If there is none, Mitsuba reports it.  But with
+some versions of LLVM (15 and 16, for example) the first kernel aborts the whole process.  A child
+process therefore runs a small kernel first, once for each process that uses Mitsuba.
 """
 
 from __future__ import annotations
@@ -15,16 +15,22 @@ from functools import cache
 from typing import NamedTuple
 
 try:
+    import drjit as dr
     import mitsuba as mi
-except NameError as error:  # so drjit ends where a library of the system is missing
+except NameError as error:  # raised by Dr.Jit if a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
 __all__ = ["LLVM", "SCALAR", "Choice", "choose", "ensure", "mi", "use"]
 
+# On one processor, Mitsuba's reader and writer of EXR files would wait forever for a second thread.
+if dr.thread_count() < 2:
+    dr.set_thread_count(2)
+
 LLVM = "llvm_ad_rgb"
 SCALAR = "scalar_rgb"
 
-# With the two operations at which unusable versions are known to fail: a maximum, and a ray query.
+# The kernel contains the two operations at which unusable versions are known to fail: a maximum,
+# and the intersection of rays with a scene.
 _KERNEL = f"""
 import drjit as dr
 import mitsuba as mi
@@ -37,15 +43,28 @@ assert abs(dr.mean(hit.t)[0] - 2) < .1
 
 
 class Choice(NamedTuple):
-    """A variant, and why it was chosen."""
+    """A variant of Mitsuba, and the reason why it was chosen."""
 
     variant: str
     reason: str
 
 
 def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
-    """Choose the fastest variant that works here: LLVM if a child runs `kernel` within seconds."""
-    # No home: kernels cached there by a good libLLVM would hide that this one is bad.
+    """Choose the fastest variant that works here.
+
+    Parameters
+    ----------
+    kernel : str
+        Python code that a child process runs to find out whether LLVM works.
+    timeout : float
+        Seconds after which LLVM counts as unusable.
+
+    Returns
+    -------
+    choice : Choice
+        LLVM if the child process ends with status 0; otherwise scalar.
+    """
+    # The child has no home folder, where kernels of a good libLLVM may hide that this one is bad.
     try:
         child = subprocess.run(
             [sys.executable, "-c", kernel],
@@ -61,30 +80,46 @@ def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     if child.returncode < 0:
         name = signal.Signals(-child.returncode).name
         return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
-    said = child.stderr.strip().splitlines() or ["it said nothing"]
-    return Choice(SCALAR, f"no usable libLLVM: {said[-1].strip()}")
+    lines = child.stderr.strip().splitlines() or ["no message"]
+    return Choice(SCALAR, f"no usable libLLVM: {lines[-1].strip()}")
 
 
-_chosen = cache(choose)
+_cached_choice = cache(choose)
 
 
 def use(variant: str | None = None) -> Choice:
-    """Make a variant Mitsuba's current one; ImportError for a given one that does not work here."""
-    choice = _chosen()
+    """Set Mitsuba's variant.
+
+    Parameters
+    ----------
+    variant : str, optional
+        The variant; the default is the fastest that works here.
+
+    Returns
+    -------
+    choice : Choice
+
+    Raises
+    ------
+    ImportError
+        If the given variant does not work here, or is not an RGB variant.
+    """
+    choice = _cached_choice()
     if variant is not None and variant != choice.variant:
-        able = [name for name in mi.variants() if name.endswith("_rgb")]
-        if variant not in able:
+        available = [name for name in mi.variants() if name.endswith("_rgb")]
+        if variant not in available:
+            names = ", ".join(available)
             raise ImportError(
-                f"{variant or repr(variant)} is not an RGB variant; choose one of {', '.join(able)}"
+                f"{variant or repr(variant)} is not an RGB variant; choose one of {names}"
             )
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")
-        choice = Choice(variant, "asked for")
+        choice = Choice(variant, "requested")
     mi.set_variant(choice.variant)
     return choice
 
 
 def ensure() -> None:
-    """Make the fastest variant that works Mitsuba's current one, unless there is one already."""
+    """Set Mitsuba's variant to the fastest that works here, unless one is set already."""
     if mi.variant() is None:
         use()

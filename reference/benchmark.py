@@ -89,8 +89,8 @@ def whole_process(quick: bool) -> str:
     for size, name in product(sizes, names):
         scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
         save_scene(scene, ours := built("tracer.xml"))
-        (exactly := built("exact.xml")).write_text(exact(scene))
-        (similar := built("stock.xml")).write_text(stock(scene, 1))
+        (exactly := built("exact.xml")).write_text(str(exact(scene)))
+        (similar := built("stock.xml")).write_text(str(stock(scene, 1)))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
             "tracer": [*tracer, str(ours)],
@@ -127,8 +127,8 @@ def rendering(quick: bool) -> str:
         scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
         for name in _FEW if quick else scenes:
             scene = resized(scenes[name], *size)
-            ours, exactly = _beside(scene, exact(scene))
-            again, stocks = _beside(scene, stock(scene, 1))
+            ours, exactly = _beside(scene, str(exact(scene)))
+            again, stocks = _beside(scene, str(stock(scene, 1)))
             found.append((_speedup(ours, exactly), _speedup(again, stocks)))
             rows.append((f"{name} {size[0]}×{size[1]}", ours, exactly, stocks, *found[-1]))
         means = (geometric_mean(column) for column in zip(*found, strict=True))

@@ -1,16 +1,16 @@
-"""Hold the tracer's pictures against Mitsuba's, pixel by pixel, in linear light.
+"""Compare the tracer's pictures with Mitsuba's, pixel by pixel, in linear radiance.
 
     python -m reference.check SCENE.xml ...    writes NAME.check.png
 
 Both sample the pixels' centres.  With --flavour exact (the default) all light is compared, by this
-project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own parts.
+project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own plugins.
 
 The verdict is one of three:
-  agrees     Mitsuba's picture is the tracer's.  Left out are some pixels at edges, where Mitsuba's
+  agrees     Mitsuba's picture is the tracer's.  Excluded are some pixels at edges, where Mitsuba's
              float32 may fall on the other side, and ties: where surfaces coincide, Mitsuba may
              show the other one.
-  DIFFERS    Exact arithmetic is against the tracer, or the pictures are too far apart as a whole.
-  undecided  Exact arithmetic sides with the tracer: Mitsuba or the converter is wrong.
+  DIFFERS    Exact arithmetic contradicts the tracer, or the pictures differ too much as a whole.
+  undecided  Exact arithmetic confirms the tracer: Mitsuba or the converter is wrong.
 
 Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or where
 Mitsuba cannot run, 3 if one is undecided and none is worse.
@@ -26,123 +26,164 @@ if __name__ == "__main__":
 import argparse
 import sys
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple, TypeAlias
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from converters.camera import Floats
 from converters.flavours import exact, gain, squared, stock
+from converters.mitsuba_xml import plugin
 from converters.rendering import Rendering, load
-from converters.to_mitsuba import add_scenes, guarded, ready, without_converted
+from converters.to_mitsuba import (
+    add_scene_arguments,
+    choose_variant,
+    make_output_folder,
+    mitsuba_errors_as_failure,
+    without_converted,
+)
 from converters.variant import LLVM, use
 from reference.command import parser
 from reference.figures import Bools, Figures, figures, write_comparison
 from reference.judges import plain
-from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
+from reference.judges.arrays import Ints
+from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
 from tracer.command.arguments import output_paths
-from tracer.command.process import FAILED, MISUSED, print_line
+from tracer.command.failure import Failure, errors_as_failure
+from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.messages import printable
 
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
 STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
-"""Exit statuses."""
+"""Exit statuses by verdict."""
 
 
 class Limits(NamedTuple):
-    """What Mitsuba's float32 is allowed."""
+    """Tolerances for the errors of Mitsuba's float32.
+
+    Attributes
+    ----------
+    difference : float
+        Maximum difference in linear radiance.  In pictures brighter than 1 it is relative to the
+        brightest pixel.
+    shift : float
+        Maximum distance, in pixels along each axis, from a pixel's centre to an edge at which the
+        pixel may differ.
+    """
 
     difference: float
-    """Largest difference in linear radiance, in units of the brightest pixel where that is > 1."""
     shift: float
-    """How far a sample moves, in pixels and both ways, to see if an edge is near."""
 
 
 EXACT = Limits(1e-4, 0.003)
 # The stock camera is float32, and stock shadow rays start above the surface.
 STOCK = Limits(1e-3, 0.03)
 
-MAX_EDGES = 0.015  # largest share of a picture whose edges may differ
-MIN_SSIM = 0.999  # least SSIM
-MAX_MEDIAN = 1e-6  # largest median of the differences
+MAX_EDGES = 0.015  # maximum share of the picture's pixels that may differ because of edges
+MIN_SSIM = 0.999
+MAX_MEDIAN = 1e-6  # maximum median of the differences
 
-# Exact arithmetic is slow: it is asked about so many pixels at a time, evenly chosen.
-_AT_A_TIME = 100
+# Number of pixels in one batch of exact arithmetic, which is slow.  Each batch is spread over the
+# whole picture, and often the first batch decides.
+_PIXELS_PER_BATCH = 100
 
-# How near, relatively and in pixels, is too near for float64 to tell apart.
+# Relative distances, and distances in pixels, below which float64 cannot decide what is in front.
 _NEAR, _NEAR_SHIFT = 1e-12, 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The result of a comparison of two linear pictures, (h, w, 3) float64, and masks (h, w).
+    """The result of a comparison.
 
-    The figures are of `tracer` against `mitsuba`, in units of the brightest pixel where that is
-    more than 1.  Pixels of `edges` and `ties` count in none, and are equal in both for the SSIM.
-    Times are warm where that makes a difference.
+    Attributes
+    ----------
+    name : str
+        Name of the scene.
+    tracer, mitsuba : (h, w, 3) float array
+        The two pictures, in linear radiance.
+    edges : (h, w) bool array
+        Pixels at edges that differ; they are excluded.
+    ties : (h, w) bool array
+        Pixels that differ where surfaces coincide: exact arithmetic shows both values.  They are
+        excluded.
+    differing : (h, w) bool array
+        All other pixels that differ.
+    examined : int
+        Number of differing pixels that were traced in exact arithmetic: all of them, or those of
+        the first batches if these decide.
+    wrong : int
+        Number of examined pixels in which exact arithmetic contradicts the tracer.
+    first : (row, column) or None
+        The first wrong pixel, or the first examined pixel if none is wrong.
+    figures : Figures
+        Figures of `tracer` compared with `mitsuba`.  In pictures brighter than 1 they are relative
+        to the brightest pixel.  Excluded pixels count as equal.
+    variant : str
+        Mitsuba's variant.
+    tracer_seconds, mitsuba_seconds : float
+        Times to render, after a first rendering if that takes longer.
     """
 
     name: str
     tracer: Floats
     mitsuba: Floats
     edges: Bools
-    """Pixels at edges that differ."""
     ties: Bools
-    """Pixels that differ, and where exact arithmetic shows both values: surfaces coincide."""
     differing: Bools
-    """All others that differ."""
-    asked: int
-    """How many of `differing` were traced in exact arithmetic: not all, if the first say enough."""
+    examined: int
     wrong: int
-    """On how many of these exact arithmetic is against the tracer."""
     first: tuple[int, int] | None
-    """Row and column of the first wrong one; if there is none, of the first one asked about."""
     figures: Figures
     variant: str
     tracer_seconds: float
     mitsuba_seconds: float
 
     @property
-    def left_out(self) -> Bools:
-        """Pixels that count in no figure."""
+    def excluded(self) -> Bools:
+        """Pixels (h, w) that count in no figure."""
         return self.edges | self.ties
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the two agree, and if not, whether the tracer is at fault."""
+        """Whether the pictures agree, and if not, whether the tracer is wrong."""
         if self.differing.any():
             return "DIFFERS" if self.wrong else "undecided"
-        return "DIFFERS" if faults(self.figures) else "agrees"
+        return "DIFFERS" if out_of_tolerance(self.figures) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
-        """What there is to say of the verdict, in a sentence each."""
+        """The reasons for the verdict, in one sentence each."""
         row, column = self.first or (0, 0)
-        where = f"{_pixels(self.differing)}, the first at column {column}, row {row}"
-        found = []
+        place = f"{_pixels(self.differing)}, the first at column {column}, row {row}"
+        sentences = []
         if self.ties.any():
-            found.append(f"Mitsuba shows the other of surfaces that tie on {_pixels(self.ties)}")
+            pixels = _pixels(self.ties)
+            sentences.append(f"Mitsuba shows the other of surfaces that tie on {pixels}")
         if self.wrong:
-            asked = f"exact arithmetic is against the tracer on {self.wrong} of {self.asked}"
-            found.append(f"{asked} pixels that it was asked about; they differ on {where}")
+            share = f"{self.wrong} of {self.examined} pixels that were examined"
+            sentences.append(
+                f"exact arithmetic contradicts the tracer on {share}; they differ on {place}"
+            )
         elif self.differing.any():
-            asked = f"exact arithmetic, asked about {self.asked}, sides with the tracer"
-            found.append(f"Mitsuba or the converter is wrong on {where}; {asked}")
+            confirmed = (
+                f"exact arithmetic confirms the tracer on {self.examined} that were examined"
+            )
+            sentences.append(f"Mitsuba or the converter is wrong on {place}; {confirmed}")
         else:
-            found += [f"out of tolerance: {fault}" for fault in faults(self.figures)]
-        return found
+            sentences += [f"out of tolerance: {line}" for line in out_of_tolerance(self.figures)]
+        return sentences
 
     def report(self) -> str:
-        """The result in a few lines of text."""
+        """Return the result in a few lines of text."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
-            f"  left out: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
+            f"  excluded: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
             f" ties: {self.ties.sum()}",
             f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
@@ -151,211 +192,331 @@ class CheckResult:
 
 
 def _pixels(mask: Bools) -> str:
+    """Return the number of pixels in a mask, as text."""
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
-def faults(measured: Figures) -> list[str]:
-    """Say which figures of a comparison are out of tolerance."""
-    found = []
+def out_of_tolerance(measured: Figures) -> list[str]:
+    """Return a line for each figure of a comparison that is out of tolerance."""
+    lines = []
     if measured.ssim < MIN_SSIM:
-        found.append(f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}")
+        lines.append(f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}")
     if measured.median > MAX_MEDIAN:
-        found.append(f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}")
-    return found
+        lines.append(f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}")
+    return lines
 
 
 def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Pixels (h, w) that lie between values which the tracer finds when its samples move.
+    """Find pixels that may differ because an edge is near their centres.
 
-    They move by `shift` pixels, both ways.
+    Parameters
+    ----------
+    scene : Scene
+    picture : (h, w, 3) float array
+        A picture of the scene.
+    shift : float
+        Distance, in pixels along each axis, by which the tracer's samples are moved.
+    tolerance : float
+        Allowed difference in radiance.
+
+    Returns
+    -------
+    is_near : (h, w) bool array
+        Pixels whose value lies between values that the tracer computes from moved samples.
     """
-    aside = (-shift, shift)
-    seen = [render(scene, offset=(dx, dy)) for dx, dy in product(aside, aside)]
-    low, high = np.min(seen, axis=0) - tolerance, np.max(seen, axis=0) + tolerance
-    between: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
-    return between
+    shifts = (-shift, shift)
+    pictures = [render(scene, offset=(dx, dy)) for dx, dy in product(shifts, shifts)]
+    low, high = np.min(pictures, axis=0) - tolerance, np.max(pictures, axis=0) + tolerance
+    is_near: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
+    return is_near
 
 
 def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
-    """Render a scene file with the tracer and with Mitsuba, and compare.
+    """Render a scene file with the tracer and with Mitsuba, and compare the pictures.
 
-    The exact flavour compares all light, "stock" diffuse light, by stock parts alone.  Raises what
-    `load_scene` and `converters.variant.use` do.
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+    variant : str, optional
+        Mitsuba's variant; the default is the fastest that works here.
+    flavour : str
+        "exact" to compare all light, or "stock" to compare diffuse light by stock plugins alone.
+
+    Returns
+    -------
+    result : CheckResult
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read, converted or compared.
     """
-    scene, name = load_scene(path), printable(path.stem)
-    return {"exact": check_scene, "stock": check_diffuse}[flavour](scene, name, variant)
+    with errors_as_failure(path, "read", memory_remedy="split the scene"):
+        scene = load_scene(path)
+    with mitsuba_errors_as_failure(path, "compared"):
+        check_flavour = {"exact": check_scene, "stock": check_diffuse}[flavour]
+        return check_flavour(scene, printable(path.stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare all light, by this project's plugins."""
-    rendered = load(exact(scene), variant)
+    """Compare all light of a scene, rendered by this project's plugins."""
+    render_loaded = load(str(exact(scene)), variant)
     if use(variant).variant == LLVM:
-        rendered()  # compiles the kernel
-    return compare(scene, name, rendered())
+        render_loaded()  # compiles the kernel
+    return compare(scene, name, render_loaded())
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare diffuse light, by Mitsuba's own parts alone, in square pixels.
-
-    Each light is rendered by itself, for Mitsuba would pick one of them at random, and its fall-off
-    undone by the distance of the points that Mitsuba sees.
-    """
+    """Compare diffuse light of a scene, rendered by stock plugins alone, in square pixels."""
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
     matte = replace(squared(scene), surfaces=Surfaces.of(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
     for light in matte.lights:
-        white = replace(light, intensity=(1.0, 1.0, 1.0))
-        root = ET.fromstring(stock(replace(matte, lights=(white,)), 1))
-        parts = {part.get("type"): part for part in root.iter("*")}
-        root.remove(parts["direct"])
-        aov = ET.SubElement(root, "integrator", type="aov")
-        ET.SubElement(aov, "string", name="aovs", value="p:position")
-        aov.append(parts["direct"])
-        parts["multijitter"].set("type", "stratified")
-        ET.SubElement(parts["multijitter"], "boolean", name="jitter", value="false")
-        seen = load(ET.tostring(root, encoding="unicode"), variant)().image
-        place, strength = parts["point"].findall("*")
-        away = seen[..., -3:] - [float(place.get(axis, "")) for axis in "xyz"]
-        unit = float(strength.get("value", "").split()[0]) / (np.pi * gain(matte.surfaces))
-        falloff = (away * away).sum(axis=2, keepdims=True) / unit
-        image += seen[..., :3] * falloff * light.intensity
+        image += _diffuse_light(matte, light, variant)
     rendering = Rendering(image, use(variant).variant, perf_counter() - start)
     return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
-    """Hold the tracer's picture of a scene against one that Mitsuba has made.
+def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
+    """Render the light of a single light with stock plugins, and undo its fall-off.
 
-    Raises ValueError if a radiance of either is not finite.
+    The lights are rendered separately because Mitsuba would pick one of them at random.  The
+    fall-off is undone by the distance from the light to the points that Mitsuba reports.
+
+    Parameters
+    ----------
+    matte : Scene
+        A scene of Lambertian surfaces.
+    light : PointLight
+        A light of the scene.
+    variant : str or None
+        Mitsuba's variant.
+
+    Returns
+    -------
+    image : (h, w, 3) float array
+        Linear radiance.
+    """
+    white = replace(light, intensity=(1.0, 1.0, 1.0))
+    document = stock(replace(matte, lights=(white,)), 1)
+    parts = {part.get("type"): part for part in document.root.iter()}
+    integrator, sampler, emitter = parts["direct"], parts["multijitter"], parts["point"]
+    document.root.remove(integrator)
+    document.root.append(plugin("integrator", "aov", integrator, aovs="p:position"))
+    sampler.set("type", "stratified")
+    ET.SubElement(sampler, "boolean", name="jitter", value="false")
+    image = load(str(document), variant)().image
+    radiance, hit = image[..., :3], image[..., -3:]
+    position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
+    offset = hit - [float(position.get(axis, "")) for axis in "xyz"]
+    # Mitsuba's radiance at distance 1 for a reflectance of 1 and light at right angles.
+    unit = float(intensity.get("value", "").split()[0]) / (np.pi * gain(matte.surfaces))
+    undone: Floats = radiance * (offset * offset).sum(axis=2, keepdims=True) / unit
+    return undone * light.intensity
+
+
+def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
+    """Compare the tracer's picture of a scene with Mitsuba's.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Name of the scene in the result.
+    rendering : Rendering
+        Mitsuba's picture.
+    limits : Limits
+        Tolerances.
+
+    Returns
+    -------
+    result : CheckResult
+
+    Raises
+    ------
+    ValueError
+        If a radiance in either picture is not finite.
     """
     mitsuba = rendering.image
     if not np.isfinite(mitsuba).all():
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    render(scene)  # so that the next, which is timed, is warm
+    render(scene)  # the first rendering takes longer, so the second is timed
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
-    # Limits are for radiance up to 1, and grow with the darker picture: no mistake widens them.
+    # Tolerances are for radiance up to 1.  Above, they grow with the darker picture, so that no
+    # mistake that makes one picture brighter increases them.
     unit = max(1.0, min(float(image.max()), float(mitsuba.max())))
     difference = np.abs(image - mitsuba).max(axis=2) / unit
-    # Where the pictures are too far apart as a whole, the pixels are looked at again, more closely.
+    # If the pictures differ too much as a whole, pixels are compared again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
         differing = difference > tolerance
         edges = differing.copy()
         if differing.any():
             edges &= near_edges(scene, mitsuba, limits.shift, tolerance * unit)
-        if edges.mean() > MAX_EDGES:  # too many to be a matter of rounding: none is excused
+        if edges.mean() > MAX_EDGES:  # too many for rounding to be the cause: none is excluded
             edges = np.zeros_like(edges)
-        judged = _judge(scene, image, mitsuba, differing & ~edges, tolerance * unit)
-        left_out = edges | judged.ties
-        # The tracer takes Mitsuba's pixels where these do not count, never the other way round.
-        shown = np.where(left_out[:, :, None], mitsuba, image)
-        found = figures(shown / unit, mitsuba / unit, None if left_out.all() else left_out)
-        if judged.asked or not faults(found):
+        examination = _examine(scene, image, mitsuba, differing & ~edges, tolerance * unit)
+        excluded = edges | examination.ties
+        # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
+        shown = np.where(excluded[:, :, None], mitsuba, image)
+        measured = figures(shown / unit, mitsuba / unit, None if excluded.all() else excluded)
+        if examination.examined or not out_of_tolerance(measured):
             break
     return CheckResult(
         name=name,
         tracer=image,
         mitsuba=mitsuba,
         edges=edges,
-        **judged._asdict(),
-        differing=differing & ~left_out,
-        figures=found,
+        **examination._asdict(),
+        differing=differing & ~excluded,
+        figures=measured,
         variant=rendering.variant,
         tracer_seconds=seconds,
         mitsuba_seconds=rendering.seconds,
     )
 
 
-class _Judgement(NamedTuple):
-    """See `CheckResult`."""
+class _Examination(NamedTuple):
+    """The result of exact arithmetic; the fields are those of `CheckResult`."""
 
     ties: Bools
-    asked: int = 0
+    examined: int = 0
     wrong: int = 0
     first: tuple[int, int] | None = None
 
 
-def _judge(
+def _examine(
     scene: Scene, image: Floats, mitsuba: Floats, differing: Bools, tolerance: float
-) -> _Judgement:
-    """Ask exact arithmetic about pixels that differ, until one is no tie."""
+) -> _Examination:
+    """Trace pixels that differ in exact arithmetic, in batches, until one is not a tie.
+
+    Parameters
+    ----------
+    scene : Scene
+    image, mitsuba : (h, w, 3) float array
+        The tracer's picture, and Mitsuba's.
+    differing : (h, w) bool array
+        Pixels to examine.
+    tolerance : float
+        Allowed difference between a picture and the exact radiance.
+
+    Returns
+    -------
+    examination : _Examination
+    """
     pixels, ties = np.argwhere(differing), np.zeros_like(differing)
-    step = -(-len(pixels) // _AT_A_TIME)
-    for k in range(step):
-        rows, columns = at = pixels[k::step].T
-        right, tied = np.zeros((2, len(rows)), dtype=np.bool_)
-        for near, shift in _nearby(scene):
-            first, last = (
-                plain.trace(
-                    near, columns + 0.5 + shift, rows + 0.5 + shift, arithmetic="decimal", ties=of
-                ).radiance
-                for of in ("first", "last")
-            )
-            ours, *theirs = (
-                np.abs(picture[rows, columns] - exact).max(axis=1) <= tolerance
-                for picture, exact in ((image, first), (mitsuba, first), (mitsuba, last))
-            )
-            right |= ours
-            tied |= theirs[0] | theirs[1]
-            if right.all():
-                break
-        tied &= right
-        ties[rows[tied], columns[tied]] = True
-        if not tied.all():
-            row, column = at[:, ~tied if right.all() else ~right][:, 0].tolist()
-            return _Judgement(ties, int((~tied).sum()), int((~right).sum()), (row, column))
-    return _Judgement(ties)
+    batch_count = -(-len(pixels) // _PIXELS_PER_BATCH)
+    for k in range(batch_count):
+        rows, columns = batch = pixels[k::batch_count].T
+        is_right, is_tie = _compare_exactly(scene, image, mitsuba, batch, tolerance)
+        is_tie &= is_right
+        ties[rows[is_tie], columns[is_tie]] = True
+        if not is_tie.all():
+            deciding = ~is_tie if is_right.all() else ~is_right
+            row, column = batch[:, deciding][:, 0].tolist()
+            return _Examination(ties, int((~is_tie).sum()), int((~is_right).sum()), (row, column))
+    return _Examination(ties)
 
 
-def _nearby(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene and others, so near that rounding may tell them apart, and shifts in pixels.
+def _compare_exactly(
+    scene: Scene, image: Floats, mitsuba: Floats, pixels: Ints, tolerance: float
+) -> tuple[Bools, Bools]:
+    """Compare both pictures with exact arithmetic in some pixels.
 
-    The tracer is right if it is exact for one of these: that is a near-tie.
+    The tracer is right if its value is exact for the scene or for one so near that float64 cannot
+    tell the two apart.  Of surfaces that tie, it must show the first.
+
+    Parameters
+    ----------
+    scene : Scene
+    image, mitsuba : (h, w, 3) float array
+        The tracer's picture, and Mitsuba's.
+    pixels : (2, n) int array
+        Rows and columns of the pixels.
+    tolerance : float
+        Allowed difference between a picture and the exact radiance.
+
+    Returns
+    -------
+    is_right : (n,) bool array
+        Whether the tracer's value is exact.
+    is_tie : (n,) bool array
+        Whether Mitsuba's value is exact, with the first or the last of the surfaces that tie.
+    """
+    rows, columns = pixels
+    is_right, is_tie = np.zeros((2, len(rows)), dtype=np.bool_)
+    for near_scene, shift in _near_scenes(scene):
+        x, y = columns + 0.5 + shift, rows + 0.5 + shift
+        for ties in ("first", "last"):
+            exact_radiance = plain.trace(near_scene, x, y, arithmetic="decimal", ties=ties).radiance
+            error = np.abs(mitsuba[rows, columns] - exact_radiance).max(axis=1)
+            is_tie |= error <= tolerance
+            if ties == "first":
+                error = np.abs(image[rows, columns] - exact_radiance).max(axis=1)
+                is_right |= error <= tolerance
+        if is_right.all():
+            break
+    return is_right, is_tie
+
+
+def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
+    """Yield the scene, and scenes that rounding may not tell apart from it.
+
+    Yields
+    ------
+    near_scene : Scene
+        The scene, or the scene with spheres that are slightly larger or smaller.
+    shift : float
+        Distance in pixels by which its samples are moved along each axis.
     """
     yield scene, 0.0
     for shift in (-_NEAR_SHIFT, _NEAR_SHIFT):
         yield scene, shift
-    for growth in (1 - _NEAR, 1 + _NEAR):
+    for factor in (1 - _NEAR, 1 + _NEAR):
         surfaces = (
-            replace(s, radius=s.radius * growth) if isinstance(s, Sphere) else s
+            replace(s, radius=s.radius * factor) if isinstance(s, Sphere) else s
             for s in scene.surfaces
         )
         yield replace(scene, surfaces=Surfaces.of(surfaces)), 0.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; return the exit status."""
     used = parser("reference.check", __doc__)
-    add_scenes(used)
+    add_scene_arguments(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
     options = used.parse_args(arguments)
     scenes = without_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
-    beside = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    targets = output_paths(used, [*map(str, scenes)], options.output, beside)
-    if not ready(options):
-        return MISUSED
-    # Of a black picture the comparison says enough.
+    default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
+    targets = output_paths(used, [*map(str, scenes)], options.output, default_paths)
+    choose_variant(options.variant, status=MISUSED)
+    make_output_folder(options.output)
+    # If a picture is black, the comparison shows it.
     warnings.simplefilter("ignore", SceneWarning)
     pairs = zip(scenes, map(Path, targets), strict=True)
-    return worst_status([guarded(_checked, *pair, options) for pair in pairs])
+    return worst_status([attempt(_check_to_file, *pair, options) for pair in pairs])
 
 
-def worst_status(results: Iterable[CheckResult | None]) -> int:
-    """Return the exit status after some comparisons; None is a scene that could not be compared."""
-    statuses = {FAILED if result is None else STATUS[result.verdict] for result in results}
+def worst_status(results: Iterable[CheckResult | Failure]) -> int:
+    """Return the exit status after several comparisons: the worst of 1, 3 and 0, in this order."""
+    statuses = {
+        FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
+    }
     return FAILED if FAILED in statuses else max(statuses, default=0)
 
 
-def _checked(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
-    """Check one scene, write the comparison, and print the result."""
+def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
+    """Check the scene file `path`, write the comparison to the file `target`, print the result."""
     result = check(path, options.variant, options.flavour)
     labels = ("tracer", f"Mitsuba {result.variant}")
-    write_comparison(target, result.tracer, result.mitsuba, labels)
+    with errors_as_failure(target, "written"):
+        write_comparison(target, result.tracer, result.mitsuba, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {target}"))
     return result

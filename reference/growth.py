@@ -41,7 +41,7 @@ _ONCE = 1000
 def _seconds(count: int) -> list[float]:
     """Time each curve's task with so many objects: the medians."""
     save_scene(field(count), path := built("growth.xml"))
-    scene, text = load_scene(path), exact(load_scene(path))
+    scene, text = load_scene(path), str(exact(load_scene(path)))
     # As in a small process: no collection of garbage goes through all of Mitsuba's objects as well.
     gc.collect()
     gc.freeze()
@@ -67,7 +67,7 @@ def _mitsuba(text: str) -> tuple[float, float, float]:
 def _measure(quick: bool) -> Iterator[tuple[str, int, float]]:
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
-    _mitsuba(exact(field(10)))  # threads start, and what is common to all kernels is compiled
+    _mitsuba(str(exact(field(10))))  # threads start, and what is common to all kernels is compiled
     for count in _COUNTS[:3] if quick else _COUNTS:
         for name, seconds in zip(_CURVES, _seconds(count), strict=True):
             yield name, count, seconds

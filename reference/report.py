@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from converters.variant import use
+from converters.to_mitsuba import choose_variant
 from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, own_scenes, parser
@@ -35,7 +35,7 @@ from reference.measured.measurements import measured_on
 from reference.page import TEMPLATE, Cell, Pair, pair
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
-from tracer.command.failure import Failure, errors_as_failure, reason_of
+from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
@@ -96,7 +96,7 @@ def page(
 def _row(index: int, result: CheckResult) -> list[list[Cell]]:
     """Return the row of the overview table for the result of this index."""
     verdict = Cell(result.verdict, good=result.verdict == "agrees")
-    excluded = f"{result.left_out.mean():.2%}"
+    excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
     times = _time(result.tracer_seconds), _time(result.mitsuba_seconds)
     return [[cell] for cell in (Cell(result.name, index), verdict, *map(Cell, figures + times))]
@@ -104,7 +104,7 @@ def _row(index: int, result: CheckResult) -> list[list[Cell]]:
 
 def _pair(result: CheckResult, comment: str) -> Pair:
     """Prepare both pictures of a result and their difference, with excluded pixels in grey."""
-    excluded, f, agrees = result.left_out, result.figures, result.verdict == "agrees"
+    excluded, f, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba)
     difference, gain = amplified(result.tracer, mitsuba)
     difference[excluded] = _EXCLUDED_GREY
@@ -164,11 +164,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     paths = sorted({*(arguments.scenes or own_scenes())})
     output = Path(arguments.output, _NAME if is_folder(arguments.output) else "")
     forbid_overwriting_inputs(command_parser, [output], (*paths, TEMPLATE, *CHARTS.values()))
-    try:
-        use(arguments.variant)
-    except ImportError as error:
-        what = f"Mitsuba cannot run: {reason_of(error)}"
-        raise Failure("", what, status=MISUSED) from error
+    choose_variant(arguments.variant, status=MISUSED)
     names_differ = len({path.stem for path in paths}) == len(paths)
     compared = []
     for path in tqdm(paths, unit="scene", disable=sys.stderr is None or None):
@@ -190,6 +186,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _compared(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
     """Compare the pictures of a scene file; return the result, by this name, and the comment."""
-    errors = ChildProcessError, ImportError, RuntimeError, ValueError
-    with errors_as_failure(path, "compared", errors=errors):
-        return replace(check(path, variant), name=name), _comment(path)
+    result = replace(check(path, variant), name=name)
+    with errors_as_failure(path, "read"):
+        return result, _comment(path)

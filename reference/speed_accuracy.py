@@ -71,7 +71,7 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
 def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
     """Render with 4^k samples a pixel, times a number, by each method but POV-Ray."""
     gc.collect()  # Mitsuba's kernels choose among all scenes alive: there is to be one
-    text = exact(scene, 4**k).replace('"stratified"', '"multijitter"')
+    text = str(exact(scene, 4**k)).replace('"stratified"', '"multijitter"')
     loaded = mi.load_string(text)
     return {
         (_OURS, 1): partial(render, scene, 4**k),

@@ -1,9 +1,7 @@
-"""The flavours: Mitsuba reads them, and sees what the tracer sees, as nearly as each can."""
+"""The flavours: Mitsuba loads them, and its pictures are as similar as each flavour can be."""
 
-import re
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -16,6 +14,7 @@ from scene_files import small
 
 from converters.camera import visible_points, window_of
 from converters.flavours import SAMPLES, convert, exact, normalisation, squared, stock
+from converters.mitsuba_xml import ConversionError, plugin
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.check import check_scene
@@ -27,9 +26,12 @@ from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, rend
 TINY = small("one-sphere", 8, 8)
 
 
+# The files, in Mitsuba
+
+
 @pytest.mark.slow
-def test_the_mitsuba_command_reads_the_stock_flavour(tmp_path):
-    (tmp_path / "x.xml").write_text(stock(TINY, 1), encoding="utf-8")
+def test_the_mitsuba_command_renders_the_stock_flavour(tmp_path):
+    (tmp_path / "x.xml").write_text(convert(TINY, "stock", 1), encoding="utf-8")
     command = Path(sys.executable).with_name("mitsuba")
     subprocess.run(
         [command, "-m", SCALAR, "x.xml"], cwd=tmp_path, check=True, capture_output=True, timeout=60
@@ -37,101 +39,132 @@ def test_the_mitsuba_command_reads_the_stock_flavour(tmp_path):
     assert (tmp_path / "x.exr").exists()
 
 
-@pytest.mark.parametrize("variant_first", [True, False])
-def test_load_file_reads_the_exact_flavour_after_one_import(tmp_path, variant_first):
-    """With a variant set before the plugins are imported, or after."""
-    (tmp_path / "x.xml").write_text(exact(TINY))
-    lines = [f"mi.set_variant({SCALAR!r})", "import converters.plugins"][:: 1 - 2 * variant_first]
-    after = "assert mi.TensorXf(mi.render(mi.load_file('x.xml'))).array.__len__() == 192"
-    script = "\n".join(["import mitsuba as mi", *lines, after])
+@pytest.mark.parametrize("is_variant_first", [True, False])
+def test_load_file_reads_the_exact_flavour_after_one_import(tmp_path, is_variant_first):
+    """The variant may be set before the plugins are imported, or after."""
+    (tmp_path / "x.xml").write_text(convert(TINY, "exact"), encoding="utf-8")
+    lines = [f"mi.set_variant({SCALAR!r})", "import converters.plugins"]
+    if not is_variant_first:
+        lines.reverse()
+    render_file = "assert mi.TensorXf(mi.render(mi.load_file('x.xml'))).array.__len__() == 192"
+    script = "\n".join(["import mitsuba as mi", *lines, render_file])
     status, _, err = run(python=("-c", script), cwd=tmp_path)
     assert status == 0, err
 
 
-def test_the_exact_flavour_asks_for_an_rgb_variant(tmp_path):
+def test_the_exact_flavour_needs_an_rgb_variant(tmp_path):
     code = (
         "import mitsuba as mi\nmi.set_variant('scalar_spectral')\nimport converters.plugins\n"
-        f"mi.load_string({exact(TINY)!r})"
+        f"mi.load_string({convert(TINY, 'exact')!r})"
     )
-    wrong = "needs an RGB variant of Mitsuba; scalar_spectral is none"
-    assert wrong in run(python=("-c", code), cwd=tmp_path)[2]
+    message = "needs an RGB variant of Mitsuba, not scalar_spectral"
+    assert message in run(python=("-c", code), cwd=tmp_path)[2]
+
+
+@pytest.mark.parametrize("flavour", SAMPLES)
+def test_shaders_that_no_surface_uses_are_not_converted(flavour):
+    unused, used = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
+    surfaces = Surfaces(center=[(0, 0, 0)], radius=[1], shader_index=[1], shaders=[unused, used])
+    scene = Scene(width=8, height=8, surfaces=surfaces)
+    without = replace(scene, surfaces=[Sphere(shader=used)])
+    assert convert(scene, flavour) == convert(without, flavour).replace("bsdf0", "bsdf1")
+
+
+# What Mitsuba cannot represent
+
+
+def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
+    monkeypatch.setattr("converters.rendering.load", Mock())
+    # 10 per pixel are rounded up to 16.
+    with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
+        render_mitsuba(replace(close_up(), width=1 << 14, height=1 << 14), samples=10)
+
+
+def test_a_parameter_that_is_not_a_number_is_refused():
+    with pytest.raises(ConversionError, match="radius would be nan, and Mitsuba's"):
+        plugin("shape", "sphere", radius=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("camera", "fov"),
+    [
+        ({"proj_distance": 1e-60}, "180"),
+        ({"proj_distance": 1e-5}, "179.999"),
+        ({"view_width": 1e17, "view_height": 1e17}, "180"),
+        ({"view_width": 1e-60, "view_height": 1e-60}, "1.14592e-59"),
+    ],
+)
+def test_a_field_of_view_that_mitsuba_refuses_is_not_converted(camera, fov):
+    scene = replace(TINY, camera=replace(TINY.camera, **camera))
+    with pytest.raises(ConversionError, match=f"^its field of view would be {fov} degrees"):
+        stock(scene)
+    assert np.isfinite(render_mitsuba(scene, variant=SCALAR)).all()
+
+
+# The pictures of the stock flavour
 
 
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1e-15, 0), (1e-4, 0), (1e15, 0), (1, 1e4), (1, 1e8), (1e-3, 1)]
 )
-def test_stock_pictures_at_any_scale_and_place(scale, offset):
+def test_stock_pictures_do_not_depend_on_scale_and_place(scale, offset):
     scene = load_small(SCENES / "four-spheres.xml")
-    there = render_mitsuba(scale_and_shift(scene, scale, (offset,) * 3), 16, None, "stock")
-    assert figures(there, render_mitsuba(scene, 16, None, "stock")).ssim > 0.99
+    shifted = scale_and_shift(scene, scale, (offset,) * 3)
+    images = [render_mitsuba(each, 16, None, "stock") for each in (shifted, scene)]
+    assert figures(*images).ssim > 0.99
 
 
-def test_a_large_ground_is_not_speckled_in_the_stock_flavour():
-    """Hit points err by a part of its radius, which Mitsuba's shadow rays do not heed."""
+def test_a_large_ground_has_no_speckles_in_the_stock_flavour():
+    """The error of a hit grows with the sphere's radius; Mitsuba's shadow rays ignore this."""
     ground, ball = Sphere(center=(0, -1e4, 0), radius=1e4), Sphere(center=(0, 0.3, -1), radius=0.5)
     camera = Camera(view_point=(0, 1, 5))
     scene = scene_of(ground, ball, camera=camera, size=(60, 60), lights=(3, 6, 4))
     image = render_mitsuba(scene, 16, None, "stock")
-    # It differs as the flavour does, whose light falls off.
+    # The light of the stock flavour falls off, so the pictures differ, but not by much.
     assert image.mean() == pytest.approx(render(scene).mean(), rel=0.1)
     assert figures(image, render(scene, samples=16)).ssim > 0.85
 
 
 def test_a_large_ground_is_lit_in_the_exact_flavour():
-    """Hit points err by some roundings of its radius, by which no point is shaded."""
+    """The error of a hit on a large sphere puts no hit in shadow."""
     scene = close_up(Sphere(center=(0, -1000.3, 0), radius=1000))
     camera = replace(scene.camera, view_point=(0, 1, 5), view_dir=(0, -0.2, -1))
     scene = replace(scene, camera=camera)
     assert np.abs(render_mitsuba(scene, variant=SCALAR) - render(scene)).max() < 1e-4
 
 
-@pytest.mark.parametrize("flavour", SAMPLES)
-def test_what_nothing_is_made_of_is_left_out(flavour):
-    odd, plain = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
-    surfaces = Surfaces(center=[(0, 0, 0)], radius=[1], shader_index=[1], shaders=[odd, plain])
-    scene = Scene(width=8, height=8, surfaces=surfaces)
-    without = replace(scene, surfaces=[Sphere(shader=plain)])
-    assert convert(scene, flavour) == convert(without, flavour).replace("bsdf0", "bsdf1")
-
-
-def test_more_samples_than_mitsuba_can_count(monkeypatch):
-    monkeypatch.setattr("converters.rendering.load", Mock())
-    # 10 a pixel are rounded up to 16.
-    with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
-        render_mitsuba(replace(close_up(), width=1 << 14, height=1 << 14), samples=10)
-
-
-def test_stock_scenes_stay_where_they_are():
+def test_stock_scenes_keep_their_coordinates():
     assert own_scenes()
     for path in own_scenes():
-        assert "moved and scaled" not in stock(load_small(path))
-    assert "moved and scaled" in stock(scale_and_shift(TINY, 1, (1e6,) * 3))
+        assert "moved and scaled" not in stock(load_small(path)).comment
+    assert "moved and scaled" in stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
 
 
-def test_stock_matte_picture_is_exact_at_the_distance_that_counts():
-    """A small matte ball far from its light: fall-off hardly varies over it."""
+def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives():
+    """The fall-off hardly varies over a small matte ball far from its light."""
     ball = Sphere(radius=0.5, shader=Lambertian(diffuse=(0.63, 0.35, 0.07)))
     scene = close_up(ball, light=(300, 400, 500))
-    (told,) = re.findall(r"<!-- right at a distance of ([\d.]+) -->", stock(scene))
-    assert float(told) == pytest.approx(707, rel=2e-3)
+    comment = stock(scene).root.find("emitter")[0].text
+    assert comment.startswith(" right at a distance of ")
+    assert float(comment.split()[-1]) == pytest.approx(707, rel=2e-3)
     # Over a hit at 707 units the distance varies by 1 in 700, its square by 1 in 350; and
     # 256 samples blur what the exact picture takes at the pixel's centre, so look inside.
-    found, right = render_mitsuba(scene, 256, None, "stock"), render_mitsuba(scene)
-    np.testing.assert_allclose(found[10:14, 10:14], right[10:14, 10:14], rtol=5e-3, atol=1e-3)
+    image, expected = render_mitsuba(scene, 256, None, "stock"), render_mitsuba(scene)
+    np.testing.assert_allclose(image[10:14, 10:14], expected[10:14, 10:14], rtol=5e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("specular", [0, 0.1])
-def test_reflectances_are_halved_where_there_are_highlights(specular):
+def test_reflectances_are_halved_if_there_are_highlights(specular):
     shaders = Lambertian(diffuse=(0.9, 0.5, 0)), Phong(specular=(specular,) * 3, exponent=0)
-    text = stock(close_up(*(Sphere(shader=shader) for shader in shaders)))
-    colors = ET.fromstring(text).iter("rgb")
-    found = [color.get("value") for color in colors if color.get("name") != "intensity"]
-    halves = ["0.45 0.25 0.0", "1.0 1.0 1.0", "0.4 0.4 0.4"]
-    assert found == (halves if specular else ["0.9 0.5 0.0", "1.0 1.0 1.0"])
-    assert ("all are\ndivided by 2" in text) == bool(specular)
+    document = stock(close_up(*(Sphere(shader=shader) for shader in shaders)))
+    colors = [color.attrib for color in document.root.iter("rgb")]
+    reflectances = [color["value"] for color in colors if color["name"] != "intensity"]
+    halved = ["0.45 0.25 0.0", "1.0 1.0 1.0", "0.4 0.4 0.4"]
+    assert reflectances == (halved if specular else ["0.9 0.5 0.0", "1.0 1.0 1.0"])
+    assert ("all are\ndivided by 2" in document.comment) == bool(specular)
 
 
-def test_stock_highlight_has_the_right_height():
+def test_a_stock_highlight_has_the_right_height():
     """Eye and light in one direction: n = h = v at the centre, where the lobe is exact."""
     shader = Phong(diffuse=(0, 0, 0), specular=(0.6, 0.6, 0.6), exponent=40)
     scene = close_up(Sphere(radius=0.5, shader=shader), light=(0, 0, 500))
@@ -140,54 +173,62 @@ def test_stock_highlight_has_the_right_height():
     assert image[50, 50, 0] == pytest.approx(0.6, rel=0.01)
 
 
+# What the trees contain
+
+
+def number(document, path: str, name: str = "value") -> float:
+    """Return a number in the first element of a converted scene that a path matches."""
+    return float(document.root.find(path).get(name))
+
+
 def test_boxes_keep_their_thickness_wherever_they_are():
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
     for flavour, scale in ((stock, 1.0), (exact, normalisation(close_up(thin, flat)).scale)):
-        root = ET.fromstring(flavour(close_up(thin, flat)))
-        halves, middles = (
-            np.array([[float(s.get(k, "")) for k in "xyz"] for s in root.iter(name)])
-            for name in ("scale", "translate")
+        root = flavour(close_up(thin, flat)).root
+        half_sizes, centers = (
+            np.array([[float(step.get(axis)) for axis in "xyz"] for step in root.iter(tag)])
+            for tag in ("scale", "translate")
         )
-        np.testing.assert_allclose(halves[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
-        assert halves[1][0] == pytest.approx(0.5 * scale)
-        # What is flat is so thick that float32 tells its faces apart, and no thicker.
-        assert halves[1][2] == pytest.approx(1e-6 * np.abs(middles).max(), rel=1e-3)
+        np.testing.assert_allclose(half_sizes[0], np.array([1, 0.25, 0.5]) * scale, rtol=1e-9)
+        assert half_sizes[1][0] == pytest.approx(0.5 * scale)
+        # A flat box becomes so thick that float32 can distinguish its faces, and no thicker.
+        assert half_sizes[1][2] == pytest.approx(1e-6 * np.abs(centers).max(), rel=1e-3)
 
 
-def test_lights_get_as_many_samples_each():
-    """In a grid of whole rows, as Mitsuba's multijitter has it."""
-    for lights, samples, taken in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
-        scene = replace(TINY, lights=[*TINY.lights][:1] * lights)
-        assert f'<integer name="sample_count" value="{taken}"/>' in stock(scene, samples)
+def test_lights_get_the_same_number_of_samples_each():
+    """The number is also a number of whole rows, as Mitsuba's multijitter needs."""
+    for light_count, samples, expected in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
+        scene = replace(TINY, lights=[*TINY.lights][:1] * light_count)
+        assert number(stock(scene, samples), ".//*[@name='sample_count']") == expected
 
 
-def test_beside_an_enormous_ball_a_stock_scene_stays_large_enough_for_shadow_rays():
+def test_a_stock_scene_beside_an_enormous_ball_stays_large_enough_for_shadow_rays():
     ground = Sphere(center=(0, -1e12 - 1, 0), radius=1e12)
-    root = ET.fromstring(stock(close_up(Sphere(radius=0.5), ground)))
-    assert float(root.find(".//shape/float").get("value")) > 1e-5
+    assert number(stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
 
 
-def test_the_window_may_be_measured_in_pixels():
+def test_the_near_plane_is_nearer_than_a_distant_window():
     camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
-    root = ET.fromstring(stock(replace(close_up(Sphere()), camera=camera)))
-    near, far = (float(root.find(f".//*[@name='{k}_clip']").get("value")) for k in ("near", "far"))
-    assert near < 3
-    assert far > 5
+    document = stock(replace(close_up(Sphere()), camera=camera))
+    assert number(document, ".//*[@name='near_clip']") < 3
+    assert number(document, ".//*[@name='far_clip']") > 5
 
 
 @pytest.mark.parametrize("z", [-1.0, 50.0])
 @pytest.mark.parametrize("size", [1e-8, 1.0])
-def test_lights_are_as_strong_as_needed_for_what_is_small_or_out_of_view(z, size):
+def test_stock_lights_are_right_for_objects_that_are_small_or_out_of_view(z, size):
     ball = Sphere(center=(0.63, 0.71, z), radius=0.05)
     camera = Camera(view_point=(0, 0, 9), proj_distance=1 / size, view_width=1 / size,
                     view_height=1 / size)  # fmt: skip
     scene = scale_and_shift(replace(close_up(ball, light=(0, 20, z)), camera=camera), size)
-    root = ET.fromstring(stock(scene))
-    strength = float(root.find(".//emitter/rgb").get("value").split()[0])
-    # The scene may have been scaled.
-    scale = float(root.find(".//shape/float").get("value")) / 0.05
-    assert strength / (np.pi * (19.3 * scale) ** 2) == pytest.approx(1, rel=0.02)
+    root = stock(scene).root
+    intensity = float(root.find("emitter/rgb").get("value").split()[0])
+    scale = float(root.find("shape/float").get("value")) / 0.05  # the scene may be scaled
+    assert intensity / (np.pi * (19.3 * scale) ** 2) == pytest.approx(1, rel=0.02)
+
+
+# Windows and visible points
 
 
 def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
@@ -197,8 +238,8 @@ def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
     assert squared(square) == square
 
 
-def test_the_camera_is_that_of_the_scene_file():
-    """Worked out by hand: an oblique window, seen from aside."""
+def test_the_window_of_an_oblique_camera():
+    """The expected numbers are computed by hand."""
     camera = Camera(view_point=(1, 2, 3), view_dir=(-3, 0, -4), proj_normal=(0, 0, 2),
                     proj_distance=10, view_width=4, view_height=2)  # fmt: skip
     window = window_of(camera)
@@ -211,12 +252,11 @@ def test_the_camera_is_that_of_the_scene_file():
     np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)
 
 
-def test_normalised_scene_is_centred_and_ten_units_large():
+def test_a_normalised_scene_is_centred_and_ten_units_large():
     scene = close_up(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
-    place = normalisation(scene)
-    seen = place(visible_points(scene))
-    np.testing.assert_allclose(seen.min(axis=0) + seen.max(axis=0), 0, atol=1e-9)
-    assert np.ptp(seen, axis=0).max() == pytest.approx(10)
+    points = normalisation(scene)(visible_points(scene))
+    np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0, atol=1e-9)
+    assert np.ptp(points, axis=0).max() == pytest.approx(10)
 
 
 @pytest.mark.parametrize(
@@ -227,17 +267,17 @@ def test_normalised_scene_is_centred_and_ten_units_large():
     ],
 )
 def test_visible_points_of_a_room_are_on_its_walls(room, distances):
-    """With the eye inside, so that it is the far side that is seen."""
+    """The eye is inside, so that the far side is visible."""
     camera = Camera(view_point=(0.5, 0.25, 0), view_width=2, view_height=2)
     scene = scene_of(room, camera=camera, size=(8, 8), lights=(0, 0, 0))
     points = visible_points(scene)
     assert len(points) == 144
     assert (points[:, 2] < 0).all()
-    least, most = np.linalg.norm(points, axis=1).min(), np.linalg.norm(points, axis=1).max()
-    assert distances[0] - 1e-12 <= least <= most <= distances[1] + 1e-12
+    closest, farthest = np.linalg.norm(points, axis=1).min(), np.linalg.norm(points, axis=1).max()
+    assert distances[0] - 1e-12 <= closest <= farthest <= distances[1] + 1e-12
     if isinstance(room, Box):
         assert np.isclose(np.abs(points), room.max_pt, rtol=1e-12).any(axis=1).all()
-    # What is seen from inside is what is converted: the scene is moved to it.
+    # The scene is moved to what is visible from inside.
     assert normalisation(scene).center[2] < -1
     result = check_scene(replace(scene, width=24, height=24), "room")
     assert (result.verdict, result.tracer.min() > 0) == ("agrees", True)
@@ -249,12 +289,12 @@ def test_visible_points_lie_on_the_nearest_surface():
     on_ball = np.isclose(np.linalg.norm(points, axis=1), 0.45) & (points[:, 2] > 0)
     assert (on_ball | np.isclose(points[:, 2], -1)).all()
     assert 0 < on_ball.sum() < len(points) == 144
-    # None of the wall behind the ball.
-    ways = points[~on_ball] - (0, 0, 5)
-    past = np.linalg.norm(np.cross(ways, (0, 0, 5)), axis=1) / np.linalg.norm(ways, axis=1)
-    assert past.min() >= 0.45
-    # Where few rays hit anything, more are sent.
+    # None is on the wall behind the ball.
+    rays = points[~on_ball] - (0, 0, 5)
+    distance = np.linalg.norm(np.cross(rays, (0, 0, 5)), axis=1) / np.linalg.norm(rays, axis=1)
+    assert distance.min() >= 0.45
+    # If few rays hit anything, more are traced.
     assert len(visible_points(close_up(Sphere(radius=0.1)))) >= 12
-    # Rows of rays are 1/8 apart on a box's front, and none of them leaves it out.
+    # Rows of rays are 1/8 apart on the front of a box, and none is missing.
     front = Box(min_pt=(-0.45, -0.45, -1), max_pt=(0.45, 0.45, 0))
     assert len(visible_points(close_up(front))) == 64

@@ -1,9 +1,12 @@
-"""The converter's command line: what it writes, what it says, and what it leaves as it was.
+"""The converter's command line: the files it writes, its messages, and the files it leaves alone.
 
-And the choice of Mitsuba's variant: no libLLVM, good or bad, kills this process or misleads it.
+Also the choice of Mitsuba's variant: whether a libLLVM is absent, good or bad, it must neither end
+this process nor mislead it.
 """
 
+import os
 import re
+import signal
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -11,11 +14,11 @@ import pytest
 from PIL import Image
 from running import ROOT, drop_jit, file_names, run
 
-from converters.mitsuba_xml import plugin
 from converters.to_mitsuba import main
 from converters.variant import LLVM, SCALAR, Choice, choose, mi, use
 from reference import check, report
 from reference.command import own_scenes
+from tracer.command.failure import Failure
 
 RENDER = ["--render", "--variant", SCALAR]
 COMMAND = ["-m", "converters.to_mitsuba"]
@@ -25,20 +28,20 @@ COMMAND = ["-m", "converters.to_mitsuba"]
     ("options", "written"),
     [([], "small.mitsuba.xml"), (["--flavour", "exact"], "small.exact.mitsuba.xml")],
 )
-def test_writes_beside_the_scene_and_leaves_that_out_of_the_next(small, capsys, options, written):
+def test_the_result_is_beside_the_scene_and_skipped_the_next_time(small, capsys, options, written):
     for _ in range(2):
         assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
         assert {*file_names(small.parent)} == {written, "small.xml"}
     scene = small.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
-    assert f"{scene}: left out, for it is a converted scene\n" in capsys.readouterr().out
+    assert f"{scene}: skipped, because it is a converted scene\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [("bad.xml", ":1: light: "), (".", ": "), ("/", ": "), ("loop", ": "), ("none.xml", ": ")],
 )
-def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, name, message):
+def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys, name, message):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     (tmp_path / "bad.xml").write_text("<scene><camera/><image>8 8</image><light/></scene>")
     name = name if name in "./" else str(tmp_path / name)
@@ -46,26 +49,28 @@ def test_what_cannot_be_read_is_told_and_spares_the_others(tmp_path, capsys, nam
     error = capsys.readouterr().err
     assert error.startswith(f"{name}{message}")
     assert error.count("\n") == 1
-    made = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
-    assert {*file_names(tmp_path / "made")} == made
+    expected = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
+    assert {*file_names(tmp_path / "made")} == expected
 
 
-@pytest.mark.parametrize("what", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
-def test_no_one_reads_the_output(small, pipe_without_reader, what):
-    target = small.with_name("written.png" if what else "written")
-    status, _, err = run(*what, small, "-o", target, python=COMMAND, stdout=pipe_without_reader)
-    # Dr.Jit says there if it has found no libLLVM.
+@pytest.mark.parametrize("options", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
+def test_the_files_are_written_although_no_one_reads_the_output(
+    small, pipe_without_reader, options
+):
+    target = small.with_name("written.png" if options else "written")
+    status, _, err = run(*options, small, "-o", target, python=COMMAND, stdout=pipe_without_reader)
+    # Dr.Jit prints a line there if it has found no libLLVM.
     assert (status, drop_jit(err)) == (0, "")
     assert target.exists()
 
 
-@pytest.mark.parametrize("what", [[], RENDER])
-def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
-    other = small.with_name("other.png" if what else "other")
+@pytest.mark.parametrize("options", [[], RENDER])
+def test_a_file_of_another_kind_is_not_replaced(small, capsys, options):
+    other = small.with_name("other.png" if options else "other")
     other.write_text("<scene>")
-    assert main([*what, str(small), "-o", str(other)]) == 1
-    wrong = f"{other}: cannot be written: a file of another kind is there\n"
-    assert capsys.readouterr().err == wrong
+    assert main([*options, str(small), "-o", str(other)]) == 1
+    message = f"{other}: cannot be written: a file of another kind is there\n"
+    assert capsys.readouterr().err == message
     assert other.read_text() == "<scene>"
     assert {*file_names(small.parent)} == {other.name, "small.xml"}
     use()
@@ -76,7 +81,6 @@ def test_what_cannot_be_written_is_told_and_stays(small, capsys, what):
     [
         (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
         (["a.xml", "--samples", "0"], "must be a whole number from 1 to 999999999, is '0'"),
-        (["a.xml", "--check"], "is a command of its own: python -m reference.check SCENE.xml ..."),
         (["a.xml", "--flavour", "best"], "invalid choice: 'best'"),
         (["a.xml", "--variant", "nope"], "--variant is for --render;"),
         ([], "the following arguments are required: SCENE.xml"),
@@ -97,35 +101,36 @@ def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, fl
     assert f"{odd.parent}/\\udcff\\n." in out
 
 
-# As drjit ends where a library of the system is missing.
+# What Dr.Jit raises if a library of the system is missing.
 BROKEN = """
 try:
     raise ImportError('libatomic.so.1: cannot open shared object file')
 except ImportError:
     extension
 """
+PACKAGES = "install it with pip install -e '.[reference]'\n"
 
 
 @pytest.mark.parametrize(
-    ("option", "module", "stub", "message"),
+    ("option", "module", "stub", "status", "message"),
     [
-        ("--samples=4", "numpy", "", "No module named numpy; install it with pip install -e ."),
-        ("--render", "numpy", "", "Mitsuba cannot run: No module named numpy; install it with"),
-        ("--render", "mitsuba", "", "Mitsuba cannot run: No module named mitsuba; install it with"),
-        ("--render", "mitsuba", BROKEN, "Mitsuba cannot run: libatomic.so.1: cannot open shared"),
+        ("--samples=4", "numpy", "", 2, "No module named numpy; install it with python -m pip in"),
+        ("--render", "numpy", "", 1, f"Mitsuba cannot run: No module named numpy; {PACKAGES}"),
+        ("--render", "mitsuba", "", 1, f"Mitsuba cannot run: No module named mitsuba; {PACKAGES}"),
+        ("--render", "mitsuba", BROKEN, 1, "Mitsuba cannot run: libatomic.so.1: cannot open share"),
     ],
 )
-def test_what_is_not_installed_is_told(small, option, module, stub, message):
+def test_a_missing_package_is_named(small, option, module, stub, status, message):
     missing = f"raise ModuleNotFoundError('No module named {module}')"
     small.with_name(f"{module}.py").write_text(stub or missing)
     path = {"PYTHONPATH": small.parent}
-    status, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
-    assert (status, drop_jit(err).count("\n")) == (1, 1)
+    result, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
+    assert (result, drop_jit(err).count("\n")) == (status, 1)
     assert drop_jit(err).startswith(message)
 
 
 @pytest.mark.parametrize(
-    ("flavour", "named", "written"),
+    ("flavour", "output", "written"),
     [
         ("exact", None, "small.mitsuba.png small.mitsuba.exr"),
         ("stock", None, "small.stock.mitsuba.png small.stock.mitsuba.exr"),
@@ -136,25 +141,40 @@ def test_what_is_not_installed_is_told(small, option, module, stub, message):
         ("exact", "room.v1", "room.v1.png room.v1.exr"),
     ],
 )
-def test_render_writes_a_png_and_an_exr(small, flavour, named, written):
-    output = ["-o", str(small.with_name(named))] if named else []
+def test_render_writes_a_png_and_an_exr(small, flavour, output, written):
+    output = ["-o", str(small.with_name(output))] if output else []
     assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small), *output]) == 0
     assert {*file_names(small.parent)} == {"small.xml", *written.split()}
     png, exr = (small.with_name(name) for name in written.split())
-    shown = np.asarray(Image.open(png, formats=["PNG"]))
+    codes = np.asarray(Image.open(png, formats=["PNG"]))
     radiance = np.array(mi.Bitmap(str(exr)))
-    # Stock flavours are in square pixels.
-    assert radiance.shape == shown.shape == (30 if flavour == "exact" else 40, 40, 3)
-    np.testing.assert_array_equal(shown, np.round(255 * radiance.clip(0, 1) ** (1 / 2.2)))
+    # Stock flavours have square pixels.
+    assert radiance.shape == codes.shape == (30 if flavour == "exact" else 40, 40, 3)
+    np.testing.assert_array_equal(codes, np.round(255 * radiance.clip(0, 1) ** (1 / 2.2)))
     use()
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+def test_rendering_ends_on_one_processor(small):
+    """Mitsuba's writer and reader of EXR files would wait forever for a second thread."""
+    exr = small.with_name("small.mitsuba.exr")
+    read = f"from converters.variant import mi, use; use({SCALAR!r}); mi.Bitmap({str(exr)!r})"
+
+    def begin() -> None:
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        signal.alarm(60)
+
+    for python in ([*COMMAND, *RENDER, str(small)], ["-c", read]):
+        status, _, err = run(python=python, preexec_fn=begin)
+        assert (status, drop_jit(err)) == (0, "")
+
+
 NUMBERS = r"numbers end at 3\.4e\+38; keep the numbers of the scene closer to 1"
-ROWS = r"pixels are square, and .* too many; make viewWidth larger or viewHeight smaller"
+ROWS = r"pixels are square, and 1e\+72 rows of 40 are too many; make viewWidth larger or viewHeig"
 
 
 @pytest.mark.parametrize(
-    ("flavours", "old", "new", "wrong"),
+    ("flavours", "old", "new", "message"),
     [
         ("stock exact", "<position>3 5 4", "<position>1e70 5 4", NUMBERS),
         ("stock exact", "<viewPoint>5 4 3", "<viewPoint>5e69 4e69 1e70", NUMBERS),
@@ -163,23 +183,24 @@ ROWS = r"pixels are square, and .* too many; make viewWidth larger or viewHeight
         ("stock", "<viewWidth>2.5", "<viewWidth>1e-70", ROWS),
     ],
 )
-def test_what_mitsuba_could_not_hold_is_told(small, capsys, flavours, old, new, wrong):
+def test_a_scene_beyond_mitsubas_range_is_not_converted(small, capsys, flavours, old, new, message):
     text = small.read_text(encoding="utf-8")
     assert old in text
     small.write_text(text.replace(old, new), encoding="utf-8")
     for flavour in flavours.split():
-        assert main(["--flavour", flavour, str(small)]) == 1
-        error = capsys.readouterr().err
-        assert re.fullmatch(f"{small}: cannot be converted: .*Mitsuba's {wrong}\n", error)
-    assert {*file_names(small.parent)} == {"small.xml"}
+        for command in (main, check.main):
+            output = "-o", f"{small.parent}/made/"
+            assert command(["--flavour", flavour, str(small), *output]) == 1
+            error = capsys.readouterr().err
+            assert re.match(f"{small}: cannot be converted: .*Mitsuba's {message}", error)
+            assert error.count("\n") == 1
+    assert file_names(small.parent) == ["small.xml"]
 
 
-def test_what_is_no_number_is_told():
-    with pytest.raises(ValueError, match="radius would be nan, and Mitsuba's"):
-        plugin("shape", "sphere", radius=float("nan"))
+# The choice of a variant
 
 
-def test_without_a_usable_library_the_scalar_variant_is_left(small):
+def test_without_a_usable_library_the_scalar_variant_remains(small):
     fake, output = small.with_name("libLLVM.so"), str(small.with_name("x.png"))
     fake.write_text("not a library")
     environment = {"DRJIT_LIBLLVM_PATH": fake}
@@ -195,26 +216,28 @@ def test_without_a_usable_library_the_scalar_variant_is_left(small):
         ("pass", LLVM, "libLLVM works"),
         ("import os; os.abort()", SCALAR, "the libLLVM found here kills the process with SIGABRT"),
         ("raise ImportError('not there')", SCALAR, "no usable libLLVM: ImportError: not there"),
-        ("raise SystemExit(3)", SCALAR, "no usable libLLVM: it said nothing"),
+        ("raise SystemExit(3)", SCALAR, "no usable libLLVM: no message"),
         ("import time; time.sleep(60)", SCALAR, "the libLLVM found here hangs"),
         ("import os; assert not os.path.isdir(os.path.expanduser('~'))", LLVM, "libLLVM works"),
     ],
 )
-def test_the_probe_tells_how_its_child_ended(kernel, variant, reason, tmp_path, monkeypatch):
-    # It finds no kernels at home.
+def test_the_probe_reports_how_its_child_process_ended(
+    kernel, variant, reason, tmp_path, monkeypatch
+):
+    # It finds no kernels in the home folder.
     (tmp_path / ".drjit").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path))
     options = {"timeout": 0.5} if "hangs" in reason else {}
     assert choose(kernel, **options) == Choice(variant, reason)
 
 
-def test_the_probe_runs_once_a_process_and_scalar_can_always_be_asked_for():
+def test_the_probe_runs_once_per_process_and_scalar_is_always_available():
     assert use() is use()
     assert use(SCALAR).variant == SCALAR
     use()
 
 
-def test_asking_for_a_variant_that_does_not_work_says_why():
+def test_a_request_for_a_variant_that_does_not_work_gives_the_reason():
     code = f"from converters.variant import use; use({LLVM!r})"
     status, _, err = run(python=("-c", code), env={"DRJIT_LIBLLVM_PATH": "/nonexistent"})
     assert status == 1
@@ -222,13 +245,15 @@ def test_asking_for_a_variant_that_does_not_work_says_why():
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
-def test_variants_without_rgb_are_refused(small, variant, capsys):
+def test_variants_without_rgb_are_refused(small, variant):
     options = "--variant", variant, str(small), "-o", f"{small.parent}/made/"
-    assert (main(["--render", *options]), check.main(options), report.main(options)) == (1, 2, 2)
-    wrong = f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant; choose one of "
-    first, *others = capsys.readouterr().err.splitlines()
-    assert others == [first, first]
-    assert first.startswith(wrong)
-    assert SCALAR in first
-    assert "spectral" not in first.removeprefix(wrong)
+    for command, status in ((main, 1), (check.main, 2), (report.main, 2)):
+        arguments = ["--render", *options] if command is main else options
+        with pytest.raises(Failure) as caught:
+            command(arguments)
+        assert caught.value.status == status
+        start, _, choices = str(caught.value).partition("; choose one of ")
+        assert start == f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant"
+        assert SCALAR in choices
+        assert "spectral" not in choices
     assert file_names(small.parent) == ["small.xml"]

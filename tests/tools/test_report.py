@@ -39,7 +39,7 @@ def result(name: str = "pair") -> CheckResult:
     mask[5, 7] = True
     none = np.zeros_like(mask)
     pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
-    arbitration = {"asked": 30, "wrong": 30, "first": (0, 0)}
+    arbitration = {"examined": 30, "wrong": 30, "first": (0, 0)}
     times = {"tracer_seconds": 0.0123, "mitsuba_seconds": 4.5}
     measured = figures(a, b, mask)
     return CheckResult(
