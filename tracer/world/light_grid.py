@@ -121,7 +121,18 @@ _Interval: TypeAlias = tuple[Floats, Floats]
 class LightGrid(NamedTuple):
     """Lists of objects by their direction from each light.
 
-    See the module for octant, patch, cell, entry and direction bounds.
+    A ball and an entry (the part of an object in one octant) may share several cells.  The query
+    finds the pair in the first of these cells only.  It uses the attributes in their order:
+
+    1. `light`: the vectors from the ball to the light determine octants of directions.
+    2. `patch`: each octant has at most one patch.
+    3. `side`, `origin` and `size`: the ball's rectangle overlaps certain cells of the patch.
+    4. `list_start` and `listed`: these cells list entries.  A cell has four lists, so that only
+       entries are read for which this cell is the first that they share with the ball.
+    5. `entry_bounds`: entries at other distances, or in other directions, are excluded.
+    6. `entry_object`: the other entries are parts of these objects.
+
+    The module defines octant, patch, cell, entry, rectangle and direction bounds.
 
     Attributes
     ----------
@@ -140,11 +151,11 @@ class LightGrid(NamedTuple):
         Element 4 * cell + i is the position in `listed` where list i of the cell begins.
     listed : (m,) int array
         Indices of the entries in all lists, cell by cell and list by list.
-    entry_object : (entries,) int array
-        Index of the object of each entry.
     entry_bounds : (entries, 8) float array
         Direction bounds of each entry, arranged for the comparison with those of a ball: the ball
         and the entry meet only if each number of the ball is at most that of the entry.
+    entry_object : (entries,) int array
+        Index of the object of each entry.
     """
 
     light: Floats
@@ -154,8 +165,8 @@ class LightGrid(NamedTuple):
     size: Floats
     list_start: NDArray[np.uint32]
     listed: NDArray[np.uint32]
-    entry_object: Ints
     entry_bounds: NDArray[np.floating[Any]]
+    entry_object: Ints
 
     def query(
         self, center: Floats, radius: Floats, own_object: Ints, active: Bools
@@ -193,9 +204,9 @@ class LightGrid(NamedTuple):
         bounds = bounds.T.astype(self.entry_bounds.dtype, order="C")
         patch = self.patch.take(octant * light_count + box // ball_count)
         rectangle = _relative_to_patch(rectangle, patch, self.origin, self.size)
-        for part, start, length in self._lists(rectangle, patch):
+        for part_index, start, length in self._ranges_to_read(rectangle, patch):
             for batch in batches(length, _PAIRS_PER_BATCH):
-                batch_part = part[batch].repeat(length[batch])
+                batch_part = part_index[batch].repeat(length[batch])
                 entry = self.listed.take(ranges(start[batch], length[batch]))
                 is_within = self.entry_bounds.take(entry, axis=0) >= bounds.take(batch_part, axis=0)
                 # The same as is_within.all(axis=1), but much faster.
@@ -205,11 +216,10 @@ class LightGrid(NamedTuple):
                 kept = indices(occluder != own_object.take(ball))
                 yield np.array([light.take(kept), ball.take(kept), occluder.take(kept)])
 
-    def _lists(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
-        """Yield, in batches, the ranges of the array `listed` that each ball has to read.
+    def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
+        """Yield, for each rectangle, the ranges of `listed` that belong to the cells it overlaps.
 
-        A ball reads the lists of all cells that the bounding rectangle of its directions overlaps.
-        Only some of a cell's four lists are read, so that no entry is read twice.
+        Only some of a cell's four lists are included, so that no entry occurs twice.
 
         Parameters
         ----------
@@ -222,14 +232,14 @@ class LightGrid(NamedTuple):
         Yields
         ------
         rectangle_index : (k,) int array
-            The rectangle for which the range is read.
+            The rectangle of each range.
         start, length : (k,) int arrays
             The range listed[start], ..., listed[start + length - 1]; length is at least 1.
         """
         for rectangle_index, cell, place in _overlapped_cells(rectangle, patch, self.side):
             start, stop = (
-                self.list_start.take(4 * cell + lists.take(place)).astype(np.intp)
-                for lists in _LISTS_READ
+                self.list_start.take(4 * cell + list_of_place.take(place)).astype(np.intp)
+                for list_of_place in _LISTS_READ
             )
             nonempty = indices(stop > start)
             start, stop = start.take(nonempty), stop.take(nonempty)
@@ -288,7 +298,7 @@ def light_grid(
     side = _cells_per_side(rectangle, position_error.size, len(lights), patch_count)
     list_start, listed = _fill_lists(rectangle, entry_patch, side, patch_count)
     return LightGrid(
-        light, patch, side, origin, size, list_start, listed, entry_object, entry_bounds
+        light, patch, side, origin, size, list_start, listed, entry_bounds, entry_object
     )
 
 
@@ -436,9 +446,9 @@ def _split_by_octant(
 def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     """Compute bounds on the ratios of the components of vectors, and on the sum of the components.
 
-    Each pair of rows contains the minimum and the maximum of one quantity.  Maxima are negated, so
-    that a larger set of vectors has smaller numbers, or equal ones, in all rows.  All bounds are
-    widened by more than their rounding errors.
+    Each pair of rows contains the minimum and the maximum of one quantity.  Maxima are stored
+    negated, so that enlarging a set of vectors never increases any row.  All bounds are widened by
+    more than their rounding errors.
 
     Parameters
     ----------
