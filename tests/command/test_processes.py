@@ -9,22 +9,26 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 from probe import scene_of
-from running import SCENE, run, start_process, wait_until
+from running import ROOT, SCENE, run, start_process, wait_until
 
-from tracer import Camera, PointLight, Scene, Sphere, render, save_scene
+from tracer import Camera, PointLight, Scene, Sphere, load_scene, render, save_scene
 from tracer.command import cli
 from tracer.picture import parallel
 from tracer.picture import render as render_module
 from tracer.picture.parallel import WorkerPool
 from tracer.picture.render import RenderJob, render_tiles
+
+SCENES = ROOT / "scenes"
 
 
 def picture(width: int = 300, height: int = 200) -> Scene:
@@ -76,9 +80,10 @@ needs_two = pytest.mark.skipif(parallel.processors() < 2, reason="there is one p
 
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures have many tiles."""
-    monkeypatch.setattr(render_module, "_MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render_module, "_MIN_TILE_SAMPLES", 1000)
+    """Let pictures have many tiles, and share even the smallest ones."""
+    monkeypatch.setattr(render_module, "MIN_SHARED_SECONDS", 0)
+    for name in ("_MAX_TILE_SAMPLES", "_MAX_CLASSIFIED_TILE_SAMPLES"):
+        monkeypatch.setattr(render_module, name, 1000)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks, and of what Dask imports
@@ -158,10 +163,41 @@ def test_an_executor_has_work_for_all_processors_and_no_more(processors, small_t
 
 
 @pytest.mark.parametrize("processors", [2, 16])
-def test_all_processors_have_tiles(processors, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "size", "samples"),
+    [
+        ("one-sphere", (4000, 3000), 1),
+        ("room", (1920, 1080), 16),
+        ("room", (320, 180), 40_000),
+        ("many-objects", (320, 180), 20_000),
+        ("room", (40, 30), 999_999_999),
+    ],
+)
+def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch):
     monkeypatch.setattr(render_module, "processors", lambda: processors)
-    monkeypatch.setattr(render_module, "_MIN_TILE_SAMPLES", 1000)
-    assert len(RenderJob(picture()).tiles(shared=True)) >= 4 * processors
+    width, height = size
+    scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
+    for shared in (False, True):
+        job = RenderJob(scene, samples)
+        tiles = job.tiles(shared=shared)
+        assert len(tiles) >= min(job.seconds / 0.25, width * height)
+        assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not shared
+        counts = np.zeros((height, width), dtype=int)
+        for tile in tiles:
+            counts[tile] += 1
+        assert (counts == 1).all()
+
+
+@pytest.mark.parametrize("samples", [1, 4, 30])
+def test_the_picture_is_the_same_however_it_is_divided(samples, monkeypatch):
+    scene = replace(load_scene(SCENES / "room.xml"), width=16, height=9)
+    images = []
+    for seconds in (1e-9, 1e-4, 1):  # tiles of a pixel, of a row or two, and of the whole picture
+        monkeypatch.setattr(render_module, "_MAX_TILE_SECONDS", seconds)
+        images.append(render(scene, samples))
+    assert len(RenderJob(scene, samples).tiles(shared=False)) == 1
+    assert np.array_equal(images[0], images[2])
+    assert np.array_equal(images[1], images[2])
 
 
 def test_a_program_with_threads_is_not_forked(monkeypatch):
@@ -202,15 +238,14 @@ def test_the_pool_of_the_command_draws_the_same(samples, small_tiles):
     assert len(drawn[1]) > 3
 
 
-@pytest.mark.parametrize(("size", "workers"), [((320, 180), 0), ((3000, 2000), 1)])
-def test_a_small_picture_starts_no_process(size, workers, monkeypatch, tmp_path):
+@pytest.mark.parametrize(("size", "starts"), [((320, 180), 0), ((3000, 2000), 1)])
+def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
     monkeypatch.setattr(cli, "processors", lambda: 2)
-    pools: list[int] = []
-    pool = lambda count: pools.append(count) or WorkerPool(0)  # noqa: E731
-    monkeypatch.setattr(cli, "WorkerPool", pool)
+    start = Mock(side_effect=OSError)
+    monkeypatch.setattr(WorkerPool, "_started", start)
     save_scene(picture(*size), tmp_path / "scene.xml")
     assert cli.main([str(tmp_path / "scene.xml"), "--quiet"]) == 0
-    assert pools == [workers]
+    assert start.call_count == starts
 
 
 def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
