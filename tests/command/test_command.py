@@ -145,9 +145,7 @@ def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
     assert file_names(scene.parent) == ["ball.xml.png", "faulty.xml"]
 
 
-TOO_LARGE = (
-    "cannot be rendered: not enough memory; make the image smaller than 3000 x 2000 pixels\n"
-)
+TOO_LARGE = "not enough memory; make the image smaller or take fewer samples\n"
 
 
 @pytest.mark.parametrize(
@@ -164,7 +162,7 @@ def test_little_memory(scene, size, megabytes, error):
         sys.exit(main([sys.argv[1], "--processes", "1"]))
     """
     status, _, err = run(scene, python=("-c", script))
-    assert (status, err) == (1 if error else 0, error and f"{scene}: {error}")
+    assert (status, err.partition(": cannot be written: ")[2]) == (1 if error else 0, error)
     assert file_names(scene.parent) == ([] if error else ["ball.xml.png"])
 
 
@@ -192,8 +190,8 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
     ("render_tile", "error"),
     [
         (Mock(side_effect=MemoryError),
-         "{0}: cannot be rendered: not enough memory;"
-         " make the image smaller than 40 x 30 pixels or take fewer samples than 4\n"),
+         "{0}.png: cannot be written: not enough memory;"
+         " make the image smaller or take fewer samples\n"),
         (Mock(return_value=np.full((30, 40, 3), np.nan)),
          "{0}: cannot be rendered: an image must not contain NaN;"
          " this is a bug in the tracer; please report it with the scene\n"),

@@ -20,7 +20,7 @@ from tracer.command.batch import Batch, Job, Settings
 from tracer.command.progress import Progress, track
 
 needs_two = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
-SETTINGS = Settings(samples=1, size=None, file_format="png", folder=None)
+SETTINGS = Settings(samples=1, size=None, file_format="png", quiet=True)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
     for path in paths:
         path.write_text(SCENE.format(*size))
     submitted = counted_pool(monkeypatch)
-    many = Batch(SETTINGS, 2, quiet=True)
+    many = Batch(SETTINGS, 2)
     assert many.render([Job(str(path), f"{path}.png") for path in paths])
     many.close()
     assert {*submitted} == expected
@@ -95,7 +95,7 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     monkeypatch.setattr(batch, "_MAX_WHOLE_SECONDS", 0.05)
     scenes[30].write_text(SCENE.format(3000, 2000))
     submitted = counted_pool(monkeypatch)
-    many = Batch(SETTINGS, 2, quiet=True)
+    many = Batch(SETTINGS, 2)
     assert many.render([Job(str(path), f"{path}.png") for path in scenes])
     many.close()
     assert {*submitted} == {"encoded_tile", "_render_whole"}
@@ -148,7 +148,7 @@ def test_memory_and_open_files_do_not_grow_with_the_number_of_scenes(tmp_path):
     script = f"""if True:
         import os, resource, sys
         from tracer.command.batch import Batch, Job, Settings
-        batch = Batch(Settings(1, None, "png", None), 2, quiet=True)
+        batch = Batch(Settings(1, None, "png", True), 2)
         for count in (20, 1000):
             assert batch.render([Job({str(path)!r}, {str(path)!r} + ".png")] * count)
             usage = resource.getrusage(resource.RUSAGE_SELF)

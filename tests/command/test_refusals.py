@@ -50,9 +50,9 @@ USAGE = [
     ("tracer ball.xml -o -b.png", f"argument -o/--output: {ONE}"),
     ("tracer ball.xml out.png", "out.png: a picture is no scene; to write it, use -o out.png"),
     ("tracer ball -o ball", f"ball: {A_SCENE}"),
-    ("tracer ball.xml -o ball.v2.jpg", "-o ball.v2.jpg: pictures are .png, .npy or .exr files;"
-     " name it ball.v2.png"),
-    ("tracer ball.xml -o a.exr --format npy", "-o a.exr: --format npy needs a name as a.npy"),
+    ("tracer ball.xml -o ball.v2.jpg",
+     "-o ball.v2.jpg: pictures end in .png, .npy, .exr; name it ball.v2.png"),
+    ("tracer ball.xml -o a.exr --format npy", "-o a.exr: pictures end in .npy; name it a.npy"),
     ("tracer ball.xml --format exr -o -", "-o -: an EXR file cannot go to standard output"),
     ("tracer ball.xml -o /dev/null", f"-o /dev/null: {NOT_A_FILE}"),
     ("tracer ball.xml -o pipe", f"-o pipe: {NOT_A_FILE}"),
@@ -116,8 +116,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize(("command", "message"), USAGE, ids=[command for command, _ in USAGE])
-def test_wrong_usage(folder, capsys, command, message):
+def test_wrong_usage(folder, capsys, monkeypatch, command, message):
     before, (name, *arguments) = contents(folder), command.split()
+    monkeypatch.setattr("sys.argv", command.split())
     with pytest.raises(SystemExit, match="2"):
         MAIN[name](arguments)
     out, err = capsys.readouterr()
@@ -133,9 +134,9 @@ EXISTING = "a file of another kind is there"
 UNWRITTEN = [
     ("tracer ball.xml -o missing/a.png", 1, "missing/a.png", MISSING),
     ("tracer ball.xml -o ball.xml/a.png", 1, "ball.xml/a.png", NO_FOLDER),
-    ("tracer ball.xml -o ball.xml/", 1, "ball.xml/", "it is not a folder"),
-    ("tracer ball.xml -o ball.xml/deep/", 1, "ball.xml/deep/", "it is not a folder"),
-    ("tracer ball.xml -o nothing/", 1, "nothing/", "it is not a folder"),
+    ("tracer ball.xml -o ball.xml/", 1, "ball.xml/ball.xml.png", NO_FOLDER),
+    ("tracer ball.xml -o ball.xml/deep/", 1, "ball.xml/deep/ball.xml.png", NO_FOLDER),
+    ("tracer ball.xml -o nothing/", 1, "nothing/ball.xml.png", MISSING),
     (f"tracer ball.xml -o {LONG}.png", 1, f"{LONG}.png", "File name too long"),
     ("tracer ball.xml -o text.png", 1, "text.png", EXISTING),
     ("tracer ball.xml -o missing/a.npy", 1, "missing/a.npy", MISSING),

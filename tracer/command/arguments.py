@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from tracer.command.failure import Failure, reason_of
 from tracer.messages import printable
@@ -15,16 +15,11 @@ from tracer.messages import printable
 class CommandParser(argparse.ArgumentParser):
     """A parser of arguments that explains how to write names that begin with "-"."""
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments, as ArgumentParser does, and remember them for messages."""
-        self._words = sys.argv[1:] if args is None else [*args]
-        return super().parse_known_args(args, namespace)
-
     def error(self, message: str) -> NoReturn:
         """Print a message about wrong usage, and end the process with exit status 2."""
         if message.endswith("expected one argument"):
             message += "; a value that begins with - is joined to its option by ="
-        for word in self._words:
+        for word in sys.argv[1:]:
             if word.startswith("-") and len(word) > 1 and os.path.lexists(word):
                 message += printable(f"; for the file named {word}, write ./{word}")
         super().error(message)

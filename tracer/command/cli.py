@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.util import find_spec
 from time import sleep
 
@@ -17,7 +17,7 @@ from tracer.command.arguments import (
     output_paths,
     whole_number,
 )
-from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
+from tracer.command.batch import FORMATS, OTHER_NAME, Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.messages import printable
@@ -61,15 +61,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     if arguments.pixel is not None:
-        return _explain_pixel(parser, arguments)
+        return _explain_pixels(parser, arguments)
     file_format = _file_format(parser, arguments)
     jobs = _jobs(parser, arguments, file_format)
-    folder = arguments.output if is_folder(arguments.output or "") else None
-    settings = Settings(arguments.samples, arguments.size, file_format, folder)
     if file_format == "exr" and find_spec("OpenEXR") is None:
         raise ModuleNotFoundError("No module named 'OpenEXR'", name="OpenEXR")
+    if is_folder(arguments.output or ""):
+        # That something else has this name is reported for each picture.
+        suppressed = suppress(FileExistsError, NotADirectoryError)
+        with errors_as_failure(arguments.output, "written", OTHER_NAME), suppressed:
+            os.makedirs(arguments.output, exist_ok=True)
+    settings = Settings(arguments.samples, arguments.size, file_format, arguments.quiet)
     processes = min(arguments.processes or processors(), processors())
-    with closing(Batch(settings, processes, quiet=arguments.quiet)) as batch:
+    with closing(Batch(settings, processes)) as batch:
         if arguments.watch:
             return _watch(jobs, batch, quiet=arguments.quiet)
         return 0 if batch.render(jobs) else FAILED
@@ -102,8 +106,8 @@ def _parser() -> CommandParser:
     size = _whole_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
     add("--size", type=size, metavar="W[xH]", help=text)
     add("--watch", action="store_true", help="render again whenever a scene file is saved")
-    text = "processes that render, at most one for each processor (default: one for small pictures,"
-    add("--processes", type=count, metavar="N", help=f"{text} otherwise all)")
+    text = "maximum number of processes that render (default: one for each processor)"
+    add("--processes", type=count, metavar="N", help=text)
     text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
     pixel = _whole_numbers(",", 0, (2,), "column and row, as 160,90")
     add("--pixel", type=pixel, metavar="X,Y", help=text)
@@ -147,17 +151,15 @@ def _file_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
     The parser ends the process with exit status 2 if the name is that of another format.
     """
     output = arguments.output or ""
+    formats = [arguments.format] if arguments.format else list(FORMATS)
     stem, suffix = os.path.splitext(output)
-    by_name, by_option = suffix[1:].lower(), arguments.format
     if is_folder(output) or not suffix:
-        return str(by_option or "png")
-    if by_name not in FORMATS:
-        problem = "pictures are .png, .npy or .exr files"
-        parser.error(printable(f"-o {output}: {problem}; name it {stem}.png"))
-    if by_option not in (None, by_name):
-        problem = f"--format {by_option} needs a name as {stem}.{by_option}"
+        return formats[0]
+    if suffix[1:].lower() not in formats:
+        endings = ", ".join(f".{name}" for name in formats)
+        problem = f"pictures end in {endings}; name it {stem}.{formats[0]}"
         parser.error(printable(f"-o {output}: {problem}"))
-    return by_name
+    return suffix[1:].lower()
 
 
 def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
@@ -191,7 +193,7 @@ def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str
     return [Job(scene, picture) for scene, picture in zip(scenes, pictures, strict=True)]
 
 
-def _explain_pixel(parser: CommandParser, arguments: argparse.Namespace) -> int:
+def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
     """Print an explanation of one pixel of each scene, and return the exit status.
 
     The parser ends the process with exit status 2 if the arguments contradict each other.

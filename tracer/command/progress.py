@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
+
+from tracer.command.process import print_line
 
 _Item = TypeVar("_Item")
 
@@ -55,12 +57,11 @@ class Progress:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(round(done, 2) - self._bar.n)
 
-    @contextmanager
-    def hidden(self) -> Iterator[None]:
-        """Hide the bar in a with block, which may print lines to the terminal."""
+    def print_line(self, stream: TextIO | None, text: str) -> None:
+        """Print a notice as `tracer.command.process.print_line` does, above the bar."""
         if self._bar:
             self._bar.clear()
-        yield
+        print_line(stream, text)
         if self._bar:
             self._bar.refresh()
 
@@ -74,9 +75,8 @@ class Progress:
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
 
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
-            bar = tqdm(
-                total=self._total, unit=self._unit, bar_format=_BAR_FORMAT, leave=False, smoothing=0
-            )
+            options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0}
+            bar = tqdm(total=self._total, unit=self._unit, **options)
             bar.start_t -= seconds
             return bar
         return False

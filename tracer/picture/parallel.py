@@ -75,9 +75,11 @@ class Distribution(Generic[_Item, _Result]):
         executor counts as having failed.
     workers : int
         Number of workers that the executor is supposed to have.
-    reserved : int
-        Number of items at the end that are not given to the executor, because `function` itself
-        shares each of them with the executor.
+
+    Attributes
+    ----------
+    executor : Submitter or None
+        May be set, at any time, to share the remaining items.
     """
 
     def __init__(
@@ -89,12 +91,11 @@ class Distribution(Generic[_Item, _Result]):
         accepts: Callable[[_Item, Any], bool],
         *,
         workers: int,
-        reserved: int = 0,
     ) -> None:
         self._function, self._remote_function = function, remote_function
         self._items, self._accepts = items, accepts
-        self._executor, self._workers = executor, workers
-        self._submittable, self._next_index = len(items) - reserved, 0
+        self.executor, self._workers = executor, workers
+        self._next_index = 0
         # Futures that are not yet collected, by the index of their item, in order of submission.
         self._futures = dict[int, "Future[_Result]"]()
         # The item that this process is repeating, and its future.
@@ -130,15 +131,15 @@ class Distribution(Generic[_Item, _Result]):
         """
         pending = sum(not future.done() for future in self._futures.values())
         # This process leaves its own share of the items to itself.
-        share = (self._submittable - self._next_index) * self._workers // (self._workers + 1)
+        share = (len(self._items) - self._next_index) * self._workers // (self._workers + 1)
         for _ in range(min(_ITEMS_PER_WORKER * self._workers - pending, share)):
-            if self._executor is None:
+            if self.executor is None:
                 return
             index = self._next_index
             try:
-                future = self._executor.submit(self._remote_function, self._items[index])
+                future = self.executor.submit(self._remote_function, self._items[index])
             except Exception:  # a worker has died, none can be started, or anything else
-                self._executor = None
+                self.executor = None
                 return
             self._futures[index] = future
             self._next_index += 1

@@ -207,12 +207,12 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validated_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    tables = _code_tables()
+    min_value, first_cell, cell_code, next_threshold = _code_tables()
     for start in range(0, flat.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        x = np.clip(flat[batch], tables.min_value, 1.0)
-        code = tables.cell_code.take((x.view(np.int64) >> _CELL_BITS) - tables.first_cell)
-        np.add(code, x >= tables.next_threshold.take(code), out=flat_codes[batch])
+        x = np.clip(flat[batch], min_value, 1.0)
+        code = cell_code.take((x.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(code, x >= next_threshold.take(code), out=flat_codes[batch])
     return codes
 
 
@@ -245,11 +245,12 @@ def _validated_radiance(image: ArrayLike) -> Floats:
 _CELL_BITS = 52 - 7
 
 
-class _CodeTables(NamedTuple):
-    """Tables that give the code of any value from `min_value` to 1.
+@cache
+def _code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
+    """Compute tables that give the code of any value from `min_value` to 1.
 
-    Attributes
-    ----------
+    Returns
+    -------
     min_value : float
         A power of two below the first threshold: it has code 0, as all smaller values have.
     first_cell : int
@@ -259,23 +260,13 @@ class _CodeTables(NamedTuple):
     next_threshold : (_MAX_CODE + 1,) float array
         For each code, the smallest float64 that has a larger code.
     """
-
-    min_value: float
-    first_cell: int
-    cell_code: NDArray[np.uint8]
-    next_threshold: Floats
-
-
-@cache
-def _code_tables() -> _CodeTables:
-    """Compute the tables for `to_codes`."""
     codes = range(1, _MAX_CODE + 1)
     next_threshold = np.array([_threshold(code) for code in codes] + [np.inf])
     min_value = 2.0 ** _min_exponent()
-    first_cell, last_cell = np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS
+    first_cell, last_cell = (np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
     smallest: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
     cell_code = next_threshold.searchsorted(smallest, side="right").astype(np.uint8)
-    return _CodeTables(min_value, int(first_cell), cell_code, next_threshold)
+    return min_value, first_cell, cell_code, next_threshold
 
 
 def _min_exponent() -> int:
