@@ -37,17 +37,9 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 class FatalError(Exception):
     """An error that ends the reading of a file.
 
-    Parameters
-    ----------
-    line : int
-        Line of the file; 0 if the error has none.
-    message : str
-        What is wrong, and a suggested fix.
+    Its `args` are the line of the file, or 0 if the error has none; and the message, which contains
+    a suggested fix.
     """
-
-    def __init__(self, line: int, message: str) -> None:
-        super().__init__(line, message)
-        self.line, self.message = line, message
 
 
 class Element(list["Element"]):
@@ -78,26 +70,21 @@ def open_scene(path: str) -> IO[bytes]:
     except ValueError:
         message = "a path cannot hold a NUL or half of a surrogate pair; check the path"
         raise FatalError(0, message) from None
-    if stat.S_ISDIR(status.st_mode):
-        raise FatalError(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
-        raise FatalError(0, "is not a regular file; save the scene to one")
+        message = "is not a regular file; save the scene to one"
+        if stat.S_ISDIR(status.st_mode):
+            message = "is a folder; name a scene file in it"
+        raise FatalError(0, message)
     if status.st_size > MAX_BYTES:
         raise FatalError(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
 
 
-def parse(
-    file: IO[bytes],
-    read_child: Callable[[Element], None],
-    report_at: Callable[[int, str, str], None],
-) -> None:
-    """Parse a scene file, and pass its elements on as they are completed.
+class Parser:
+    """Parses one scene file, and passes its elements on as they are completed.
 
     Parameters
     ----------
-    file : binary file object
-        The scene file, open for reading.
     read_child : callable
         Called with the root when its start tag is parsed, without children.  Then called with each
         child of the root when its end tag is parsed; the child contains all its descendants.
@@ -105,27 +92,8 @@ def parse(
         Called for each text where no text may stand, with (1) the line of the text, (2) the tag of
         the element around it and (3) the error message.
 
-    Raises
-    ------
-    FatalError
-        If the file stops being XML, or exceeds a limit.  The children that are completed before
-        have been passed on.
-    """
-    parser = _Parser(read_child, report_at)
-    try:
-        parser.parse(file)
-    finally:
-        # The expat parser and its handlers refer to each other; this breaks the cycle.
-        parser.expat = None
-
-
-class _Parser:
-    """The state of the parser between two events of expat.
-
     Attributes
     ----------
-    expat : expat parser
-        Calls the methods `start`, `end`, `text`, `declare` and `refuse_entities`.
     open_elements : list of Element
         Elements whose end tags have not been parsed yet, the root first.
     descendant_count : int
@@ -146,45 +114,60 @@ class _Parser:
     ) -> None:
         self.read_child, self.report_at = read_child, report_at
         self.open_elements: list[Element] = []
-        self.descendant_count = 0
         self.stray_element: Element | None = None
-        self.encoding, self.parsed, self.kept = "", 0, b""
+        self.descendant_count, self.encoding, self.parsed, self.kept = 0, "", 0, b""
         self.expat: Any = expat.ParserCreate()
         self.expat.buffer_text = True
-        self.expat.StartElementHandler = self.start
-        self.expat.EndElementHandler = self.end
-        self.expat.CharacterDataHandler = self.text
-        self.expat.XmlDeclHandler = self.declare
-        self.expat.StartDoctypeDeclHandler = self.refuse_entities
+        self.expat.StartElementHandler = self._start
+        self.expat.EndElementHandler = self._end
+        self.expat.CharacterDataHandler = self._text
+        self.expat.XmlDeclHandler = self._declare
+        self.expat.StartDoctypeDeclHandler = self._refuse_entities
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a file to its end; see the function `parse`."""
-        chunk = None
-        while chunk != b"":
+        """Parse a binary file to its end.
+
+        Raises
+        ------
+        FatalError
+            If the file stops being XML, or exceeds a limit.  The children that are completed before
+            have been passed on.
+        """
+        try:
             chunk = file.read(_CHUNK_BYTES)
             if not isinstance(chunk, bytes):
                 raise TypeError("a scene is read from a binary file, not from text")
-            self.kept = self.kept[-_KEPT_BYTES:] + chunk
-            self.parsed += len(chunk)
-            if not self.parsed:
+            if not chunk:
                 raise FatalError(0, f"is empty; {SCENE}")
-            try:
-                self.expat.Parse(chunk, not chunk)
-            except expat.ExpatError as error:
-                raise self.diagnosed(error, file.read(_LOOKAHEAD_BYTES)) from None
-            except (LookupError, ValueError, Warning):
-                if self.open_elements:
-                    raise
-                # Raised by the codec that the XML declaration names.
-                raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
-            # Versions of expat before 2.6 take quadratic time over one token.
-            if self.parsed - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
-                message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
-                raise FatalError(self.expat.CurrentLineNumber, message)
-            if self.parsed > MAX_BYTES:
-                raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+            while chunk:
+                self._parse_chunk(chunk, file)
+                chunk = file.read(_CHUNK_BYTES)
+            self._parse_chunk(b"", file)
+        finally:
+            # The expat parser and its handlers refer to each other; this breaks the cycle.
+            self.expat = None
 
-    def diagnosed(self, error: expat.ExpatError, following: bytes) -> FatalError:
+    def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
+        """Parse a part of a file; an empty chunk ends the file."""
+        self.kept = self.kept[-_KEPT_BYTES:] + chunk
+        self.parsed += len(chunk)
+        try:
+            self.expat.Parse(chunk, not chunk)
+        except expat.ExpatError as error:
+            raise self._diagnosed(error, file.read(_LOOKAHEAD_BYTES)) from None
+        except (LookupError, ValueError, Warning):
+            if self.open_elements:
+                raise
+            # Raised by the codec that the XML declaration names.
+            raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
+        # Versions of expat before 2.6 take quadratic time over one token.
+        if self.parsed - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
+            message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
+            raise FatalError(self.expat.CurrentLineNumber, message)
+        if self.parsed > MAX_BYTES:
+            raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+
+    def _diagnosed(self, error: expat.ExpatError, following: bytes) -> FatalError:
         """Return the error to raise for a syntax error, with a suggested fix.
 
         Parameters
@@ -198,18 +181,14 @@ class _Parser:
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.parsed + len(self.kept))
+        before, after = self.kept[:position], self.kept[position:] + following
         remedy = syntax_remedy(
-            message,
-            error.lineno,
-            before=self.kept[:position],
-            after=(self.kept[position:] + following)[:_LOOKAHEAD_BYTES],
-            open_elements=self.open_elements,
-            encoding=self.encoding,
+            message, error.lineno, before, after, self.open_elements, self.encoding
         )
         column = error.offset + 1
         return FatalError(error.lineno, f"not XML: {message} at column {column}; {remedy}")
 
-    def start(self, tag: str, attrib: dict[str, str]) -> None:
+    def _start(self, tag: str, attrib: dict[str, str]) -> None:
         """Handle a start tag."""
         element = Element()
         element.tag = tag
@@ -218,31 +197,28 @@ class _Parser:
         element.text = ""
         self.stray_element = None
         open_elements = self.open_elements
-        if len(open_elements) > 1:
-            open_elements[-1].append(element)
-            self.descendant_count += 1
-            if self.descendant_count > MAX_DESCENDANTS:
-                child = shortened(open_elements[1].tag)
-                remedy = f"close <{child}> of line {open_elements[1].line} earlier, or remove it"
-                message = f"more than {MAX_DESCENDANTS} elements in it; {remedy}"
-                raise FatalError(element.line, f"{child}: {message}")
-        elif open_elements:
-            self.descendant_count = 0
-        else:
-            self.read_child(element)
-        if attrib and len(attrib) > MAX_DESCENDANTS:
-            message = f"more than {MAX_DESCENDANTS} attributes; remove some"
-            raise FatalError(element.line, f"{shortened(tag)}: {message}")
         open_elements.append(element)
+        if len(open_elements) > 2:
+            open_elements[-2].append(element)
+            self.descendant_count += 1
+        elif len(open_elements) == 1:
+            self.read_child(element)
+        else:
+            self.descendant_count = 0
+        if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
+            child = open_elements[:2][-1]
+            remedy = f"close <{shortened(child.tag)}> of line {child.line} earlier, or remove it"
+            message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
+            raise FatalError(element.line, f"{shortened(child.tag)}: {message}")
 
-    def end(self, _tag: str) -> None:
+    def _end(self, _tag: str) -> None:
         """Handle an end tag."""
         open_elements = self.open_elements
         element = open_elements.pop()
         if len(open_elements) == 1:
             self.read_child(element)
 
-    def text(self, text: str) -> None:
+    def _text(self, text: str) -> None:
         """Handle text between two tags, or a part of a long one."""
         element = self.open_elements[-1]
         if text.isspace() and not element.text:
@@ -258,21 +234,17 @@ class _Parser:
             line = self.expat.CurrentLineNumber - text.count("\n")
             self.report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
 
-    def declare(self, _version: str, encoding: str | None, _standalone: int) -> None:
+    def _declare(self, _version: str, encoding: str | None, _standalone: int) -> None:
         """Handle the XML declaration."""
         self.encoding = encoding or ""
 
-    def refuse_entities(
-        self, _name: str, system: str | None, _public: str | None, has_declarations: bool
-    ) -> None:
+    def _refuse_entities(self, _name: str, system: str | None, *others: object) -> None:
         """Handle a DOCTYPE: refuse declarations, in the file or in another one.
 
         Entities in entities grow exponentially; those that another file declares would be skipped.
         """
-        if has_declarations:
-            message = "declarations are not allowed; write out what entities stand for"
-        elif system is not None:
-            message = "declarations in another file are not allowed; remove the DOCTYPE"
-        else:
-            return
-        raise FatalError(self.expat.CurrentLineNumber, f"DOCTYPE: {message}")
+        has_declarations = others[-1]
+        if has_declarations or system is not None:
+            remedy = "remove the DOCTYPE, and write out what entities stand for"
+            message = f"DOCTYPE: declarations are not allowed; {remedy}"
+            raise FatalError(self.expat.CurrentLineNumber, message)

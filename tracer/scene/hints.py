@@ -73,12 +73,9 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
     "up": ("viewUp",),
     "imageplane": ("projDistance, viewWidth and viewHeight", ""),
+    **dict.fromkeys(("lookat", "target", "to"), ("viewDir, the target minus viewPoint", "")),
     **dict.fromkeys(
-        ("lookat", "target", "to"), ("viewDir: the point looked at, minus viewPoint", "")
-    ),
-    **dict.fromkeys(
-        ("fov", "fovy", "fieldofview"),
-        ("viewHeight: 2 tan(fov / 2) times projDistance; and viewWidth", ""),
+        ("fov", "fovy"), ("viewHeight, 2 tan(fov / 2) projDistance, and viewWidth", "")
     ),
     **dict.fromkeys(("exposure", "samples", "background", "ambient", "integrator"), ("",)),
     **{name.lower(): (f'<surface type="{name}">',) for name in ("Sphere", "Box")},
@@ -87,13 +84,7 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
 
 
 def syntax_remedy(
-    message: str,
-    line: int,
-    *,
-    before: bytes,
-    after: bytes,
-    open_elements: Sequence[Any],
-    encoding: str,
+    message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
     """Return the suggested fix for a syntax error, which would make the file XML.
 
@@ -105,7 +96,7 @@ def syntax_remedy(
         Line of the error.
     before, after : bytes
         The file just before the error, and from the error on.
-    open_elements : sequence of Element
+    elements : sequence of Element
         Elements whose end tags have not been parsed yet, the root first.
     encoding : str
         Encoding that the file declares; "" if it declares none.
@@ -123,12 +114,12 @@ def syntax_remedy(
             if match and re.match(start_of_after, after):
                 odd = after.decode(errors="replace")[:1] or " "
                 return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
-    if not open_elements:
+    if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE)
-    innermost = f"<{shortened(open_elements[-1].tag)}> of line {open_elements[-1].line}"
+    innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-        if all(name != element.tag for element in open_elements):
+        if all(name != element.tag for element in elements):
             return f"only {innermost} can be closed here: no <{shortened(name)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
@@ -186,14 +177,17 @@ def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:
             return "remove it", None
-        if equivalent.startswith("<") or re.split("[,:]", equivalent)[0] in known:
+        if equivalent.startswith("<") or equivalent.split(",")[0] in known:
             return f"write {equivalent}", equivalent
     match = closest_name(tag, known)
     return suggestion(known, match), match
 
 
 def number_remedy(word: str) -> str:
-    """Return why a word is not a number of the format, and a suggested fix."""
+    """Return why a word is not a number of the format, and a suggested fix.
+
+    A decimal number is not one if it is not 0, but so small that float64 would round it to 0.
+    """
     odd = next((character for character in word if not character.isascii()), None)
     if odd is not None:
         category, remedy = unicodedata.category(odd), "write a plain character in its place"
@@ -206,14 +200,6 @@ def number_remedy(word: str) -> str:
         return f"{quoted(word)} contains U+{ord(odd):04X}, {unicodedata.name(odd, '?')}; {remedy}"
     if "," in word:
         return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"
-    if is_underflow(word):
+    if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word, re.ASCII):
         return f"{quoted(word)} is too small, and would count as 0; write 0 in its place"
     return f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"
-
-
-def is_underflow(word: str) -> bool:
-    """Return whether a word is a decimal number other than 0 that float64 rounds to 0: 1e-400."""
-    try:
-        return float(word) == 0 and re.match(r"[-+]?[0.]*[1-9]", word) is not None
-    except ValueError:
-        return False

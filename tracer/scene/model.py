@@ -24,7 +24,11 @@ from tracer.scene.schema import Checked, Columns, Floats, RowError, number, xml_
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
 
-_ZERO, _ONE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+_ZERO, _ONE, _AHEAD, _UP = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
+
+_PROJ_NORMAL = xml_field(schema.DIRECTION, "projNormal")
+# The specification says color, the published scenes say intensity.
+_INTENSITY = xml_field(schema.COLOR, "intensity", "color")
 
 # Minimum sine of the angle between view_up and the window's normal, and minimum cosine of the angle
 # between view_dir and the normal: below, too few digits of the camera's axes are correct.
@@ -68,15 +72,9 @@ class Camera(Checked):
     """
 
     view_point: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "viewPoint"))
-    view_dir: VectorLike = field(
-        default=(0.0, 0.0, -1.0), metadata=xml_field(schema.DIRECTION, "viewDir")
-    )
-    view_up: VectorLike = field(
-        default=(0.0, 1.0, 0.0), metadata=xml_field(schema.DIRECTION, "viewUp")
-    )
-    proj_normal: VectorLike | None = field(
-        default=None, metadata=xml_field(schema.DIRECTION, "projNormal")
-    )
+    view_dir: VectorLike = field(default=_AHEAD, metadata=xml_field(schema.DIRECTION, "viewDir"))
+    view_up: VectorLike = field(default=_UP, metadata=xml_field(schema.DIRECTION, "viewUp"))
+    proj_normal: VectorLike | None = field(default=None, metadata=_PROJ_NORMAL)
     proj_distance: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "projDistance"))
     view_width: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewWidth"))
     view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
@@ -118,10 +116,7 @@ class PointLight(Checked):
     """
 
     position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
-    # The specification says color, the published scenes say intensity.
-    intensity: VectorLike = field(
-        default=_ONE, metadata=xml_field(schema.COLOR, "intensity", "color")
-    )
+    intensity: VectorLike = field(default=_ONE, metadata=_INTENSITY)
     line: int | None = field(default=None, compare=False, repr=False)
 
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from tracer.messages import printable, quoted, shortened
 from tracer.scene import model
-from tracer.scene.elements import Element, FatalError, open_scene, parse
-from tracer.scene.hints import closest_name, is_underflow, number_remedy, suggestion, unknown_tag
+from tracer.scene.elements import Element, FatalError, Parser, open_scene
+from tracer.scene.hints import closest_name, number_remedy, suggestion, unknown_tag
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import SceneError
-from tracer.scene.tables import Table
+from tracer.scene.tables import Table, parse_numbers
 
 MAX_ERRORS = 1_000
 """Maximum number of errors in a file; the reader reports no more."""
@@ -75,7 +75,7 @@ def load_scene(
         with nullcontext(given) if is_stream else open_scene(name) as file:
             reader.read(file)
     except FatalError as error:
-        reader.errors.append((error.line, error.message))
+        reader.errors.append(error.args)
     except OSError as error:
         reason = error.strerror or str(error)
         reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
@@ -86,25 +86,6 @@ def load_scene(
         printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.errors, key=lambda error: error[0])
     )
-
-
-# Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
-_is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
-
-# What a text contains if one of its numbers is below the range of float64.
-_may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
-
-
-def _parse_numbers(text: str, count: int) -> Sequence[float]:
-    """Return the `count` decimal numbers that a text consists of; () if it is anything else."""
-    words = text.split()
-    try:
-        numbers = [*map(float, words)] if len(words) == count and _is_decimal(text) else []
-    except ValueError:
-        return ()
-    if 0 in numbers and _may_underflow(text) and any(map(is_underflow, words)):
-        return ()
-    return numbers
 
 
 class _Reader:
@@ -160,7 +141,7 @@ class _Reader:
     def read(self, file: IO[bytes]) -> None:
         """Read a file, and report its errors up to the place where it stops being XML."""
         try:
-            parse(file, self.read_child, self.report_at)
+            Parser(self.read_child, self.report_at).parse(file)
         finally:
             typed = (*self.shaders.values(), *self.surfaces.values())
             for table in (self.cameras, self.lights, *typed):
@@ -322,11 +303,11 @@ class _Reader:
         """Return the numbers that an element contains; after an error, `count` times NaN."""
         if element or element.attrib:
             self.report_parts(element)
-        numbers = _parse_numbers(element.text, count)
+        numbers = parse_numbers(element.text, count)
         if numbers:
             return numbers
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
-        wrong = [word for word in words[:_MAX_CHECKED_WORDS] if not _parse_numbers(word, 1)]
+        wrong = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
         for word in wrong:
             self.report(element, number_remedy(word))
         if not wrong and not element:
@@ -357,20 +338,19 @@ class _Reader:
             self.report(element, f"has no type; add {choice}")
 
     def report_unknown(
-        self, element: Element, parent: Element, known: Collection[str]
+        self, element: Element, parent: Element, tags: Collection[str]
     ) -> str | None:
         """Report an unknown child of `parent`.
 
         Returns
         -------
         intended : str or None
-            Which of the `known` tags the child probably stands for, if that is clear.
+            Which of the known `tags` the child probably stands for, if that is clear.
         """
         if element.tag in _SCENE_TAGS:
-            remedy = f"close the {parent.tag} of line {parent.line} first"
-            intended = None
+            remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
         else:
-            remedy, intended = unknown_tag(element.tag, known)
+            remedy, intended = unknown_tag(element.tag, tags)
         place = shortened(parent.attrib.get("type", parent.tag))
         self.report(element, f"unknown in {place}; {remedy}")
         return intended

@@ -19,6 +19,39 @@ import numpy as np
 from tracer.scene import model, schema
 from tracer.scene.schema import Floats, construct_unchecked
 
+# Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
+_is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
+
+# What a text contains if float() may have rounded one of its numbers to 0, and a word for 0.
+_may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
+_is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
+
+
+def parse_numbers(text: str, count: int) -> Sequence[float]:
+    """Return the decimal numbers that a text consists of.
+
+    Parameters
+    ----------
+    text : str
+    count : int
+        How many numbers the text must consist of.
+
+    Returns
+    -------
+    numbers : sequence of float
+        Empty if the text consists of anything else, or of a number that is not 0, but so small that
+        float64 would round it to 0.
+    """
+    words = text.split()
+    try:
+        numbers = [*map(float, words)] if len(words) == count and _is_decimal(text) else []
+    except ValueError:
+        return ()
+    if 0 in numbers and _may_underflow(text):
+        is_exact = [x != 0 or _is_zero(word) for x, word in zip(numbers, words, strict=True)]
+        return numbers if all(is_exact) else ()
+    return numbers
+
 
 class Column:
     """The numbers of one field in all rows of a table, and where the file contains them.

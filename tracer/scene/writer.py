@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 from tracer.files import atomic_file
-from tracer.scene.elements import Element, FatalError, parse
+from tracer.scene.elements import Element, FatalError, Parser
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers, number
 
@@ -54,7 +54,7 @@ def _is_scene(path: str) -> bool:
         raise FatalError(root.line, "the rest is not parsed")
 
     with suppress(FatalError), open(path, "rb") as file:
-        parse(file, stop, lambda *_: None)
+        Parser(stop, lambda *_: None).parse(file)
     return any(root.tag == "scene" and "version" not in root.attrib for root in roots)
 
 
