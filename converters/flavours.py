@@ -127,15 +127,8 @@ def _stock_normalisation(scene: Scene) -> Normalisation:
 
 def _film(scene: Scene) -> Element:
     """Return a linear picture, in which each sample counts in its own pixel only."""
-    return plugin(
-        "film",
-        "hdrfilm",
-        plugin("rfilter", "box"),
-        width=scene.width,
-        height=scene.height,
-        pixel_format="rgb",
-        component_format="float32",
-    )
+    size, box = {"width": scene.width, "height": scene.height}, plugin("rfilter", "box")
+    return plugin("film", "hdrfilm", box, **size, pixel_format="rgb", component_format="float32")
 
 
 def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
@@ -436,14 +429,10 @@ def _stock_bsdf(shader: Shader, name: str, factor: float) -> Element:
     diffuse, specular = _reflectances(shader)
     if _is_blend(shader):
         # The Beckmann lobe is as wide as the highlight.  A blend of weight 0.5 halves both BSDFs.
-        lobe = plugin(
-            "bsdf",
-            "roughconductor",
-            rgb("specular_reflectance", 2 * specular / factor),
-            material="none",
-            distribution="beckmann",
-            alpha=(2 / (shader.exponent + 2)) ** 0.5,
-        )
+        alpha = (2 / (shader.exponent + 2)) ** 0.5
+        color = rgb("specular_reflectance", 2 * specular / factor)
+        material = {"material": "none", "distribution": "beckmann"}
+        lobe = plugin("bsdf", "roughconductor", color, **material, alpha=alpha)
         matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / factor))
         bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:

@@ -1,13 +1,15 @@
-"""The small Mitsuba plugins that the exact flavour of a converted scene names.
+"""The Mitsuba plugins of the exact flavour: with them, Mitsuba computes what a scene file means.
 
-Importing this module registers them, for the current variant (the fastest that works here, if none
-is set) and for every other that is set later.  They are a sensor whose pixels need not be square
-and whose rays start near the scene, a point light that does not fall off, the BSDF of the scene
-format (Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2), and an integrator that
-asks each light once a sample.
+They are (1) a sensor whose pixels need not be square, and whose rays start near the scene; (2) a
+point light whose intensity does not decrease with distance; (3) the BSDF of the scene format
+(Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2); and (4) an integrator that adds
+the light of every emitter for each sample.
+
+Importing this module registers the plugins for the current variant, and for each variant that is
+set later.  If no variant is set, the fastest one that works here is chosen.
 """
 
-# Mitsuba's stubs describe one variant; these classes run in every one.
+# Mitsuba's type stubs describe one variant, but these classes run in every RGB variant.
 # mypy: ignore-errors
 
 from __future__ import annotations
@@ -22,18 +24,24 @@ from converters.variant import ensure
 
 ensure()
 
-# Film coordinates are float32: across 1000 pixels, a centre comes back off by up to 1e-4 pixels.
-_CENTER_SLACK = 1e-3
+# Maximum distance in pixels of a film coordinate from the pixel's centre at which the centre is
+# meant.  Film coordinates are float32: across 1000 pixels, their error is up to 1e-4 pixels.
+_MAX_CENTER_ERROR = 1e-3
 
 
 def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
+    """Convert a vector of Python numbers to one of the current variant."""
     return mi.Vector3d(value[0], value[1], value[2])
 
 
 class Window(mi.Sensor):
-    """Rays from `eye` through a rectangle, started on a box around the scene, `low` to `high`.
+    """A sensor whose rays go from the eye through a rectangle, the window.
 
-    `corner` leads from the eye to the window's upper left; `right` and `down` are its edges.
+    Its parameters are
+    eye : the position of the eye;
+    corner : the vector from the eye to the window's upper left corner;
+    right, down : the vectors along the window's edges;
+    low, high : opposite corners of a box around the scene, on which rays start.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -43,12 +51,11 @@ class Window(mi.Sensor):
         )
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """A ray through a point of the film, in float64 until it is done."""
+        """Return a ray through the point `sample2` of the film, computed in float64."""
         size = self.film().crop_size()
-        across = self._centered(sample2.x, size[0])
-        down = self._centered(sample2.y, size[1])
-        d = dr.normalize(self.corner + across * self.right + down * self.down)
-        # The slab method; a zero component gets a huge inverse, as infinity times 0 is no number.
+        x, y = self._centered(sample2.x, size[0]), self._centered(sample2.y, size[1])
+        d = dr.normalize(self.corner + x * self.right + y * self.down)
+        # The slab method.  A component of 0 gets a huge inverse, because infinity times 0 is NaN.
         inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
         a, b = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
         start = dr.maximum(dr.max(dr.minimum(a, b)), 0)
@@ -56,20 +63,20 @@ class Window(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
-        """The same ray; no plugin here needs differentials."""
+        """Return the same ray; no plugin here needs differentials."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
     @staticmethod
     def _centered(x: mi.Float, size: int) -> mi.Float64:
-        """A film coordinate in float64, put back on the pixel's centre where it is meant to be."""
+        """Return a film coordinate in float64, moved to the pixel's centre if that is meant."""
         pixel = mi.Float64(x) * size
         center = dr.floor(pixel) + 0.5
-        return dr.select(dr.abs(pixel - center) < _CENTER_SLACK, center, pixel) / size
+        return dr.select(dr.abs(pixel - center) < _MAX_CENTER_ERROR, center, pixel) / size
 
 
 class UnattenuatedPoint(mi.Emitter):
-    """A point light whose `intensity` arrives undiminished at any distance."""
+    """A point light at `position` whose `intensity` does not decrease with distance."""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -78,7 +85,7 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_vector(props["intensity"]))
 
     def sample_direction(self, it, sample, active=True):
-        """The one direction to the light."""
+        """Return the direction from a hit to the light, and the light's intensity."""
         ds = mi.DirectionSample3f()
         ds.p = self.position
         ds.time = it.time
@@ -86,7 +93,7 @@ class UnattenuatedPoint(mi.Emitter):
         ds.pdf = 1
         ds.uv = mi.Point2f(0)
         to_light = self.position - it.p
-        # Divided by its largest component, so that no square overflows: a sun is far away.
+        # Divided by the largest component, so that no square overflows for distant lights.
         largest = dr.max(dr.abs(to_light))
         to_light /= dr.select(largest > 0, largest, 1)
         length = dr.norm(to_light)
@@ -96,12 +103,15 @@ class UnattenuatedPoint(mi.Emitter):
         return ds, dr.select(active, self.intensity, 0)
 
     def eval(self, si, active=True):
-        """No ray meets a point."""
+        """Return 0, because no ray hits a point."""
         return mi.Spectrum(0)
 
 
 class BlinnPhong(mi.BSDF):
-    """kd n.l + ks (n.h)^exponent on both sides (`diffuse`, `specular`, `exponent`)."""
+    """The BSDF kd n.l + ks (n.h)^exponent on both sides of a surface.
+
+    Its parameters are `diffuse` (kd), `specular` (ks) and `exponent`.
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -113,23 +123,23 @@ class BlinnPhong(mi.BSDF):
         self.m_flags = flags
 
     def eval(self, ctx, si, wo, active=True):
-        """The diffuse term with its cosine, and the highlight, which has none."""
-        # Both sides: only whether the two directions lie on the same side matters.
+        """Return the diffuse term times the cosine, plus the highlight without a cosine."""
         h = dr.normalize(si.wi + wo)
-        # (n.h)^p by the sine, which float32 still knows where the cosine has become 1.
+        # (n.h)^p is computed from the sine, which is accurate where float32 rounds the cosine to 1.
         cosine2 = 1 - mi.Float64(dr.square(h.x) + dr.square(h.y))
         power = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
         value = self.diffuse * dr.abs(wo.z) + self.specular * power
-        return dr.select(active & (si.wi.z * wo.z > 0), value, 0)
+        is_same_side = si.wi.z * wo.z > 0
+        return dr.select(active & is_same_side, value, 0)
 
 
 class EveryLight(mi.SamplingIntegrator):
-    """Light that comes straight from every emitter.
+    """An integrator that adds the light that comes directly from every emitter.
 
-    A shadow ray runs from the light to the point.  All shapes here are closed and convex, so
-    what such a ray meets before the point lies above the tangent plane there, and the point's own
-    object never does: the point is lit unless the first hit lies more than `tolerance` above
-    that plane.  This needs no offset from the surface, which would move the edges of shadows.
+    A shadow ray goes from the light to the hit.  All shapes are closed and convex.  What blocks the
+    ray therefore lies above the tangent plane of the hit, and the object of the hit lies below it.
+    So the hit is lit unless the first point on the ray lies more than `tolerance` above the plane.
+    This needs no offset from the surface, which would move the edges of shadows.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -139,27 +149,28 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Radiance along a ray."""
+        """Return the radiance along a ray."""
         si = scene.ray_intersect(ray, active)
         valid = si.is_valid()
         if valid is False:
-            # In a scalar variant, where a ray that hits nothing has no BSDF.
+            # In a scalar variant, a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
         bsdf, box = si.bsdf(ray), scene.bbox()
         total = mi.Spectrum(0)
         for emitter in scene.emitters():
             ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
             value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
-            facing = valid & dr.any(value > 0)
-            # It starts a little before the light, which may lie on a surface, or beyond the scene.
+            frontlit = valid & dr.any(value > 0)
+            # The ray starts slightly in front of the light, which may lie on a surface.  If the
+            # light is outside of the scene, the ray starts at the side of the scene's box.
             inverse = dr.rcp(dr.select(dr.abs(ds.d) > 1e-20, ds.d, 1e-20))
-            far = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
-            reach = dr.minimum(ds.dist - self.tolerance, far + 1e-3 * dr.max(box.max - box.min))
-            shadow_ray = mi.Ray3f(si.p + reach * ds.d, -ds.d)
-            first = scene.ray_intersect_preliminary(shadow_ray, active=facing)
-            height = (reach - first.t) * dr.abs(dr.dot(ds.d, si.n))
-            lit = facing & (height <= self.tolerance)
-            total += dr.select(lit, value * intensity, 0)
+            leave = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
+            length = dr.minimum(ds.dist - self.tolerance, leave + 1e-3 * dr.max(box.max - box.min))
+            shadow_ray = mi.Ray3f(si.p + length * ds.d, -ds.d)
+            first = scene.ray_intersect_preliminary(shadow_ray, active=frontlit)
+            height = (length - first.t) * dr.abs(dr.dot(ds.d, si.n))
+            is_lit = frontlit & (height <= self.tolerance)
+            total += dr.select(is_lit, value * intensity, 0)
         return total, valid, []
 
 
@@ -169,13 +180,14 @@ for register, plugin, name in (
     (mi.register_bsdf, BlinnPhong, "blinn_phong"),
     (mi.register_integrator, EveryLight, "every_light"),
 ):
-    plugin.to_string = lambda self: f"{type(self).__name__}[]"  # what Mitsuba prints of it
+    plugin.to_string = lambda self: f"{type(self).__name__}[]"  # what Mitsuba prints
     register(name, plugin)
 
-# The base classes belong to a variant: when another one is set, define everything again.
-if "_define_again" not in globals():
+# The base classes belong to one variant.  For another variant, the plugins are defined again.
+if "_reload" not in globals():
 
-    def _define_again(_old: str | None, _new: str | None) -> None:
+    def _reload(_old: str | None, _new: str | None) -> None:
+        """Execute this module again."""
         importlib.reload(sys.modules[__name__])
 
-    mi.detail.add_variant_callback(_define_again)
+    mi.detail.add_variant_callback(_reload)
