@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tracer.picture.explanation import Explanation, LightPart, SurfaceRef, explain
     from tracer.picture.lint import SceneWarning
     from tracer.picture.png import to_codes, write_png
-    from tracer.picture.render import render
+    from tracer.picture.render import render, to_png
     from tracer.scene.model import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sphere
     from tracer.scene.model import Surfaces as Surfaces
     from tracer.scene.reader import SceneFileError, load_scene
@@ -45,6 +45,7 @@ __all__ = [
     "render",
     "save_scene",
     "to_codes",
+    "to_png",
     "write_png",
 ]
 

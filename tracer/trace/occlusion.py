@@ -142,7 +142,7 @@ class _OccluderSearch:
     ) -> None:
         self._prepared, self._lights = hits.prepared, lights
         is_needed = lights.grid is not None and bool(frontlit.any())
-        self._levels = _packet_levels(hits, frontlit, footprint) if is_needed else []
+        self._levels = packet_levels(hits, frontlit, footprint) if is_needed else []
         self._shaded_packets: list[list[Ints]] = [[] for _ in self._levels]
 
     def candidates(self) -> Iterator[tuple[Shape, Ints]]:
@@ -480,7 +480,7 @@ def _blocks(
     return shape.occludes(occluder, hits.points(hit), light_position, light_side, growth)
 
 
-def _packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
+def packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
     """Group hits into row packets and, where objects are large enough, these into square packets.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
