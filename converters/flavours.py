@@ -127,8 +127,9 @@ def _stock_normalisation(scene: Scene) -> Normalisation:
 
 def _film(scene: Scene) -> Element:
     """Return a linear picture, in which each sample counts in its own pixel only."""
-    size, box = {"width": scene.width, "height": scene.height}, plugin("rfilter", "box")
-    return plugin("film", "hdrfilm", box, **size, pixel_format="rgb", component_format="float32")
+    box, width, height = plugin("rfilter", "box"), scene.width, scene.height
+    kind = {"pixel_format": "rgb", "component_format": "float32"}
+    return plugin("film", "hdrfilm", box, width=width, height=height, **kind)
 
 
 def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
