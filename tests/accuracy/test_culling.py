@@ -25,6 +25,7 @@ from tracer.antialias.lattice import CENTRES
 from tracer.arrays import Bools, Floats, Ints
 from tracer.geometry.camera import ScreenBounds, camera_frame
 from tracer.geometry.sphere import Spheres
+from tracer.picture.render import RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import radiance_at
@@ -243,8 +244,8 @@ def test_threads_share_prepared_lights(monkeypatch):
         position = np.concatenate([lights.position for lights in batches_of_threads[3]])
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same for a picture of which threads render tiles.
-        for name in ("_MIN_TILE_SAMPLES", "_MIN_TILE_PIXELS"):
-            monkeypatch.setattr(f"tracer.picture.render.{name}", 100)
+        monkeypatch.setattr("tracer.picture.render._MAX_SHARED_TILE_SECONDS", 1e-4)
+        assert len(RenderJob(scene).tiles(shared=True)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
 
 
