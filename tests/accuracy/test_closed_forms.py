@@ -268,6 +268,9 @@ def test_a_light_on_a_surface_but_for_rounding():
     for surface, light in (
         (Sphere(center=(0.3, 0.7, 0.2), radius=0.1), (0.3, 0.7 + 0.1, 0.2)),
         (Box(min_pt=(-1, 0, -1), max_pt=(1, 0.1 + 0.2, 1)), (0, 0.3, 0)),
+        # Only the radius, and only the upper corner, show how large coordinates are.
+        (Sphere(radius=0.1 + 0.2), (0, 0.3, 0)),
+        (Box(min_pt=(0, 0, 0), max_pt=(1, 0.1 + 0.2, 1)), (0.5, 0.3, 0.5)),
     ):
         for off, lit in product((1e-3, 1e-9), (-1, 1)):
             eye = (2, light[1] + lit * off, light[2])
