@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import resource
 import signal
 import subprocess
@@ -186,6 +187,14 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
         for tile in tiles:
             counts[tile] += 1
         assert (counts == 1).all()
+
+
+def test_a_worker_remembers_the_jobs_of_several_pictures():
+    """Each of four pictures that are rendered in turns is prepared once."""
+    jobs = [RenderJob(picture(), samples) for samples in (1, 4, 9, 16)]
+    first, second = ([pickle.loads(pickle.dumps(job)) for job in jobs] for _ in range(2))
+    assert [*map(id, first)] == [*map(id, second)]
+    assert not {*map(id, first)} & {*map(id, jobs)}
 
 
 @pytest.mark.parametrize("samples", [1, 4, 30])
