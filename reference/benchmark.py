@@ -1,7 +1,8 @@
-"""Times of the tracer beside compiled renderers, measured in one run.
+"""Measure how fast the tracer renders, compared with compiled renderers.
 
-``python -m reference.benchmark`` writes `benchmark.md` into this folder.  Rivals run in
-turns; Mitsuba's kernels are compiled, and its scene is built, before the clock starts.
+``python -m reference.benchmark`` writes `benchmark.md` into this folder.  Renderers are timed
+alternately.  Where Mitsuba renders in this process, its kernels are compiled, and its scene is
+built, before the clock starts.
 """
 
 from __future__ import annotations
@@ -12,15 +13,16 @@ if __name__ == "__main__":
     run(__spec__.name)
 
 import gc
+import shlex
 import sys
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from statistics import geometric_mean
+from time import perf_counter
 
 import numpy as np
 
@@ -34,165 +36,274 @@ from reference.measured.workloads import field, resized
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
 
-_FEW = ("one-sphere", "four-spheres", "sticks-perspective")
+_FEW_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
 _SPEEDUPS = ("speedup over exact", "speedup over stock")
-_SMALL, _MEDIUM, _LARGE = (320, 180), (1280, 720), (2560, 1440)
+_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE = (320, 180), (1280, 720), (2560, 1440)
 
-# What anyone's script to render one scene with Mitsuba amounts to.
-_MITSUBA = """
+# A usual script that renders scenes with Mitsuba: pairs of a scene file and a picture.
+_MITSUBA_SCRIPT = """
 import sys
 import mitsuba as mi
-variant, source, target = sys.argv[1:]
+variant, *paths = sys.argv[1:]
 mi.set_variant(variant)
-if "unattenuated_point" in open(source).read():
-    import converters.plugins
-mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
+for source, target in zip(paths[::2], paths[1::2]):
+    if "unattenuated_point" in open(source).read():
+        import converters.plugins
+    mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
+"""
+
+# A usual script that renders scenes with a pool of processes.
+_POOL_SCRIPT = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+import tracer
+if __name__ == "__main__":
+    workers, *paths = sys.argv[1:]
+    with ProcessPoolExecutor(int(workers)) as pool:
+        scenes = map(tracer.load_scene, paths)
+        for path, png in zip(paths, pool.map(tracer.to_png, scenes)):
+            open(f"{path}.png", "wb").write(png)
 """
 
 ROUNDS = 3
+"""Minimum number of rounds in which each task is timed."""
 
 
-def _speedup(of: Timing, over: Timing) -> float:
-    return over.median / of.median
+def speedup(ours: Timing, other: Timing) -> float:
+    """Return how many times as fast as the other one our task is: above 1 if it is faster."""
+    return other.median / ours.median
 
 
 def ratio(value: float) -> str:
-    """Two digits at least: 0.50×, 3.0×, 42×."""
+    """Format a ratio with at least two digits: 0.50×, 3.0×, 42×."""
     places = 2 if value < 0.995 else 1 if value < 9.95 else 0
     return f"{value:.{places}f}×"
 
 
-def table(title: str, note: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table as GitHub shows it; numbers are ratios."""
+def table(title: str, note: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Format a section of the page: a title, a note and a Markdown table.
+
+    Parameters
+    ----------
+    title, note : str
+        What the table shows.
+    columns : sequence of str
+        Titles of the columns.
+    rows : sequence of sequences
+        The rows.  Floats are formatted as ratios, everything else by `str`.
+    """
     shown = [
         [ratio(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows
     ]
-    lines = [header, ["---"] * len(header), *shown]
+    lines = [columns, ["---"] * len(columns), *shown]
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
-def _beside(scene: Scene, text: str) -> list[Timing]:
-    """Time the tracer and Mitsuba, whose kernels choose among all objects alive, in turns."""
-    gc.collect()
+def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
+    """Time the tracer and Mitsuba alternately: `scene`, and `text` as Mitsuba's version of it."""
+    gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
     loaded = mi.load_string(text)
-    tasks: list[Task] = [partial(render, scene), lambda: np.array(mi.render(loaded))]
-    return [*interleaved(dict(enumerate(tasks)), ROUNDS).values()]
+    tasks: dict[str, Task] = {
+        "tracer": partial(render, scene),
+        "Mitsuba": lambda: np.array(mi.render(loaded)),
+    }
+    timings = interleaved(tasks, ROUNDS)
+    return timings["tracer"], timings["Mitsuba"]
 
 
 def whole_process(quick: bool) -> str:
-    """Time commands from XML to PNG."""
+    """Time commands that read a scene file and write a PNG file."""
     variant, png = use().variant, str(built("out.png"))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
-    mitsuba = [sys.executable, "-c", _MITSUBA]
+    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT]
     rows: list[tuple[object, ...]] = []
-    sizes, names = ((_SMALL,), _FEW[:1]) if quick else ((_SMALL, _LARGE), _FEW)
-    for size, name in product(sizes, names):
+    every = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
+    for size, name in every[:1] if quick else every:
         scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
-        save_scene(scene, ours := built("tracer.xml"))
-        (exactly := built("exact.xml")).write_text(str(exact(scene)))
-        (similar := built("stock.xml")).write_text(str(stock(scene, 1)))
+        save_scene(scene, scene_file := built("tracer.xml"))
+        (exact_file := built("exact.xml")).write_text(str(exact(scene)))
+        (stock_file := built("stock.xml")).write_text(str(stock(scene, 1)))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
-            "tracer": [*tracer, str(ours)],
-            "Mitsuba exact": [*mitsuba, variant, str(exactly), png],
-            "Mitsuba stock": [*mitsuba, variant, str(similar), png],
-            "the same, scalar": [*mitsuba, SCALAR, str(similar), png],
+            "tracer": [*tracer, str(scene_file)],
+            "Mitsuba exact": [*mitsuba, variant, str(exact_file), png],
+            "Mitsuba stock": [*mitsuba, variant, str(stock_file), png],
+            "the same, scalar": [*mitsuba, SCALAR, str(stock_file), png],
         }
         if povray.installed():
             commands["POV-Ray"] = povray.command(scene, Path(png))
-        tasks = {who: process(command) for who, command in commands.items()}
-        found = interleaved(tasks, ROUNDS, enough=2.0)
-        rivals = ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
-        over_exact, *over_stock = (_speedup(found["tracer"], found[rival]) for rival in rivals)
-        cells = (*found.values(), over_exact, min(over_stock))
+        tasks = {name: process(command) for name, command in commands.items()}
+        timings = interleaved(tasks, ROUNDS, min_seconds=2.0)
+        over_exact, *over_stock = (
+            speedup(timings["tracer"], timings[other])
+            for other in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
+        )
+        cells = (*timings.values(), over_exact, min(over_stock))
         rows.append((f"{name} {size[0]}×{size[1]}", *cells))
     return table(
         "Whole process: from XML to PNG",
-        f"Milliseconds, from the shell. Mitsuba {variant} with a warm kernel cache; its stock"
-        f" plugins also in {SCALAR}, which has no kernels to load. The speedup over stock is over"
-        " the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer imports NumPy"
-        " without them.",
+        f"Milliseconds, from the shell. Mitsuba {variant} has a warm kernel cache. Its stock"
+        f" plugins are also timed in {SCALAR}, which has no kernels to load; the speedup over stock"
+        " is over the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer"
+        " imports NumPy without them.",
         ("scene", *commands, *_SPEEDUPS),
         rows,
     )
 
 
 def rendering(quick: bool) -> str:
-    """Time one sample a pixel on every scene, in process, with everything ready."""
+    """Time rendering alone, in one process, on every scene with one sample per pixel."""
     variant = use().variant
     rows: list[tuple[object, ...]] = []
-    for size in (_SMALL,) if quick else (_SMALL, _MEDIUM, _LARGE):
-        found: list[tuple[float, float]] = []
+    for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
+        speedups: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
         scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
-        for name in _FEW if quick else scenes:
+        for name in _FEW_SCENES if quick else scenes:
             scene = resized(scenes[name], *size)
-            ours, exactly = _beside(scene, str(exact(scene)))
-            again, stocks = _beside(scene, str(stock(scene, 1)))
-            found.append((_speedup(ours, exactly), _speedup(again, stocks)))
-            rows.append((f"{name} {size[0]}×{size[1]}", ours, exactly, stocks, *found[-1]))
-        means = (geometric_mean(column) for column in zip(*found, strict=True))
+            ours, exact_timing = _time_both(scene, str(exact(scene)))
+            ours_again, stock_timing = _time_both(scene, str(stock(scene, 1)))
+            speedups.append((speedup(ours, exact_timing), speedup(ours_again, stock_timing)))
+            timings = ours, exact_timing, stock_timing
+            rows.append((f"{name} {size[0]}×{size[1]}", *timings, *speedups[-1]))
+        means = (geometric_mean(column) for column in zip(*speedups, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *means))
     return table(
         "Rendering alone",
-        "Milliseconds in process, one sample a pixel, in turns with pauses of 20 ms: Mitsuba's"
-        f" threads keep spinning that long. The tracer draws in one process, Mitsuba {variant} on"
-        f" {processors()} processors, with scene and kernels ready. Exact: the same picture, by"
-        " this project's plugins; stock: a similar one by Mitsuba's own, with one light a sample,"
-        " in turns with a second timing of the tracer, to which its speedup refers.",
+        "Milliseconds in one process, one sample per pixel, timed alternately with pauses of 20 ms,"
+        " because Mitsuba's threads keep spinning that long. The tracer uses one process, Mitsuba"
+        f" {variant} {processors()} processors, with scene and kernels ready. Exact: the same"
+        " picture, by this project's plugins. Stock: a similar one by Mitsuba's own plugins, with"
+        " one light per sample; its speedup refers to a second timing of the tracer.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
         rows,
     )
 
 
-def _each(frames: Callable[[], Iterator[object]]) -> None:
-    """Draw frame after frame, and keep none."""
-    deque(frames(), maxlen=0)
+def objects(quick: bool) -> str:
+    """Time loading and rendering of scenes with more and more objects."""
+    use()
+    rows: list[tuple[object, ...]] = []
+    for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
+        save_scene(field(count), path := built("objects.xml"))
+        scene, text = load_scene(path), str(exact(load_scene(path)))
+        # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
+        gc.collect()
+        gc.freeze()
+        tasks: dict[str, Task] = {
+            "parse": partial(ET.parse, path),
+            "load": partial(load_scene, path),
+            "render": partial(render, scene),
+        }
+        timings = interleaved(tasks, ROUNDS)
+        gc.unfreeze()
+        rows.append((f"{count:,}", *timings.values(), *_mitsuba_timings(text)))
+    return table(
+        "Many objects",
+        "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
+        " pixel. Loading is the time from the text to the scene, for Mitsuba with one shape per"
+        " object. `xml.etree` only parses the text. Mitsuba's first picture compiles its kernels."
+        " Mitsuba is timed once.",
+        ("objects", "xml.etree", "tracer: loading", "rendering",
+         "Mitsuba: loading", "first picture", "next picture"),
+        rows,
+    )  # fmt: skip
+
+
+def _mitsuba_timings(text: str) -> list[Timing]:
+    """Time once how long Mitsuba takes to load a scene, for its first picture, and for the next."""
+    clock = [perf_counter()]
+    scene = mi.load_string(text)
+    clock.append(perf_counter())
+    for _ in range(2):
+        np.array(mi.render(scene))
+        clock.append(perf_counter())
+    return [Timing(seconds, seconds, seconds) for seconds in np.diff(clock).tolist()]
+
+
+def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str]]]:
+    """Write the frames of an animation to the build folder, and return commands to render them.
+
+    Parameters
+    ----------
+    count : int
+        Number of frames.
+    size : (int, int)
+        Width and height of each frame in pixels.
+
+    Returns
+    -------
+    commands : dict of str to list of commands
+        For each renderer, commands to run one after the other.  Only POV-Ray needs more than one.
+    """
+    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *size)
+    camera, eye = scene.camera, np.array(scene.camera.view_point)
+    files, pov_commands = list[str](), list[list[str]]()
+    mitsuba_files = {"exact": list[str](), "stock": list[str]()}
+    for k in range(count):
+        frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
+        save_scene(frame, path := built(f"frame-{k}.xml"))
+        files.append(str(path))
+        for name, text in (("exact", exact(frame)), ("stock", stock(frame, 1))):
+            (path := built(f"frame-{k}.{name}.xml")).write_text(str(text))
+            mitsuba_files[name] += [str(path), f"{path}.png"]
+        pov_commands.append(povray.command(frame, built(f"frame-{k}.png")))
+    tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
+    halves = [shlex.join([*tracer, "1", *files[k::2]]) for k in (0, 1)]
+    pool = [sys.executable, "-c", _POOL_SCRIPT]
+    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT, use().variant]
+    commands = {
+        "tracer, 1 process": [[*tracer, "1", *files]],
+        "tracer, 2 processes": [[*tracer, "2", *files]],
+        "two such commands, 1 process and half of the frames each": [
+            ["sh", "-c", f"{halves[0]} & {halves[1]}; wait"]
+        ],
+        "pool.map(tracer.to_png), 1 worker": [[*pool, "1", *files]],
+        "pool.map(tracer.to_png), 2 workers": [[*pool, "2", *files]],
+        "Mitsuba exact": [[*mitsuba, *mitsuba_files["exact"]]],
+        "Mitsuba stock": [[*mitsuba, *mitsuba_files["stock"]]],
+    }
+    return commands | ({"POV-Ray": pov_commands} if povray.installed() else {})
 
 
 def frames(quick: bool) -> str:
-    """Time a sequence of frames, alone and with the processes of an executor."""
-    count, size = (5, _SMALL) if quick else (200, _MEDIUM)
-    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *size)
-    camera, eye = scene.camera, np.array(scene.camera.view_point)
-    scenes = [
-        replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
-        for k in range(count)
-    ]
-    with ProcessPoolExecutor(1) as one, ProcessPoolExecutor(2) as two:
-        drawing: dict[str, Callable[[], Iterator[object]]]
-        drawing = {"alone": partial(map, render, scenes)}
-        for who, pool in (("1 worker", one), ("2 workers", two)):
-            list(pool.map(abs, range(8)))  # its processes have started
-            shared = partial(render, executor=pool)
-            drawing[f"{who}, render(scene, executor=pool)"] = partial(map, shared, scenes)
-            drawing[f"{who}, pool.map(render, scenes)"] = partial(pool.map, render, scenes)
-        tasks = {name: partial(_each, frames) for name, frames in drawing.items()}
-        found = interleaved(tasks, ROUNDS)
+    """Time how many frames of an animation different commands render."""
+    count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
+    commands = frame_commands(count, size)
+    tasks = {name: partial(_run_all, steps) for name, steps in commands.items()}
+    timings = {name: time.per(count) for name, time in interleaved(tasks, ROUNDS).items()}
+    first = timings["tracer, 1 process"]
     return table(
         f"{count} frames of {size[0]}×{size[1]}",
-        "Milliseconds for all of them, one sample a pixel, with a standard library's pool of"
-        f" processes on {processors()} processors: each picture shared with it, or whole pictures"
-        " given to it.",
-        ("who draws", "time", "speedup"),
-        [(name, time, _speedup(time, found["alone"])) for name, time in found.items()],
+        "Milliseconds per frame: files are read, one sample per pixel is rendered, and PNG files"
+        f" are written, from the shell, on {processors()} processors. Starting the programs is"
+        " included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for each frame. A"
+        " speedup is over the first row.",
+        ("renderer", "time per frame", "speedup"),
+        [(name, timing, speedup(timing, first)) for name, timing in timings.items()],
     )
 
 
-SECTIONS = (whole_process, rendering, frames)
+def _run_all(commands: Sequence[Sequence[str]]) -> None:
+    """Run commands one after the other."""
+    for command in commands:
+        process(command)()
+
+
+SECTIONS = (whole_process, rendering, objects, frames)
 
 
 def main() -> None:
-    """Measure, print tables as they are measured, and write the page."""
-    options = parser("reference.benchmark", __doc__, "small sizes").parse_args()
+    """Measure, print each section when it is measured, and write the page."""
+    arguments = parser("reference.benchmark", __doc__, "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     page = [
-        "# Benchmark\n\nMade by `python -m reference.benchmark`: median (fastest–slowest) of at"
-        f" least {ROUNDS} rounds. A speedup is the other's time over the tracer's: below 1 the"
-        f" tracer is slower. Measured on {measured_on()}."
+        "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"
+        f" least {ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured on"
+        f" {measured_on()}."
     ]
     for section in SECTIONS:
-        page.append(section(options.quick))
+        page.append(section(arguments.quick))
         print(page[-1], end="\n\n", flush=True)
-    path = built("benchmark.md") if options.quick else HERE / "benchmark.md"
+    path = built("benchmark.md") if arguments.quick else HERE / "benchmark.md"
     path.write_text("\n\n".join(page) + "\n", encoding="utf-8")

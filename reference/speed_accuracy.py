@@ -1,10 +1,11 @@
-"""The speed-accuracy chart: how long each renderer takes to come how near to the true picture.
+"""The speed-accuracy chart: how much time each renderer takes to reach a certain error.
 
-``python -m reference.speed_accuracy`` writes `speed_accuracy.svg` and `.csv` into this folder.  The
-error is the root mean square in linear radiance, against a certified picture
-(`reference.judges.certificate`).  At each number of samples, four times the one before, all methods
-are timed in turns, the certified tracer at a quarter of the error before.  Those that would take
-too long stop, and those that come so near that the certified picture's own error would count.
+``python -m reference.speed_accuracy`` writes `speed_accuracy.svg`, and a CSV file with its table,
+into this folder.  The error is the root mean square error of the linear radiance, compared with a
+certified picture (`reference.judges.certificate`).  From point to point, the number of samples per
+pixel is multiplied by 4, and the permitted error of the certified tracer is divided by 4.  All
+methods are timed alternately.  A method stops when its next picture would take too long, or when
+its error comes close to that of the certified picture.
 """
 
 from __future__ import annotations
@@ -41,41 +42,50 @@ _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray a
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
 _METHODS = (_OURS, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED, _MITSUBA)
 
-# From rough to fine: threshold and depth of POV-Ray's adaptive supersampling.
-_ADAPTIVE = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
+# Threshold and depth of POV-Ray's adaptive supersampling, from rough to fine.
+_POVRAY_SETTINGS = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 
-# The error that the picture is certified to that all others are measured against.
-_TRUE = 1 / 16384
+# Permitted error of the certified picture with which all others are compared.
+_REFERENCE_ERROR = 1 / 16384
 
-# Seconds for a picture: the next one, with four times the samples, would take too long.
-_LONG = 0.7
+# A method whose picture takes more than this many seconds stops: the next picture, with four times
+# the samples, would take too long.
+_MAX_SECONDS = 0.7
 
-# About the error of rounding to 8 bits.
-_EIGHT_BITS = 1e-3
+# Number of rounds in which each picture is timed, and seconds that short ones take together.
+_ROUNDS, _MIN_TOTAL_SECONDS = 3, 0.3
 
+# Approximate error of rounding to 8 bits.
+_EIGHT_BIT_ERROR = 1e-3
 
-# `samples` of the certified tracer is one over the error that it certifies; `rmse` is of the linear
-# radiance; times, the median, the least and the largest, are in seconds.
+# Titles of the table's columns.  For the certified tracer, `samples` is the reciprocal of the
+# permitted error.  `seconds`, `low` and `high` are the median, the minimum and the maximum.
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
 def _all_pairs(scene: Scene, side: int) -> Floats:
-    """The usual NumPy tracer in float32, `side` x `side` samples in every pixel."""
-    shifts = ((np.arange(side) + 0.5) / side - 0.5).tolist()
-    total = sum(
-        plain.render(scene, offset, arithmetic="float32") for offset in product(shifts, shifts)
+    """Render as simple NumPy tracers do: every ray against every object, in float32.
+
+    Returns an image (height, width, 3), with side x side samples in each pixel.
+    """
+    offsets = ((np.arange(side) + 0.5) / side - 0.5).tolist()
+    images = (
+        plain.render(scene, offset, arithmetic="float32") for offset in product(offsets, offsets)
     )
-    return np.asarray(total) / side**2
+    return np.asarray(sum(images)) / side**2
 
 
 def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Render with 4^k samples a pixel, times a number, by each method but POV-Ray."""
-    gc.collect()  # Mitsuba's kernels choose among all scenes alive: there is to be one
+    """Return tasks that render a scene with 4^k samples per pixel, or as many times a factor.
+
+    The keys are pairs of the method and the factor.  POV-Ray is missing.
+    """
+    gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
     text = str(exact(scene, 4**k)).replace('"stratified"', '"multijitter"')
     loaded = mi.load_string(text)
     return {
         (_OURS, 1): partial(render, scene, 4**k),
-        # With 9, 36, 144, ... samples a pixel: the others have powers of four.
+        # Numbers of samples that are not powers of four: 9, 36, 144, ...
         (_OURS, 9): partial(render, scene, 9 * 4**k),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
         (_GRID, 1): partial(supersampled, scene, 2**k),
@@ -85,35 +95,53 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
 
 
 def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
-    """Time all methods on one scene, and measure their errors: rows of the table."""
-    certified = _TRUE * (16 if quick else 1)
-    truth, target = true_picture(scene, certified).image, built("povray.ppm")
-    # Each of these errs by more than the next.
-    floor = rmse(true_picture(scene, 4 * certified).image, truth)
-    long: set[tuple[str, int]] = set() if povray.installed() else {(_POVRAY, 1)}
-    for k, (threshold, depth) in enumerate(_ADAPTIVE[: 3 if quick else None]):
+    """Time all methods on one scene, and measure their errors.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene.
+    scene : Scene
+        The scene.
+    quick : bool
+        Whether to measure fewer points, with a less accurate reference picture.
+
+    Yields
+    ------
+    row : tuple
+        Row of the table: see `_COLUMNS`.
+    """
+    error = _REFERENCE_ERROR * (16 if quick else 1)
+    reference_image, target = true_picture(scene, error).image, built("povray.ppm")
+    # This picture has a larger error than the reference.
+    min_error = rmse(true_picture(scene, 4 * error).image, reference_image)
+    stopped: set[tuple[str, int]] = set() if povray.installed() else {(_POVRAY, 1)}
+    for k, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _tasks(scene, k)
-        finer = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-        # It is timed as it says, without its start, as the others are.
-        tasks[_POVRAY, 1] = partial(povray.trace, povray.linear(scene, target, *finer))
-        tasks = {key: task for key, task in tasks.items() if key not in long}
-        for key, timing in interleaved(tasks, 3, enough=0.3).items():
-            (method, times), picture = key, tasks[key]()
-            error = rmse(povray.picture(target) if method == _POVRAY else picture, truth)
-            if error > floor:
-                yield (name, method, times * 4**k, error, *timing)
-            if timing.median > _LONG or error <= floor:
-                long.add(key)
-        tasks.clear()  # so that Mitsuba's scene goes before the next comes
+        options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
+        # The time that POV-Ray reports, without its start, as that of the others.
+        tasks[_POVRAY, 1] = partial(povray.trace, povray.linear(scene, target, *options))
+        tasks = {key: task for key, task in tasks.items() if key not in stopped}
+        timings = interleaved(tasks, _ROUNDS, min_seconds=_MIN_TOTAL_SECONDS)
+        for key, timing in timings.items():
+            (method, factor), image = key, tasks[key]()
+            image = povray.picture(target) if method == _POVRAY else image
+            method_error = rmse(image, reference_image)
+            if method_error > min_error:
+                yield (name, method, factor * 4**k, method_error, *timing)
+            if timing.median > _MAX_SECONDS or method_error <= min_error:
+                stopped.add(key)
+        tasks.clear()  # so that Mitsuba's scene is deleted before the next is loaded
 
 
-def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
-    """A panel for each scene; the names of the curves stand in the last one."""
-    figure, grid = plt.subplots(6, 1, figsize=(WIDTH, 19), sharex=True, sharey=True)
-    for axes, scene in zip(grid, dict.fromkeys(row[0] for row in rows), strict=False):
+def _draw(rows: Sequence[Sequence[str]]) -> Any:
+    """Draw the chart: a panel for each scene, in two columns, with the legend after the last."""
+    figure, grid = plt.subplots(3, 2, figsize=(WIDTH, 8.2), sharex=True, sharey=True)
+    panels = grid.ravel()
+    for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:
             points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [scene, method]]
-            # Of numbers of samples that make the same picture, the last.
+            # If several numbers of samples give the same picture, only the last is drawn.
             curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
@@ -121,28 +149,45 @@ def _draw(rows: Sequence[Sequence[str]], quick: bool) -> Any:
                     _label(axes, f"{samples:g}", (seconds, error), (-5, -3), "#000000")
                 elif method == _CERTIFIED:
                     _label(axes, f"1/{samples:g}", (seconds, error), (5, 3), "#009e73")
-        axes.axhline(_EIGHT_BITS, color="#d0a080", lw=5, alpha=0.4, label="rounding to 8 bits")
+        label = "error of rounding to 8 bits"
+        axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=label)
         axes.set_title(scene)
         axes.minorticks_off()
         axes.tick_params(labelbottom=True)
+        axes.set_xlabel("time")
         axes.set_ylabel("RMSE")
-    grid[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
-    grid[-1].axis("off")
-    grid[-1].legend(*grid[0].get_legend_handles_labels(), loc="center", fontsize=10)
-    figure.subplots_adjust(0.14, 0.03, 0.97, 0.92, hspace=0.3)
+    panels[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
+    panels[-1].axis("off")
+    panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", fontsize=10)
+    figure.subplots_adjust(0.08, 0.09, 0.98, 0.84, hspace=0.5, wspace=0.16)
     return figure
 
 
 def _label(
-    axes: Any, text: str, point: tuple[float, float], aside: tuple[int, int], color: str
+    axes: Any, text: str, point: tuple[float, float], offset: tuple[int, int], color: str
 ) -> None:
-    """Write a point's samples, or its certified error, `aside` of it."""
-    align = {"ha": "left", "va": "bottom"} if aside[0] > 0 else {"ha": "right", "va": "top"}
+    """Write a text next to a point of a curve.
+
+    Parameters
+    ----------
+    axes : Axes
+        The panel.
+    text : str
+        The text: a number of samples, or a certified error.
+    point : (float, float)
+        Time and error.
+    offset : (int, int)
+        Distance of the text from the point, to the right and up, in printer's points.
+    color : str
+        Colour of the text.
+    """
+    align = {"ha": "left", "va": "bottom"} if offset[0] > 0 else {"ha": "right", "va": "top"}
     look = {"textcoords": "offset points", "fontsize": 6.5, "color": color}
-    axes.annotate(text, point, aside, **align, **look)
+    axes.annotate(text, point, offset, **align, **look)
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:
+    """Return the scenes to measure by their titles; only one for a quick measurement."""
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = [
         ("one-sphere", load_scene(SCENES / "one-sphere.xml"), 300, 300),
@@ -158,6 +203,7 @@ def _scenes(quick: bool) -> dict[str, Scene]:
 
 
 def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the table, scene after scene."""
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
     for name, scene in tqdm(_scenes(quick).items(), unit="scene"):
@@ -167,10 +213,10 @@ def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
 def main() -> None:
     """Measure, and draw the chart."""
     note = (
-        "Rendering alone. Error: root mean square in linear radiance, against a\n"
-        "certified picture. Points: 1, 4, 16, ... samples a pixel (this tracer: 9,\n"
-        "36, ... too; it splits pixels into quarters, hence the stairs); POV-Ray's\n"
-        "thresholds; for the certified tracer, the error that no pixel exceeds."
+        "Time of rendering alone, and root mean square error of the linear radiance compared with a"
+        " certified picture.  Points: 1, 4, 16, ...\nsamples per pixel (this tracer: 9, 36, ... as"
+        " well; it divides pixels into quarters, which causes steps); thresholds of POV-Ray;\nfor"
+        " the certified tracer, the error that it guarantees for every pixel."
     )
     texts = ("Time against error: lower left is better", note)
     make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)

@@ -1,9 +1,10 @@
-"""The stability chart: where each method fails, and that this tracer does not.
+"""The stability chart: where usual methods of ray tracing fail, and where this tracer does not.
 
-``python -m reference.stability`` writes `stability.svg` and `.csv` into this folder.  A point is a
-small picture of a scene that gets harder along the axis, held against arithmetic of 80 digits by
-`reference.judges.plain`, which draws the methods that fail, too: by the largest error of the
-radiance, or by the share of pixels that are decided wrongly.
+``python -m reference.stability`` writes `stability.svg` and `stability.csv` into this folder.  Each
+point is a small picture of a scene that gets harder along the axis.  It is compared with arithmetic
+of 80 digits, by the largest error of the radiance, or by the percentage of pixels that are wrongly
+lit or dark.  `reference.judges.plain` renders both the exact pictures and those of the usual
+methods.
 """
 
 from __future__ import annotations
@@ -30,17 +31,31 @@ from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 
-# Half a level of an 8-bit picture near white, where errors begin to be seen; smaller errors than
-# the second are drawn as that.
-_VISIBLE, _DIGITS = 1 / 512, 1e-17
-# How far apart curves are that find nothing wrong.
-_STEP = 1.7
+# Errors of the radiance: half a level of an 8-bit picture near white, from which on errors are
+# visible; and the smallest one that is drawn as such.
+_VISIBLE_ERROR, _MIN_ERROR = 1 / 512, 1e-17
+# Ratio between the positions of two curves at "none", so that both are visible.
+_CURVE_SPACING = 1.7
+# Names and dashes of the lines at eps x and at eps x^2, for eps of float32 and of float64.
+_GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
 def _scene(
     eye: Vector, ahead: Vector, light: Vector, *spheres: Sphere, view: Vector, pixels: int = 24
 ) -> Scene:
-    """Spheres under one light; `view`: the window's distance, width and height."""
+    """Make a scene of spheres under one light.
+
+    Parameters
+    ----------
+    eye, ahead, light : vectors
+        Position and direction of the camera, and position of the light.
+    *spheres : Sphere
+        The spheres.
+    view : (float, float, float)
+        Distance, width and height of the camera's window.
+    pixels : int
+        Width of the picture in pixels; its height follows, as pixels are square.
+    """
     distance, width, height = view
     camera = Camera(
         view_point=eye, view_dir=ahead, proj_distance=distance, view_width=width, view_height=height
@@ -50,32 +65,40 @@ def _scene(
 
 
 def distant(distance: float, width: float = 1, height: float = 1) -> Scene:
-    """A unit sphere, `distance` radii away; no silhouette and no shadow in so narrow a view."""
-    way, view = np.array([2, -3, 6]) / 7, (distance, width, height)
-    return _scene(distance * way, -way, (2, 0, 6), Sphere(), view=view, pixels=round(24 * width))
+    """Make a scene of a unit sphere at a distance, which fills a window of this size.
+
+    With the default size, neither the silhouette nor a shadow is visible.
+    """
+    direction, view = np.array([2, -3, 6]) / 7, (distance, width, height)
+    pixels = round(24 * width)
+    eye = distance * direction
+    return _scene(eye, -direction, (2, 0, 6), Sphere(), view=view, pixels=pixels)
 
 
 def silhouette(distance: float) -> Scene:
-    """A millionth of a radius on both sides of a silhouette; float64 holds the rays exactly."""
+    """Make a scene of a unit sphere's silhouette, seen from a distance.
+
+    The window shows a millionth of a radius on both sides.  Float64 represents the rays exactly.
+    """
     view = (distance, 2.0**-19, 2.0**-19)
     return _scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), view=view, pixels=64)
 
 
 def moved(offset: float) -> Scene:
-    """The sphere of `distant`, 4 radii away, with the whole scene moved."""
+    """Make a scene of a unit sphere, 4 radii away, and move the whole scene by an offset."""
     places = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = places + offset * np.array([1, -0.7, 0.4])
     return _scene(eye, (-1, 0, -4), light, Sphere(center=center), view=(4, 1, 1))
 
 
 def ground(radius: float) -> Scene:
-    """The ground as a huge sphere, the eye 1 above it."""
+    """Make a scene of the ground as a sphere with this radius, seen from 1 above it."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
     return _scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, view=(1, 0.5, 0.5))
 
 
 def shiny(exponent: float) -> Scene:
-    """A highlight that fills the picture, whatever its exponent."""
+    """Make a scene of a highlight that fills the picture, for any exponent."""
     gloss = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     size = 3 / max(exponent, 36.0) ** 0.5
     view = (18**0.5, size, size)
@@ -83,13 +106,21 @@ def shiny(exponent: float) -> Scene:
 
 
 def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
-    """A ball that touches a ground sphere; with powers of two every number is exact."""
+    """Make a scene of a ball that touches the ground, which is a sphere.
+
+    Parameters
+    ----------
+    scale, offset : float
+        The scene is scaled, then moved along (1, 1, 1).  If both are powers of two, all numbers are
+        exact.
+    radius : float
+        Radius of the ground before scaling.
+    """
     places = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
     eye, light, below, above = scale * np.array(places) + offset
-    ground = Sphere(center=below, radius=scale * radius)
-    ball = Sphere(center=above, radius=scale * 0.5)
+    spheres = Sphere(center=below, radius=scale * radius), Sphere(center=above, radius=scale * 0.5)
     view = (2 * scale, 2 * scale, 1.125 * scale)
-    return _scene(eye, (0, 0, -1), light, ground, ball, view=view, pixels=128)
+    return _scene(eye, (0, 0, -1), light, *spheres, view=view, pixels=128)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
@@ -107,32 +138,49 @@ METHODS: dict[str, Method] = {
     "normal offset 1e-4": partial(plain.render, shadows="normal"),
     "offset of 256 ulp": partial(plain.render, shadows="ulps"),
 }
+"""Functions that render a scene, by the names of the methods that they use."""
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
-    """Largest error of the radiance (NaN counts as 1)."""
+    """Return the largest error of the radiance in two images; NaN counts as an error of 1."""
     return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
 
 
 def wrong_share(image: Floats, exact: Floats) -> float:
-    """Per cent of the pixels that are dark but should not be, or the reverse."""
+    """Return the percentage of pixels that are dark in one image and lit in the other."""
     return 100 * float(((image > 0) != (exact > 0)).any(axis=2).mean())
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One family of scenes and how pictures of them are judged."""
+    """A panel of the chart: a family of scenes, and how pictures of them are measured.
+
+    Attributes
+    ----------
+    title, axis : str
+        Title of the panel, and label of its horizontal axis.
+    positions : (n,) float array
+        Positions on the horizontal axis.
+    scene : callable
+        Makes the scene for a position.
+    error : callable
+        Returns the error of an image; the exact image is its second argument.
+    methods : tuple of str
+        Keys of `METHODS`, in addition to this tracer.
+    guides : tuple of str
+        Names of the lines that the panel has: see `_GUIDES`.
+    nearby : tuple of float
+        Each point shows the largest error of the scenes at these multiples of its position.
+    """
 
     title: str
     axis: str
-    at: NDArray[Any]
+    positions: NDArray[Any]
     scene: Callable[[float], Scene]
-    judge: Callable[[Floats, Floats], float]
+    error: Callable[[Floats, Floats], float]
     methods: tuple[str, ...]
     guides: tuple[str, ...] = ()
-    """Names of lines of ε, of float32 and of float64, times x; then times its square."""
     nearby: tuple[float, ...] = (1.0,)
-    """A point shows the worst of the scenes at these multiples of its place on the axis."""
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
@@ -140,8 +188,8 @@ _SHADOWS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 25
 _SHINY = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
 _MOVED = ("float64, multiplied out", "float32, closest approach")
 
-# Multiplied out, |o - c|^2 is rounded once for all pixels, and not at all where the offset is a
-# round number: so several are tried.
+# If |o - c|^2 is multiplied out, it is rounded once for all pixels, and not at all where the offset
+# is a round number.  So several offsets are tried for each point.
 _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
@@ -156,7 +204,7 @@ PANELS = (
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
           wrong_share, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground, largest_error, _HITS, ("ε radius: rounding the scene itself",)),
+          ground, largest_error, _HITS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
           wrong_share, _SHADOWS),
@@ -169,89 +217,126 @@ PANELS = (
 # fmt: on
 
 
-def measure(panel: Panel, name: str, at: Iterable[float]) -> Floats:
-    """The judge's verdict on a method, at each place of a panel's axis."""
-    draw, found = METHODS[name], list[float]()
-    for x in at:
-        scenes = [panel.scene(near * float(x)) for near in panel.nearby]
-        found.append(max(panel.judge(draw(scene), _exact(scene)) for scene in scenes))
-    return np.array(found)
+def measure(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
+    """Return the errors of a method of `METHODS` at some positions of a panel: (n,)."""
+    render_by_method, errors = METHODS[name], list[float]()
+    for x in positions:
+        scenes = [panel.scene(factor * float(x)) for factor in panel.nearby]
+        images = [(render_by_method(scene), _exact(scene)) for scene in scenes]
+        errors.append(max(panel.error(image, exact) for image, exact in images))
+    return np.array(errors)
 
 
 @cache
 def _exact(scene: Scene) -> Floats:
+    """Render a scene in decimal arithmetic."""
     return plain.render(scene, arithmetic="decimal")
 
 
 def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Rows of the table."""
+    """Yield the rows of the table: title of the panel, position, method and error."""
     for panel in tqdm(PANELS, disable=None):
-        at = panel.at[:: 3 if quick else 1].tolist()
+        positions = panel.positions[:: 3 if quick else 1].tolist()
         for name in ("this tracer", *panel.methods):
-            for x, value in zip(at, measure(panel, name, at).tolist(), strict=True):
-                yield panel.title, x, name, value
+            for x, error in zip(positions, measure(panel, name, positions).tolist(), strict=True):
+                yield panel.title, x, name, error
 
 
-# What goes wrong, in which scene, by which method.
-STRIP = (
+EXAMPLES = (
     ("Acne", ball_on_ground(radius=2.0**14), "t > 0"),
     ("Lost shadows", ball_on_ground(scale=2.0**-22), "t > 1e-4"),
-    ("A far sphere in shreds", distant(2000.0, 4.0, 2.25), "float32, textbook"),
+    ("A distant sphere in shreds", distant(2000.0, 4.0, 2.25), "float32, textbook"),
 )
+"""Pictures at the top of the chart: what fails, in which scene, with which method."""
 
 
-def _draw(rows: Sequence[Sequence[str]], _quick: bool) -> Any:
-    """A strip of pictures and all panels, of the rows of the table; one below the other."""
-    figure = plt.figure(figsize=(WIDTH, 40))
-    parts: Any = figure.subfigures(2, 1, height_ratios=(1, 9))
-    pictures = parts[0].subplots(2, len(STRIP))
-    parts[0].subplots_adjust(left=0.03, right=0.97, top=0.66, bottom=0.0, wspace=0.06, hspace=0.0)
-    for (title, scene, method), (above, below) in zip(STRIP, pictures.T, strict=True):
-        for axes, draw in ((above, METHODS[method]), (below, render)):
-            axes.imshow(to_codes(np.nan_to_num(draw(scene))))
+def _draw(rows: Sequence[Sequence[str]]) -> Any:
+    """Draw the chart: pictures, and below them panels in two columns.
+
+    The left column shows hits and highlights, the right one shadows and, below these, the legends
+    of both columns.
+    """
+    columns = [[panel for panel in PANELS if (panel.methods == _SHADOWS) == c] for c in (0, 1)]
+    heights = 3.8, 1.9 * len(columns[0])
+    figure = plt.figure(figsize=(WIDTH, sum(heights)))
+    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
+    top, bottom = parts
+    pictures = top.subplots(2, len(EXAMPLES))
+    top.subplots_adjust(left=0.02, right=0.98, top=0.68, bottom=0.03, wspace=0.03, hspace=0.03)
+    for (title, scene, method), (above, below) in zip(EXAMPLES, pictures.T, strict=True):
+        for axes, render_by_method in ((above, METHODS[method]), (below, render)):
+            axes.imshow(to_codes(np.nan_to_num(render_by_method(scene))))
             axes.axis("off")
-        above.set_title(f"{title}\n{method}", fontsize=8)
-    grid = parts[1].subplots(len(PANELS), 1)
-    parts[1].subplots_adjust(left=0.13, right=0.95, top=0.98, bottom=0.055, hspace=1.05)
-    for axes, panel in zip(grid, PANELS, strict=True):
-        _panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title])
+        above.set_title(f"{title}\n{method}", fontsize=9)
+    grid = bottom.subplots(len(columns[0]), 2)
+    bottom.subplots_adjust(left=0.07, right=0.98, top=0.96, bottom=0.07, hspace=0.8, wspace=0.2)
+    legends = grid[len(columns[1]) :, 1]
+    for panels, cells, legend in zip(columns, grid.T, legends, strict=True):
+        names = ["this tracer", *dict.fromkeys(name for panel in panels for name in panel.methods)]
+        styles = dict(zip(names, plt.rcParams["axes.prop_cycle"], strict=False))
+        handles: dict[str, Any] = {}
+        for axes, panel in zip(cells, panels, strict=False):
+            _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
+            handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+        legend.axis("off")
+        side = "right" if legend is legends[1] else "left"
+        legend.legend(
+            handles.values(), handles, loc="center", title=f"In the {side} column", ncols=2
+        )
     return figure
 
 
-def _panel(axes: Any, panel: Panel, rows: Sequence[Sequence[str]]) -> None:
-    """Draw the curves of a panel, of its rows: where on the axis, the method, the verdict."""
-    names = ("this tracer", *panel.methods)
-    curves = {name: np.array([r[::2] for r in rows if r[1] == name], float).T for name in names}
-    error, at = panel.judge is largest_error, curves["this tracer"][0]
-    scene = panel.scene(at[0])
-    floor, top = (_DIGITS, 1.0) if error else (25 / (scene.width * scene.height), 100.0)
-    # Curves at none lie below one another.
-    none = {name: floor / _STEP**k for k, name in enumerate(curves)}
-    limits = {"xlim": (at[0], at[-1]), "ylim": (min(none.values()) / 1.6, 1.6 * top)}
-    axes.set(title=panel.title, xlabel=panel.axis, xscale="log", yscale="log", **limits)
-    if error:
-        look = {"color": "#fbe8dd", "lw": 0, "zorder": 0}
-        axes.axhspan(_VISIBLE, 1.6, **look, label="visible in the picture")
+def _draw_panel(
+    axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
+) -> None:
+    """Draw one panel.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to draw it.
+    panel : Panel
+        The panel.
+    rows : sequence of rows
+        Its rows of the table: position, method and error.
+    styles : dict of str to dict
+        For each method, the style of its curve.
+    """
+    curves = {
+        name: np.array([row[::2] for row in rows if row[1] == name], float).T
+        for name in ("this tracer", *panel.methods)
+    }
+    is_radiance, x = panel.error is largest_error, curves["this tracer"][0]
+    scene = panel.scene(x[0])
+    floor, top = (_MIN_ERROR, 1.0) if is_radiance else (25 / (scene.width * scene.height), 100.0)
+    # Curves without errors are drawn below each other.
+    positions_of_none = {name: floor / _CURVE_SPACING**k for k, name in enumerate(curves)}
+    limits = {"xlim": (x[0], x[-1]), "ylim": (min(positions_of_none.values()) / 1.6, 1.6 * top)}
+    guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
+    label = ";   ".join([panel.axis, *guides])
+    axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
+    if is_radiance:
+        axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
         axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
-    for name, (_, values) in curves.items():
-        shown = np.where(values <= floor, none[name], np.minimum(values, top))
-        axes.plot(at, shown, label=name, clip_on=False)
-    for power, name in enumerate(panel.guides, 1):
-        look = {"color": "#888888", "marker": "", "lw": 1, "ls": ":" if power == 1 else "-."}
-        axes.plot(at, np.outer(at**power, (2.0**-24, 2.0**-53)), **look, label=[name, None])
-    axes.legend(loc="upper center", bbox_to_anchor=(0.46, -0.3), fontsize=8, ncols=2)
+    for name, (_, errors) in curves.items():
+        shown = np.where(errors <= floor, positions_of_none[name], np.minimum(errors, top))
+        axes.plot(x, shown, label=name, clip_on=False, **styles[name])
+    for power, dashes in enumerate(_GUIDES.values(), 1):
+        if power <= len(panel.guides):
+            look = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}
+            axes.plot(x, np.outer(x**power, (2.0**-24, 2.0**-53)), **look)
 
 
 def main() -> None:
     """Measure, and draw the chart."""
-    columns = ("panel", "at", "method", "value")
+    columns = ("panel", "position", "method", "error")
     note = (
-        "Above: as a usual method draws a scene; below it: as this tracer does.\n"
-        "Each point is a picture held against arithmetic of 80 digits: the largest\n"
-        "error of the radiance, no more than 1, or the share of wrong pixels."
+        "Above: pictures by usual methods; below them: the same scenes by this tracer.  Each point"
+        " is a picture compared with arithmetic\nof 80 digits, by the largest error of the radiance"
+        " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
     )
-    texts = ("Where ray tracers fail, and how far", note)
+    texts = ("Where usual methods of ray tracing fail", note)
     make_chart("stability", __doc__, columns, _measure_all, _draw, texts)

@@ -1,1 +1,1 @@
-"""What is measured: workloads, timings in turns, tables and charts."""
+"""Measurements: scenes to measure, timings, and charts and tables of the results."""

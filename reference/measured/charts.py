@@ -1,4 +1,4 @@
-"""What the charts share: how their curves look, and how they are measured, stored and drawn."""
+"""The style of the charts, and the command line of the modules that measure and draw them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,22 @@ from reference.measured.measurements import measured_on, read_csv, write_csv
 
 __all__ = ["WIDTH", "make_chart", "plt"]
 
-WIDTH = 5.6
-"""Inches that a phone shows in full."""
+WIDTH = 9.0
+"""Width of a chart in inches: two panels side by side."""
+
+# Positions of texts in inches from the left edge, and from the nearer of the upper and lower edges.
+_TEXT_LEFT, _TITLE_TOP, _NOTE_TOP, _ORIGIN_BOTTOM = 0.2, 0.15, 0.45, 0.08
 
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
 plt.rcParams.update({"axes.titlelocation": "left", "axes.titleweight": "bold"})
+plt.rcParams.update({"axes.titlesize": 10, "axes.labelsize": 9, "font.size": 9})
 plt.rcParams.update({"axes.edgecolor": "#888888", "grid.color": "#e8e8e8", "legend.frameon": False})
 plt.rcParams.update({"lines.markeredgecolor": "white", "lines.markeredgewidth": 0.5})
-# Texts stay texts, which as outlines would be most of the file; and files stay the same.
+# Text remains text, because outlines would be most of the file.  The salt makes equal charts equal
+# files.
 plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "pencil-tracer"})
-# This tracer is black; the others have Okabe and Ito's colours, and for print in grey each its own
-# dashes and marker.
+# This tracer is black.  Other curves have the colours of Okabe and Ito for colour-blind readers,
+# and each has its own dashes and marker for print in grey.
 plt.rcParams["axes.prop_cycle"] = (
     cycler(color=["#000000", "#d55e00", "#cc79a7", "#b8860b", "#009e73", "#56b4e9", "#0072b2"])
     + cycler(ls=["-", "-", "--", "-.", (0, (5, 1, 1, 1, 1, 1)), ":", (0, (7, 2))])
@@ -41,30 +46,44 @@ def make_chart(
     doc: str | None,
     columns: Sequence[str],
     measure: Callable[[bool], Iterable[Sequence[object]]],
-    draw: Callable[[Sequence[Sequence[str]], bool], Any],
+    draw: Callable[[Sequence[Sequence[str]]], Any],
     texts: tuple[str, str],
 ) -> None:
-    """Run `python -m reference.NAME`: measure the rows of a table, store it, and draw it as SVG.
+    """Run `python -m reference.NAME`: measure the rows of a table, store it, and draw a chart.
 
-    `measure` and `draw` are told whether to be quick; `draw` makes the figure of the rows as the
-    CSV has them, rounded, so that the chart drawn again is the same.  `texts` are its title and a
-    note below that.
+    Parameters
+    ----------
+    name : str
+        NAME; the table and the chart are NAME.csv and NAME.svg.
+    doc : str or None
+        The module's docstring, which describes the command in its help.
+    columns : sequence of str
+        Titles of the table's columns.
+    measure : callable
+        Returns the rows of the table; its argument is True for a quick measurement with few points.
+    draw : callable
+        Returns the chart as a Figure, for the rows as read from the CSV file.  They are rounded
+        there, so that a chart that is drawn again is the same.
+    texts : (str, str)
+        The chart's title and a note below the title.
     """
-    used = parser(f"reference.{name}", doc, "fewer points")
-    used.add_argument("--redraw", action="store_true", help="measure nothing: draw the CSV")
-    options = used.parse_args()
-    table = built(f"{name}.csv") if options.quick else HERE / f"{name}.csv"
-    if not options.redraw:
-        # All of it before the stored table is replaced.
-        where, measured = measured_on(), [*measure(options.quick)]
-        write_csv(table, where, columns, measured)
-    where, rows = read_csv(table)
-    figure = draw(rows, options.quick)
+    command_parser = parser(f"reference.{name}", doc, "fewer points")
+    text = "draw the stored table again, without measuring"
+    command_parser.add_argument("--redraw", action="store_true", help=text)
+    arguments = command_parser.parse_args()
+    table = built(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
+    if not arguments.redraw:
+        # Everything is measured before the stored table is replaced.
+        origin, rows = measured_on(), [*measure(arguments.quick)]
+        write_csv(table, origin, columns, rows)
+    origin, stored_rows = read_csv(table)
+    figure = draw(stored_rows)
+    width, height = figure.get_size_inches()
     title, note = texts
-    height = figure.get_figheight()
-    figure.text(0.03, 1 - 0.2 / height, title, va="top", fontsize=14, weight="bold")
-    figure.text(0.03, 1 - 0.58 / height, note, va="top", fontsize=9, color="#444444")
-    origin = f"Measured on {where}."
-    figure.text(0.03, 0.1 / height, origin, fontsize=7, color="#666666", wrap=True)
+    left = _TEXT_LEFT / width
+    figure.text(left, 1 - _TITLE_TOP / height, title, va="top", fontsize=14, weight="bold")
+    figure.text(left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")
+    origin_text = f"Measured on {origin}."
+    figure.text(left, _ORIGIN_BOTTOM / height, origin_text, fontsize=7, color="#666666", wrap=True)
     figure.savefig(table.with_suffix(".svg"), metadata={"Date": None})
     plt.close(figure)

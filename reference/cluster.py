@@ -1,0 +1,97 @@
+"""Compute what a million frames would cost on a cluster of computers, and what would break first.
+
+``python -m reference.cluster`` writes `cluster.md` into this folder.  On one computer, it measures
+the CPU time of frames, their size in bytes, and the time of Dask's scheduler for each task.
+"""
+
+from __future__ import annotations
+
+from tracer.command.process import run
+
+if __name__ == "__main__":
+    run(__spec__.name)
+
+import os
+from logging import CRITICAL
+from time import perf_counter
+
+from distributed import Client, LocalCluster
+
+from reference.benchmark import frame_commands, table
+from reference.command import HERE, built, parser
+from reference.measured.measurements import measured_on, process
+
+_FRAMES = 1_000_000
+
+# Assumptions, which are not measured: the price of a core for an hour in dollars; the memory, in
+# bytes, of the computer that gathers the results; and the number of frames in a larger task.
+_DOLLARS_PER_CORE_HOUR, _CLIENT_BYTES, _FRAMES_PER_TASK = 0.05, 16e9, 100
+
+# Keys of `frame_commands` of which all CPU time can be measured.
+_RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
+
+
+def _cpu_seconds(commands: list[list[str]]) -> float:
+    """Run commands one after the other, and return their CPU time in seconds."""
+    before = os.times()
+    for command in commands:
+        process(command)()
+    after = os.times()
+    children = after.children_user + after.children_system
+    return children - before.children_user - before.children_system
+
+
+def _scheduler_seconds(count: int) -> float:
+    """Return the time in seconds that Dask takes for each of `count` tasks without any work."""
+    options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
+    with LocalCluster(1, **options) as cluster, Client(cluster) as client:
+        client.gather(client.map(abs, range(count)))  # afterwards, the worker has started
+        start = perf_counter()
+        client.gather(client.map(abs, range(count, 2 * count)))
+        return (perf_counter() - start) / count
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    arguments = parser("reference.cluster", __doc__, "few and small frames").parse_args()
+    count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
+    commands = frame_commands(count, size)
+    cpu = {name: _cpu_seconds(commands[name]) / count for name in _RENDERERS if name in commands}
+    hours = {name: seconds * _FRAMES / 3600 for name, seconds in cpu.items()}
+    ours, task = cpu[_RENDERERS[0]], _scheduler_seconds(50 * count)
+    png = sum(built(f"frame-{k}.xml.png").stat().st_size for k in range(count)) / count
+    cores = ours / task
+    costs = table(
+        "What they would cost",
+        f"Measured with {count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time for"
+        " reading scenes, rendering and writing PNG files. Programs start once for all frames,"
+        " POV-Ray for each. The price of a core is an assumption. The tracer's PNG files have"
+        f" {png * _FRAMES / 1e9:,.0f} GB together.",
+        ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
+        [
+            (name, f"{1e3 * cpu[name]:.0f}", f"{hours[name]:,.0f}",
+             f"${hours[name] * _DOLLARS_PER_CORE_HOUR:,.2f}")
+            for name in cpu
+        ],
+    )  # fmt: skip
+    batch, memory = _FRAMES_PER_TASK, f"{_CLIENT_BYTES / 1e9:.0f} GB"
+    limits = table(
+        "What would break first",
+        f"Measured: Dask's scheduler takes {1e3 * task:.2f} ms per task, and a PNG file has"
+        f" {png / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per task.",
+        ("limit", "reached with", "remedy"),
+        [
+            ("the scheduler is too slow for the workers", f"{cores:,.0f} cores",
+             f"{batch} frames per task, for {cores * batch:,.0f} cores; a worker that dies then"
+             f" costs {ours * batch:,.0f} s of CPU time"),
+            (f"gathered PNG files fill a memory of {memory}", f"{_CLIENT_BYTES / png:,.0f} frames",
+             "tasks that write their files, and return nothing"),
+            ("a folder has too many files for its file system", "(not measured)",
+             "a folder for each thousand frames"),
+        ],
+    )  # fmt: skip
+    origin = f"Written by `python -m reference.cluster`, measured on {measured_on()}."
+    text = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
+    path = built("cluster.md") if arguments.quick else HERE / "cluster.md"
+    path.write_text(text, encoding="utf-8")
+    print(text, end="")
