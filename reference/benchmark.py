@@ -244,8 +244,8 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
         frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
         save_scene(frame, path := built(f"frame-{k}.xml"))
         files.append(str(path))
-        for name, text in (("exact", exact(frame)), ("stock", stock(frame, 1))):
-            (path := built(f"frame-{k}.{name}.xml")).write_text(str(text))
+        for name, converted in (("exact", exact(frame)), ("stock", stock(frame, 1))):
+            (path := built(f"frame-{k}.{name}.xml")).write_text(str(converted))
             mitsuba_files[name] += [str(path), f"{path}.png"]
         pov_commands.append(povray.command(frame, built(f"frame-{k}.png")))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
