@@ -3,24 +3,11 @@
 import gc
 import io
 import tracemalloc
-import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tracer import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    PointLight,
-    Scene,
-    SceneWarning,
-    Sphere,
-    load_scene,
-    render,
-)
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
 
 EMPTY = "<camera/><image>4 3</image>"
 
@@ -111,36 +98,6 @@ def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
     green = Lambertian(diffuse=(0, 1, 0))
     assert [surface.shader for surface in scene.surfaces] == [green, Phong(), Phong(), green]
     assert len(scene.surfaces.shaders) == 3  # with white
-
-
-@pytest.mark.parametrize(
-    ("content", "warning"),
-    [
-        ('<shader name="a" type="Phong"/>',
-         "no surface refers to the shader of line 2; write <shader ref=\"...\"/> with the name in a"
-         " surface, or remove the definition"),
-        ("\n".join(f'<shader name="{k}" type="Phong"/>' for k in range(10)),
-         "no surface refers to the shaders of lines 2, 3, 4, 5, 6, 7, 8, 9, 10, ...; write <shader"
-         " ref=\"...\"/> with the name in a surface, or remove the definition"),
-        ('<surface type="Sphere">\n<shader type="Phong"><exponent>9</exponent></shader></surface>',
-         "exponent has no effect in the shader of line 3, because specularColor is 0 0 0;"
-         " add <specularColor>"),
-        ('<surface type="Sphere"><shader type="Phong"/></surface>', None),
-        ('<surface type="Sphere"><shader type="Phong"><exponent>9</exponent>'
-         "<specularColor>0 0 1</specularColor></shader></surface>", None),
-        ('<surface type="Sphere"><shader name="a" type="Phong"/></surface>', None),
-    ],
-)  # fmt: skip
-def test_shaders_without_effect_are_named_by_their_lines(content, warning):
-    around = "<camera><viewPoint>0 0 4</viewPoint></camera><image>4 4</image>"
-    scene = scene_of(
-        f'{around}<light><position>0 0 4</position></light><surface type="Sphere"/>\n{content}'
-    )
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SceneWarning)
-        render(scene)
-        assert replace(scene, surfaces=list(scene.surfaces)) == scene
-    assert [str(each.message) for each in caught] == ([] if warning is None else [warning])
 
 
 @pytest.mark.parametrize(
