@@ -27,7 +27,6 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from tqdm import tqdm
 
 from reference.command import forbid_overwriting_inputs, parser
 from reference.judges.certificate import Certificate, certify
@@ -36,6 +35,7 @@ from tracer import Scene, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_result
+from tracer.command.progress import Progress
 from tracer.messages import printable
 
 # Permitted errors of a pixel's mean radiance, if --error is not given: without and with --codes.
@@ -64,12 +64,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     with failing(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     judged = _read_codes(arguments.judge, scene) if arguments.judge else None
-    start, hidden = perf_counter(), None if sys.stderr is None else not sys.stderr.isatty()
+    start = perf_counter()
     with (
         failing(path, "certified", errors=(ValueError, RuntimeError)),
-        tqdm(total=1, leave=False, disable=hidden) as bar,
+        Progress(100, "%") as bar,
     ):
-        certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
+        certificate = certify(
+            scene,
+            float(error),
+            codes=arguments.codes,
+            progress=lambda fraction: bar.update(100 * fraction),
+        )
     lines, wrong_count = _summary(certificate, error, arguments.codes), 0
     seconds = perf_counter() - start
     if judged is not None:

@@ -1,8 +1,9 @@
-"""Draw the pictures in this folder again: ``python -m reference.regenerate``.
+"""Render the stored pictures in this folder again: ``python -m reference.regenerate``.
 
-Mitsuba's, ``mitsuba/NAME.exr``, are linear RGB, `WIDTH` pixels wide, at one sample a pixel in the
-exact flavour of the converter; a manifest tells how they were made.  `sheet.png` shows every scene,
-`sunflower.png` a large one.
+`mitsuba/NAME.exr` are Mitsuba's pictures in the exact flavour of the converter: linear RGB, `WIDTH`
+pixels wide, one sample per pixel.  `mitsuba/manifest.json` describes how they were rendered.
+`sheet.png` shows every scene, and `sunflower.png` one scene in a larger picture, both rendered by
+the tracer.
 """
 
 from __future__ import annotations
@@ -31,62 +32,70 @@ from tracer import Scene, load_scene, render, to_codes
 
 FOLDER = HERE / "mitsuba"
 WIDTH = 160
+"""Width of Mitsuba's pictures in pixels."""
 
-_SAMPLES = 16
-_SHEET, _HEIGHT, _GAP, _LABEL = 960, 175, 12, 22
+# Samples per pixel in the tracer's pictures, and the height of the large one.
+_SAMPLES, _LARGE_HEIGHT = 16, 540
 
-# Stored radiance is rounded to steps of 1e-6: below every tolerance, and the files compress better.
-_STEP = 2.0**-20
+# Lengths in pixels: the width of the sheet, the height of its pictures, the gaps between them, the
+# height of their labels, and the size of the labels' font.
+_SHEET_WIDTH, _PICTURE_HEIGHT, _GAP, _LABEL_HEIGHT, _FONT_SIZE = 960, 175, 12, 22, 13
+
+# Stored radiance is rounded to multiples of this number.  That is far below every tolerance, and
+# makes the files smaller.
+_RADIANCE_STEP = 2.0**-20
 
 
 def load_small(path: Path) -> Scene:
-    """A scene file, its picture made `WIDTH` pixels wide."""
+    """Load a scene file, and make its picture `WIDTH` pixels wide."""
     scene = load_scene(path)
     return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
 
 
 def scene_hash(path: Path) -> str:
-    """SHA-256 of a scene file."""
+    """Return the SHA-256 hash of a scene file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def stored(name: str) -> Floats:
-    """The stored picture of a scene, (h, w, 3), linear."""
+    """Read Mitsuba's stored picture of a scene: linear radiance (height, width, 3)."""
     ensure()
     return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
 def sheet(paths: Iterable[Path]) -> Image.Image:
-    """All scenes on one sheet, each over its name, the narrowest first."""
-    image = Image.new("RGB", (_SHEET, 10_000), "white")
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=13)
+    """Render all scenes on one sheet, in rows, each above its name; the narrowest come first."""
+    pictures = [(_rendered(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
+    row_height = _PICTURE_HEIGHT + _LABEL_HEIGHT + _GAP
+    image = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_FONT_SIZE)
     x = y = 0
-    drawn = [(_drawn(load_scene(path), _HEIGHT), path.stem) for path in paths]
-    for picture, name in sorted(drawn, key=lambda each: each[0].width):
-        if x + picture.width > _SHEET:
-            x, y = 0, y + _HEIGHT + _LABEL + _GAP
+    for picture, name in sorted(pictures, key=lambda pair: pair[0].width):
+        if x + picture.width > _SHEET_WIDTH:
+            x, y = 0, y + row_height
         image.paste(picture, (x, y))
-        pen.text((x, y + _HEIGHT + 3), name, fill=(60, 60, 60), font=font)
+        draw.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
         x += picture.width + _GAP
-    return image.crop((0, 0, _SHEET, y + _HEIGHT + _LABEL))
+    return image.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 
 
-def _drawn(scene: Scene, height: int) -> Image.Image:
-    """The scene at another size, anti-aliased."""
-    sized = replace(scene, width=round(scene.width * height / scene.height), height=height)
-    return Image.fromarray(to_codes(render(sized, _SAMPLES)))
+def _rendered(scene: Scene, height: int) -> Image.Image:
+    """Render a scene with antialiasing, in a picture of this height."""
+    resized = replace(scene, width=round(scene.width * height / scene.height), height=height)
+    return Image.fromarray(to_codes(render(resized, _SAMPLES)))
 
 
 def main() -> None:
-    """Render every scene again, and draw the README's pictures."""
+    """Render everything again."""
     parser("reference.regenerate", __doc__).parse_args()
     sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
-    sunflower = _drawn(load_scene(SCENES / "sunflower.xml"), 540)
-    sunflower.save(HERE / "sunflower.png", optimize=True)
+    large = _rendered(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
+    large.save(HERE / "sunflower.png", optimize=True)
     for path in own_scenes():
         image = render_mitsuba(load_small(path))
-        write_exr(FOLDER / f"{path.stem}.exr", np.round(image / _STEP) * _STEP)
-    made = {
+        rounded = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
+        write_exr(FOLDER / f"{path.stem}.exr", rounded)
+    manifest = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),
         "drjit": version("drjit"),
@@ -97,4 +106,4 @@ def main() -> None:
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},
     }
-    (FOLDER / "manifest.json").write_text(json.dumps(made, indent=2) + "\n", "utf-8")
+    (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")

@@ -24,7 +24,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from converters.to_mitsuba import choose_variant
 from reference import page as pages
@@ -37,6 +36,7 @@ from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
+from tracer.command.progress import track
 from tracer.files import atomic_file
 from tracer.messages import printable
 
@@ -167,7 +167,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     choose_variant(arguments.variant, status=MISUSED)
     names_differ = len({path.stem for path in paths}) == len(paths)
     compared = []
-    for path in tqdm(paths, unit="scene", disable=sys.stderr is None or None):
+    for path in track(paths, len(paths), "scenes"):
         name = printable(path.stem if names_differ else str(path))
         compared.append(attempt(_compared, path, name, arguments.variant))
     results = [pair for pair in compared if not isinstance(pair, Failure)]

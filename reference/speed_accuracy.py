@@ -22,7 +22,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import exact
@@ -37,6 +36,7 @@ from reference.measured.charts import WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render
+from tracer.command.progress import track
 
 _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
@@ -206,7 +206,8 @@ def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table, scene after scene."""
     use(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
-    for name, scene in tqdm(_scenes(quick).items(), unit="scene"):
+    scenes = _scenes(quick)
+    for name, scene in track(scenes.items(), len(scenes), "scenes"):
         yield from measure(name, scene, quick=quick)
 
 

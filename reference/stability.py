@@ -21,12 +21,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from reference.figures import Floats
 from reference.judges import plain
 from reference.measured.charts import WIDTH, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
+from tracer.command.progress import track
 
 Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
@@ -235,7 +235,7 @@ def _exact(scene: Scene) -> Floats:
 
 def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table: title of the panel, position, method and error."""
-    for panel in tqdm(PANELS, disable=None):
+    for panel in track(PANELS, len(PANELS), "panels"):
         positions = panel.positions[:: 3 if quick else 1].tolist()
         for name in ("this tracer", *panel.methods):
             for x, error in zip(positions, measure(panel, name, positions).tolist(), strict=True):

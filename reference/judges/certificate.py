@@ -491,7 +491,7 @@ def certify(
     codes : bool
         If True, a pixel is also finished as soon as only one 8-bit code per channel is possible.
     progress : callable
-        Called repeatedly, with the fraction of the picture that was finished since the last call.
+        Called repeatedly, with the fraction of the picture that is finished.
 
     Returns
     -------
@@ -510,7 +510,7 @@ def certify(
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, _ERROR_FOR_CELLS * error, codes)
     stack = [first_cells(picture.faces, scene.width, scene.height)]
-    total_area = stack[0].area
+    total_area, finished_area = stack[0].area, 0.0
     while stack:
         cells = stack.pop()
         halves = picture.halves(cells)
@@ -518,7 +518,8 @@ def certify(
             stack += halves
             continue
         pending = picture.refine(cells.quarters(scene.width, scene.height))
-        progress((cells.area - pending.area) / total_area)
+        finished_area += cells.area - pending.area
+        progress(finished_area / total_area)
         if pending.x.size:
             stack.append(pending)
     size = slice(scene.height), slice(scene.width)
