@@ -72,8 +72,8 @@ def has_ties(kind: str, scene: Scene) -> bool:
 @each_kind
 @each_count
 def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
-    # Of surfaces at the same distance, the first in the file is visible.  So all surfaces get one
-    # shader here.
+    # If surfaces are at the same distance, the first in the file is visible.  So that the order
+    # does not matter, all surfaces get one shader here.
     rng, shader = np.random.default_rng(1), Lambertian(diffuse=(0.9, 0.5, 0.1))
     scenes = [scene for scene in scenes_of(kind, samples) if not has_ties(kind, scene)]
     assert scenes

@@ -1,4 +1,4 @@
-"""Pixels explained, and warnings: they say the same as the picture."""
+"""Explanations of pixels, and warnings about scenes: both agree with the picture."""
 
 import re
 from dataclasses import replace
@@ -7,14 +7,16 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from probe import scene_of
+from probe import record_calls, scene_of
 from random_scenes import random_scene
 from running import run
 from scene_files import small
 
 import tracer
 from tracer import Box, Camera, Lambertian, PointLight, SceneWarning, Sphere, render
+from tracer.picture import explanation
 from tracer.picture.lint import Exposure
+from tracer.world.prepared_scene import PreparedScene
 
 FILE = """<scene>
 <camera><viewPoint>0 0 5</viewPoint></camera> <image>9 9</image>
@@ -28,6 +30,7 @@ FILE = """<scene>
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
+    """Return the path of a scene file with a sphere, a box and two lights."""
     scene = tmp_path / "scene.xml"
     scene.write_text(FILE)
     return scene
@@ -37,7 +40,7 @@ def path(tmp_path: Path) -> Path:
     "kind", ["scattered", "touching", "nested", "duplicated", "rooms", "grazing"]
 )
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_an_explanation_says_the_same_as_the_picture(kind, seed):
+def test_explanations_agree_with_the_picture(kind, seed):
     scene = random_scene(kind, seed)
     image, codes = render(scene), tracer.to_codes(render(scene))
     for y, x in np.ndindex(scene.height, scene.width):
@@ -60,7 +63,7 @@ def test_an_explanation_says_the_same_as_the_picture(kind, seed):
             np.testing.assert_allclose(specular, light.specular, rtol=1e-7, atol=1e-9)
 
 
-def test_an_explanation_names_what_keeps_a_light_out(path):
+def test_an_explanation_names_occluders(path):
     pixel = tracer.explain(tracer.load_scene(path), 4, 4)
     assert str(pixel.surface) == "Sphere 0 (line 5)"
     assert pixel.distance == pytest.approx(4)
@@ -71,28 +74,36 @@ def test_an_explanation_names_what_keeps_a_light_out(path):
     assert above.n_dot_l == pytest.approx(8 / np.hypot(9, 8))
     assert (right.line, right.n_dot_l < 0) == (4, True)
     assert [str(ref) for ref in right.occluders] == ["Sphere 0 (line 5)"]
-    # From a little to the right the second light is in front, behind the box.
+    # From farther right, the camera sees the side of the sphere that faces the second light.  The
+    # box is between them.
     camera = Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4))
     (_, right) = tracer.explain(replace(tracer.load_scene(path), camera=camera), 4, 4).lights
     assert right.n_dot_l > 0
     assert [str(ref) for ref in right.occluders] == ["Box 1 (line 6)"]
 
 
-def test_a_light_in_the_plane_of_a_face_is_kept_out_by_it():
-    """Its cosine is 0, and there is no highlight."""
+def test_a_face_blocks_a_light_in_its_plane():
+    """Test that the cosine is 0, and that the face itself is the occluder."""
     scene = replace(BALL, lights=[PointLight(position=(9, 0, 1))], surfaces=[CUBE])
     pixel = tracer.explain(scene, 4, 4)
     (light,) = pixel.lights
     assert (pixel.normal, light.n_dot_l, light.occluders) == ((0, 0, 1), 0, (pixel.surface,))
 
 
-def test_nothing_is_explained_where_the_ray_meets_nothing(path):
+def test_a_pixel_is_traced_once(monkeypatch):
+    samples = record_calls(monkeypatch, explanation, "nearest_hits", lambda _, samples: samples)
+    scenes = record_calls(monkeypatch, PreparedScene, "__init__", lambda _, scene: scene)
+    tracer.explain(BALL, 4, 4)
+    assert ([sample.size for sample in samples], scenes) == ([1], [BALL])
+
+
+def test_an_explanation_of_the_background(path):
     pixel = tracer.explain(tracer.load_scene(path), 0, 0)
     assert (pixel.surface, pixel.lights, pixel.radiance) == (None, (), (0, 0, 0))
     assert "none: the ray meets nothing" in str(pixel)
 
 
-def test_the_command_explains_and_writes_no_picture(path):
+def test_the_command_explains_a_pixel_and_writes_no_picture(path):
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
     assert "surface   Sphere 0 (line 5)" in out
@@ -158,17 +169,17 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
         # More than half of the lit pixels are clipped.
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(2, 1.5, 3)), *BALL.lights]},
          "^7. % of the pixels that are not black are brighter than 1, .*, first that of light 0$"),
-        # The eye inside, of a ball and of the first of two boxes.
+        # The eye is inside a ball, and inside the first of two boxes.
         ({"camera": Camera()}, f"{DARK}: .* viewPoint is inside surface 0: move it out, or a"),
         ({"surfaces": [Sphere(center=(0, 0, -9)), WIDE, TALL]}, f"{DARK}: .* inside surface 1:"),
-        # Named by its first user, in the file's order.
+        # A shader is named by the first surface in the file that uses it.
         ({"surfaces": [FLAT, *2 * [Sphere(shader=GARISH)]]}, COLOR),
         ({"lights": [PointLight(position=(3, 5, 4), intensity=(255, 255, 255))]}, INTENSITY),
         ({"width": 12}, "12 x 8 pixels .* of 1 x 1, stretched; viewWidth 1.5, or 8 columns"),
         ({"width": 7}, "7 x 8 pixels show a window of 1 x 1"),
     ],
 )  # fmt: skip
-def test_a_scene_hardly_as_meant_warns(change, warning):
+def test_scenes_that_warn(change, warning):
     with pytest.warns(SceneWarning, match=warning) as caught:
         render(replace(BALL, **change))
     assert len(caught) == 1
@@ -189,7 +200,7 @@ def test_a_scene_hardly_as_meant_warns(change, warning):
         small("room"),
     ],
 )  # fmt: skip
-def test_other_scenes_do_not_warn(scene):
+def test_scenes_that_do_not_warn(scene):
     assert render(scene).shape == (scene.height, scene.width, 3)
 
 

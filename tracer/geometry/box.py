@@ -1,4 +1,4 @@
-"""Axis-aligned boxes: where rays from the eye meet them, and which shadow segments they block.
+"""Axis-aligned boxes: intersections with rays from the eye, and tests of shadow segments.
 
 `Boxes` has the same methods and attributes as `Spheres`, which documents their arguments and
 results in full.
@@ -86,7 +86,7 @@ class Boxes:
         """Return the corners of axis-aligned bounding boxes: see `Spheres.bounding_boxes`."""
         return self.min_pt, self.max_pt
 
-    # Where rays from the eye meet the objects.
+    # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute, for pairs of a box and a row of the picture, where the box begins and ends.
@@ -172,7 +172,7 @@ class Boxes:
         x, y, z = (np.asarray(sign * axis[face]) for axis in self.frame.axes)
         return face, sign, level, (x, y, z), eye_height
 
-    # Which shadow segments the objects block.
+    # Tests of shadow segments: segments from hits to lights.
 
     def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
         """Return the corners of boxes, given by index.
@@ -236,8 +236,8 @@ class Boxes:
         # A point that counts as on a face may be this far from the face.
         size = self.coordinate_size[self.objects.positions(object_index)]
         thickness = thickness + 2 * SURFACE_TOLERANCE * size
-        # Where the segment enters and leaves the box grown by the thickness on all sides, and the
-        # box shrunk by the thickness, in units of the segment's length.
+        # Positions along the segment, in units of its length, at which it enters and leaves two
+        # boxes: the box grown by the thickness on all sides, and the box shrunk by it.
         enter, leave = np.array(-np.inf), np.array(np.inf)
         enter_shrunk, leave_shrunk = enter, leave
         for p, q, low, high in zip(start, end, *self.corners(object_index), strict=True):

@@ -1,4 +1,4 @@
-"""Spheres: where rays from the eye meet them, and which shadow segments they block.
+"""Spheres: intersections with rays from the eye, and tests of shadow segments.
 
 `Spheres` and `Boxes` have the same methods and attributes; those of `Spheres` are documented in
 full.  All methods take indices of objects among all objects of the scene (see `ObjectRange`).
@@ -109,7 +109,7 @@ class Spheres:
         """
         return self.center - self.radius, self.center + self.radius
 
-    # Where rays from the eye meet the objects.
+    # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute where objects begin and end in rows of the picture, for pairs of both.
@@ -131,10 +131,9 @@ class Spheres:
             Both ends, in pixels from the left border of the picture; left > right if the object
             does not reach the row.
         """
-        # Consider the ray in the middle of the row, and a ray directly above or below it in the
-        # same row.  Their distance at the sphere is at most `margin`.  So a sphere that is larger
-        # by the margin is met by the ray in the middle whenever any ray of the row meets the
-        # sphere.
+        # A row consists of columns of rays.  At the sphere, the rays of a column are at most a
+        # margin away from the ray in its centre.  So if any ray of the column meets the sphere, the
+        # ray in the centre meets the sphere grown by the margin.
         frame, sphere = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere]
         slope_margin = 0.5 * height * frame.step_v / frame.depth
@@ -273,7 +272,7 @@ class Spheres:
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), detail * inverse * t
 
-    # Which shadow segments the objects block.
+    # Tests of shadow segments: segments from hits to lights.
 
     def side(self, object_index: Ints, light: Triple) -> Sides:
         """Decide, for pairs of an object and a light, on which side of the surface the light lies.

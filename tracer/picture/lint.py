@@ -35,7 +35,7 @@ class SceneWarning(UserWarning):
 
 
 class Exposure(NamedTuple):
-    """How much of a picture, or of a part of it, is black or clipped.
+    """Numbers of black, lit and clipped pixels in a picture, or in a part of it.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def scene_warnings(scene: Scene, exposure: Exposure) -> Iterator[str]:
     scene : Scene
         The scene.
     exposure : Exposure
-        How much of its picture is black or clipped.
+        Numbers of black, lit and clipped pixels in its picture.
     """
     code_warnings = [*islice(_code_warnings(scene), 1)]
     yield from code_warnings

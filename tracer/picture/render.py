@@ -199,7 +199,7 @@ class Tile(NamedTuple):
     pixels : int
         Number of pixels in the tile.
     exposure : Exposure
-        How much of the tile is black or clipped.
+        Numbers of black, lit and clipped pixels in the tile.
     """
 
     data: Any

@@ -62,7 +62,7 @@ class FirstHits:
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
     """Find the surface that the ray through each position of the picture meets first.
 
-    Of several surfaces at exactly the same distance, the first in the file counts.
+    If surfaces are at exactly the same distance, the first of them in the file counts.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ and to the eye.  Light does not fall off with distance, and the highlight has no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -110,10 +111,9 @@ class Shading:
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
         self._glossy = [group.per_sample(hits.prepared.glossy) for group in hits.groups]
-        # For each group, by index: sums over lights of intensity times n.l, and of intensity times
-        # (n.h)^exponent, without the colours of the surfaces; (3, hits of the group).
-        self._diffuse: dict[int, Floats] = {}
-        self._specular: dict[int, Floats] = {}
+        # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
+        # the colours of the surfaces.
+        self._diffuse, self._specular = np.zeros((2, *hits.local.shape))
         faces = [g.repeat_runs(4 * g.run_object + g.face) for g in hits.groups if with_ids]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
@@ -130,22 +130,21 @@ class Shading:
         for bits in is_lit if self._with_ids else ():
             # The factor is odd: with more lights than bits, the first lights still count.
             self.ids = self.ids * 3 + bits
-        for index, (group, glossy) in enumerate(zip(self._hits.groups, self._glossy, strict=True)):
-            any_glossy = glossy.any()
-            for light, lit in enumerate(is_lit[:, group.interval]):
+        for group, glossy in zip(self._hits.groups, self._glossy, strict=True):
+            interval, any_glossy = group.interval, glossy.any()
+            for light, lit in enumerate(is_lit[:, interval]):
                 if not lit.any():
                     continue
-                intensity = geometry.lights.intensity[light]
-                n_dot_l, length2 = (
-                    values[light, group.interval] for values in (geometry.n_dot_l, geometry.length2)
-                )
-                strength = np.zeros(lit.size)
-                np.divide(n_dot_l, np.sqrt(length2), out=strength, where=lit)
-                _add(self._diffuse, index, intensity, strength)
+                intensity, cosine = geometry.lights.intensity[light].tolist(), np.zeros(lit.size)
+                length = np.sqrt(geometry.length2[light, interval])
+                np.divide(geometry.n_dot_l[light, interval], length, out=cosine, where=lit)
+                for channel, factor in zip(self._diffuse, intensity, strict=True):
+                    channel[interval] += factor * cosine
                 if any_glossy:
-                    strength, shiny = np.zeros(lit.size), indices(lit & glossy)
-                    strength[shiny] = geometry.highlight(light, group, shiny)
-                    _add(self._specular, index, intensity, strength)
+                    strength, index = np.zeros(lit.size), indices(lit & glossy)
+                    strength[index] = geometry.highlight(light, group, index)
+                    for channel, factor in zip(self._specular, intensity, strict=True):
+                        channel[interval] += factor * strength
 
     def terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
         """Yield the diffuse and the specular term of the radiance, for each channel.
@@ -159,16 +158,19 @@ class Shading:
         diffuse : (k,) float array
             Sum over lights of I kd n.l.
         specular : (k,) float array or None
-            Sum over lights of I ks (n.h)^exponent; None if it is 0 everywhere.
+            Sum over lights of I ks (n.h)^exponent; None if no object of this shape has highlights.
         """
         prepared = self._hits.prepared
-        for index, sums in self._diffuse.items():
-            group, specular_sums = self._hits.groups[index], self._specular.get(index)
-            for k in range(3):
-                specular = None
-                if specular_sums is not None:
-                    specular = specular_sums[k] * group.per_sample(prepared.specular[k])
-                yield group.sample, k, sums[k] * group.per_sample(prepared.diffuse[k]), specular
+        for (group, glossy), k in product(
+            zip(self._hits.groups, self._glossy, strict=True), range(3)
+        ):
+            diffuse = self._diffuse[k, group.interval] * group.per_sample(prepared.diffuse[k])
+            specular = None
+            if glossy.any():
+                specular = self._specular[k, group.interval] * group.per_sample(
+                    prepared.specular[k]
+                )
+            yield group.sample, k, diffuse, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
         """Return the radiance (3, samples) towards the eye; 0 for samples without a hit.
@@ -184,27 +186,6 @@ class Shading:
                 diffuse += specular
             out[channel][sample] = diffuse
         return out
-
-
-def _add(sums: dict[int, Floats], index: int, intensity: Floats, strength: Floats) -> None:
-    """Add a light to the sum of a group of n hits.
-
-    Parameters
-    ----------
-    sums : dict of (3, n) float arrays
-        The sums of all groups so far, by index of the group.
-    index : int
-        The group.
-    intensity : (3,) float array
-        Intensity of the light.
-    strength : (n,) float array
-        Factor on the intensity for each hit.
-    """
-    if index not in sums:
-        sums[index] = np.multiply.outer(intensity, strength)
-        return
-    for channel, factor in zip(sums[index], intensity, strict=True):
-        channel += factor * strength
 
 
 def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:

@@ -27,7 +27,7 @@ _MAX_DISTANCE = np.finfo(np.float64).max
 def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     """Find the nearest surface at each sample.
 
-    Of several surfaces at exactly the same distance, the first in the scene file is visible.
+    If surfaces are at exactly the same distance, the first of them in the file is visible.
     Samples whose rays meet no surface have no hit.
     """
     groups = _intersections(prepared, samples)

@@ -529,8 +529,8 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Each cell has four lists.  Which of them contains the entry depends on whether the cell is in
-    the first column, and in the first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
+    Each cell has four lists.  The list for an entry depends on whether the cell is in the first
+    column, and in the first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
 
     Parameters
     ----------
