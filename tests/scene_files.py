@@ -23,6 +23,7 @@ FIELDS = {
     "error factor": "the largest error is at most this many times that of a uniform grid",
     "largest error": "the largest error of a pixel, in linear radiance, is at most this",
     "samples": "the numbers of samples per pixel for which one of the above holds",
+    "brightest value": "Mitsuba's picture agrees, and the tracer's largest value is above this",
     "culling": "exact: the picture is that of every ray against every object, to the last bit",
     "slow": "yes, if similar scenes show the same, and this one is for the slow tests only",
 }

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import scene_files
 from PIL import Image
-from probe import close_up, scale_and_shift, scene_of
+from probe import close_up, scene_of
 from random_scenes import KINDS, random_scene
 from running import file_names, run
+from scene_files import hard_scenes
 
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use
@@ -34,61 +35,30 @@ from reference.check import (
 from reference.command import SCENES
 from reference.figures import Figures
 from reference.regenerate import load_small
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene, render
+from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.command.failure import Failure
 
-BALL, DOT = Sphere(), Sphere(radius=0.3)
 WALL = Box(min_pt=(-1, -1.2, -1), max_pt=(1.1, 1, 0))
-PLATE = Box(min_pt=(-0.3, -0.3, 0), max_pt=(0.3, 0.3, 0))
 RED_WALL = replace(WALL, shader=Lambertian(diffuse=(1, 0, 0)))
-NARROW = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=1e5)
-
-ODD_SCENES = {
-    "nothing": close_up(),
-    "flat box": close_up(PLATE),
-    "two equal spheres": close_up(DOT, DOT),
-    "bright": close_up(replace(DOT, shader=Phong(exponent=0, specular=(2, 0, 0)))),
-    # A narrow highlight keeps its digits in float32.
-    "narrow highlight": replace(
-        close_up(replace(WALL, shader=NARROW)),
-        **{"lights": (PointLight(position=(0.02, 0.01, 5)),), "width": 200, "height": 200},
-    ),
-    # Tolerances are relative in bright pictures.
-    "brighter": replace(
-        close_up(BALL), lights=(PointLight(position=(3, 4, 5), intensity=(300,) * 3),)
-    ),
-    # Rays start on a box around the scene, but no surface may be on its sides.
-    **{
-        f"along {axis}": scene_of(
-            WALL,
-            camera=Camera(view_point=5 * axis, view_dir=-axis, view_up=np.roll(axis, 1)),
-            size=(24, 24),
-            lights=[PointLight(position=9 * axis)],
-        )
-        for axis in (*np.eye(3), *-np.eye(3))
-    },
-    # Shadow rays start at a lamp that touches a surface.
-    "lamp": replace(
-        close_up(Box(min_pt=(-9, -9, -9), max_pt=(9, -1, 9)), PLATE, light=(0.1, -0.3, 0)),
-        camera=Camera(view_point=(0, 1, 5), view_dir=(0, -0.4, -1)),
-    ),
-    "distant light": close_up(BALL, light=(3e20, 5e20, 4e20)),
-    # The converted scene is ten units large, even if float32 could not represent the original.
-    "tiny": scale_and_shift(close_up(DOT), 1e-45),
-    "enormous": scale_and_shift(close_up(DOT), 1e45),
-    **{
-        f"{kind} {seed}": random_scene(kind, seed, 64, 48)
-        for kind in ("scattered", "rooms", "far", "walled", "crowd")
-        for seed in (1, 2)
-    },
-}
 
 
-@pytest.mark.parametrize("name", ODD_SCENES)
-def test_odd_scenes_agree(name):
-    result = check_scene(ODD_SCENES[name], name)
+@pytest.mark.parametrize("hard", hard_scenes("brightest value"))
+def test_hard_scenes_agree(hard):
+    result = check_scene(hard.scene, "hard")
     assert (result.verdict, result.remarks) == ("agrees", [])
-    assert result.tracer.max() > {"nothing": -1, "brighter": 200}.get(name, 0.3)
+    assert result.tracer.max() > float(hard.fields["brightest value"])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("kind", ["scattered", "rooms", "far", "walled", "crowd"])
+def test_random_scenes_agree(kind, seed):
+    result = check_scene(random_scene(kind, seed, 64, 48), "random")
+    assert (result.verdict, result.remarks) == ("agrees", [])
+    assert result.tracer.max() > 0.3
+
+
+def test_a_scene_without_surfaces_agrees():
+    assert check_scene(close_up(), "nothing").verdict == "agrees"
 
 
 # Comparisons with pictures that stand for Mitsuba's
