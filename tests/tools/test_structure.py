@@ -165,7 +165,7 @@ def test_every_command_handles_signals_before_it_imports_the_rest(folder: str) -
     commands = 0
     for name, module in modules(folder).items():
         text = [ast.unparse(node) for node in module.tree.body]
-        if any(line.startswith("def main(") for line in text):
+        if any(getattr(node, "name", "") == "main" for node in module.tree.body):
             assert text[1:4] == start, name
             commands += 1
         else:
