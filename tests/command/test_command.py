@@ -122,12 +122,15 @@ def test_linear_radiance_is_written_exactly_or_as_float32(scene, samples):
     assert (status, out) == (0, Path(f"{scene}.npy").read_bytes())
 
 
-def test_without_openexr_a_line_says_how_to_install_it(scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    monkeypatch.setattr(cli, "find_spec", lambda name: None)
-    with pytest.raises(ModuleNotFoundError, match=r"^No module named 'OpenEXR'$") as caught:
-        cli.main([str(scene), "-o", "a.exr"])
-    assert caught.value.name == "OpenEXR"  # `run` prints the command that installs it
+def test_without_openexr_a_line_says_how_to_install_it(scene):
+    stub = scene.with_name("OpenEXR.py")
+    error = "No module named 'OpenEXR'"
+    stub.write_text(f"raise ModuleNotFoundError({error!r}, name='OpenEXR')")
+    path = {"PYTHONPATH": f"{scene.parent}:{ROOT}"}
+    status, out, err = run(scene, "-o", "a.exr", env=path, cwd=scene.parent)
+    assert (status, out) == (2, "")
+    assert err == f"{error}; install it with python -m pip install OpenEXR\n"
+    assert file_names(scene.parent) == ["OpenEXR.py"]
 
 
 def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from importlib.util import find_spec
+from importlib import import_module
 from time import sleep
 
 from tracer.command.arguments import (
@@ -21,7 +21,6 @@ from tracer.command.batch import FORMATS, OTHER_NAME, Batch, Job, Settings, read
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.messages import printable
-from tracer.picture.explanation import explain
 from tracer.picture.parallel import processors
 from tracer.version import __version__
 
@@ -64,8 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _explain_pixels(parser, arguments)
     file_format = _file_format(parser, arguments)
     jobs = _jobs(parser, arguments, file_format)
-    if file_format == "exr" and find_spec("OpenEXR") is None:
-        raise ModuleNotFoundError("No module named 'OpenEXR'", name="OpenEXR")
+    if file_format == "exr":
+        import_module("OpenEXR")  # fail now if it is missing, not after rendering
     if is_folder(arguments.output or ""):
         # That something else has this name is reported for each picture.
         suppressed = suppress(FileExistsError, NotADirectoryError)
@@ -202,6 +201,8 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
         parser.error("--pixel cannot be combined with -o, --format or --watch")
     if arguments.samples > 1:
         parser.error("--pixel explains a picture of 1 sample per pixel; leave out --samples")
+
+    from tracer.picture.explanation import explain  # small pictures need not wait for the import
 
     def explain_one(path: str) -> None:
         scene = read_scene(path, arguments.size)
