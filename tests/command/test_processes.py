@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import pickle
-import resource
 import signal
 import subprocess
 import threading
@@ -261,16 +260,6 @@ def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
     with closing(WorkerPool(1)) as pool:
         next(render_tiles(RenderJob(picture()), pool))
     wait_until(lambda: not multiprocessing.active_children())
-
-
-@needs_two
-@pytest.mark.parametrize("limit", range(5, 15))
-def test_few_files(limit, tmp_path):
-    """What starts a pool, or a part of one, may lack files for the rest."""
-    path = tmp_path / "ball.xml"
-    path.write_text(SCENE.format(300, 200))
-    few = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))  # noqa: E731
-    assert run(path, "--quiet", "--processes", 2, preexec_fn=few) == (0, "", "")
 
 
 @pytest.fixture
