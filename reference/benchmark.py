@@ -70,7 +70,7 @@ ROUNDS = 3
 
 
 def speedup(ours: Timing, other: Timing) -> float:
-    """Return how many times as fast as the other one our task is: above 1 if it is faster."""
+    """Return how many times as fast as the other task ours is: above 1 if ours is faster."""
     return other.median / ours.median
 
 
@@ -100,7 +100,20 @@ def table(title: str, note: str, columns: Sequence[str], rows: Sequence[Sequence
 
 
 def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
-    """Time the tracer and Mitsuba alternately: `scene`, and `text` as Mitsuba's version of it."""
+    """Time alternately how the tracer and Mitsuba render a scene in this process.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene for the tracer.
+    text : str
+        The same scene in Mitsuba's format.
+
+    Returns
+    -------
+    tracer, mitsuba : Timing
+        Times of both.
+    """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
     loaded = mi.load_string(text)
     tasks: dict[str, Task] = {

@@ -114,7 +114,13 @@ def _error(text: str) -> Fraction:
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes (height, width, 3) of a picture, which must have the scene's size."""
+    """Read the 8-bit codes (height, width, 3) of a picture of a scene.
+
+    Raises
+    ------
+    Failure
+        If the picture cannot be read, or its size differs from that of the scene's picture.
+    """
     with errors_as_failure(path, "read", status=_FAILED, errors=UNREADABLE):
         codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape

@@ -70,7 +70,20 @@ def _camera(scene: Scene) -> str:
 
 
 def to_pov(scene: Scene, exposure: float = 1.0) -> str:
-    """Convert a scene to the language of POV-Ray 3.7, with its lights multiplied by `exposure`."""
+    """Convert a scene to the language of POV-Ray 3.7.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    exposure : float
+        Factor for the intensities of the lights.
+
+    Returns
+    -------
+    text : str
+        The text of POV-Ray's scene file.
+    """
     lines = [_HEADER, _camera(scene)]
     for light in scene.lights:
         color = f"{exposure!r} * {_xyz(light.intensity)}"
@@ -106,7 +119,11 @@ def command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) ->
 
 
 def linear(scene: Scene, target: Path, *options: str) -> list[str]:
-    """Return the `command` that renders a linear picture with 16 bits per channel for `picture`."""
+    """Return the command that renders a linear picture with 16 bits per channel.
+
+    The function `picture` reads it.  For the arguments, and the scene file that is written, see
+    `command`.
+    """
     return command(scene, target, "+FP16", "File_Gamma=1.0", *options, exposure=1 / WHITE)
 
 

@@ -94,7 +94,15 @@ def page(
 
 
 def _row(index: int, result: CheckResult) -> list[list[Cell]]:
-    """Return the row of the overview table for the result of this index."""
+    """Return the row of the overview table for a result: a list of cells, each a list of parts.
+
+    Parameters
+    ----------
+    index : int
+        Number of the result's pair of pictures on the page, to which the row links.
+    result : CheckResult
+        The comparison.
+    """
     verdict = Cell(result.verdict, good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
@@ -185,7 +193,29 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compared(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Compare the pictures of a scene file; return the result, by this name, and the comment."""
+    """Compare the tracer's and Mitsuba's pictures of a scene file.
+
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+    name : str
+        Name of the scene in the report.
+    variant : str or None
+        Mitsuba's variant; None for the fastest that works.
+
+    Returns
+    -------
+    result : CheckResult
+        The comparison.
+    comment : str
+        The comment at the beginning of the scene file.
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read or compared.
+    """
     result = replace(check(path, variant), name=name)
     with errors_as_failure(path, "read"):
         return result, _comment(path)

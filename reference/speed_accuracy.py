@@ -64,9 +64,19 @@ _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
 def _all_pairs(scene: Scene, side: int) -> Floats:
-    """Render as simple NumPy tracers do: every ray against every object, in float32.
+    """Render as simple NumPy tracers do: test every ray against every object, in float32.
 
-    Returns an image (height, width, 3), with side x side samples in each pixel.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    side : int
+        Number of samples along each side of a pixel.
+
+    Returns
+    -------
+    image : (height, width, 3) float array
+        Mean linear radiance of the samples in each pixel.
     """
     offsets = ((np.arange(side) + 0.5) / side - 0.5).tolist()
     images = (
@@ -76,9 +86,20 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
 
 
 def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Return tasks that render a scene with 4^k samples per pixel, or as many times a factor.
+    """Return tasks that render a scene by each method, except POV-Ray.
 
-    The keys are pairs of the method and the factor.  POV-Ray is missing.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    k : int
+        The tasks take 4^k samples per pixel, times a factor.
+
+    Returns
+    -------
+    tasks : dict
+        Keys are pairs of a method and the factor.  Values are functions that return the image
+        (height, width, 3).
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
     text = str(exact(scene, 4**k)).replace('"stratified"', '"multijitter"')

@@ -65,9 +65,15 @@ def _scene(
 
 
 def distant(distance: float, width: float = 1, height: float = 1) -> Scene:
-    """Make a scene of a unit sphere at a distance, which fills a window of this size.
+    """Make a scene of a unit sphere, seen from a distance.
 
-    With the default size, neither the silhouette nor a shadow is visible.
+    Parameters
+    ----------
+    distance : float
+        Distance of the eye from the sphere's centre, and of the camera's window.
+    width, height : float
+        Size of the window, with 24 pixels per unit of length.  With the default size, neither the
+        silhouette nor a shadow is visible.
     """
     direction, view = np.array([2, -3, 6]) / 7, (distance, width, height)
     pixels = round(24 * width)
@@ -218,7 +224,22 @@ PANELS = (
 
 
 def measure(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
-    """Return the errors of a method of `METHODS` at some positions of a panel: (n,)."""
+    """Measure the errors of a method in the scenes of a panel.
+
+    Parameters
+    ----------
+    panel : Panel
+        The panel, which defines scenes and the measure of errors.
+    name : str
+        The method, a key of `METHODS`.
+    positions : iterable of n floats
+        Positions on the panel's horizontal axis.
+
+    Returns
+    -------
+    errors : (n,) float array
+        For each position, the largest error in the scenes near it.
+    """
     render_by_method, errors = METHODS[name], list[float]()
     for x in positions:
         scenes = [panel.scene(factor * float(x)) for factor in panel.nearby]

@@ -185,7 +185,16 @@ class CellForms:
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Decide all questions about cells, and collect the edge functions of the others."""
+        """Decide the questions that have one answer in all of a cell, and list the edges of others.
+
+        Parameters
+        ----------
+        faces : Faces
+            The scene.
+        cells : Cells
+            The cells.  Pairs and triples that prove to be irrelevant are removed, and settled
+            lights are marked, in a copy: see the attribute `cells`.
+        """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Coordinates of the cells' centres in the window, and half of their sizes.
         self._right, self._down = frame.across(cells.x), frame.down(cells.y)
@@ -202,14 +211,39 @@ class CellForms:
             self._find_intersections()
 
     def _rays(self, cell: Ints) -> Floats:
-        """Return the camera rays' directions d, linear in X and Y, for cells (n,): (3, 3, n)."""
+        """Return the directions of the camera rays through cells, as linear functions of X and Y.
+
+        Parameters
+        ----------
+        cell : (n,) int array
+            The cells.
+
+        Returns
+        -------
+        rays : (3, 3, n) float array
+            Along the first axis the components of the directions d, along the second the
+            coefficients of 1, X and Y.
+        """
         rays = np.zeros((3, 3, cell.size))
         rays[:, 0] = self._right[cell], self._down[cell], np.full(cell.size, self.faces.frame.depth)
         rays[0, 1], rays[1, 2] = self._half_right, self._half_down
         return rays
 
     def _linear(self, k: Floats, cell: Ints) -> Form:
-        """Compute k.d for vectors k (3, n) and the rays d through cells (n,)."""
+        """Compute the dot products k.d of vectors with the directions d of camera rays.
+
+        Parameters
+        ----------
+        k : (3, n) float array
+            The vectors.
+        cell : (n,) int array
+            For each vector, the cell through which the rays pass.
+
+        Returns
+        -------
+        product : Form
+            Enclosures (8, n) of the dot products: linear in X and Y, with their rounding errors.
+        """
         coef, (u, v, w) = np.zeros((8, cell.size)), k
         coef[C] = u * self._right[cell] + v * self._down[cell] + w * self.faces.frame.depth
         coef[X], coef[Y] = u * self._half_right, v * self._half_down
@@ -217,14 +251,44 @@ class CellForms:
         return Form(coef)
 
     def _half_space(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
-        """Express n.d + b / t as u + v s, for half-spaces (5, n: see `faces`) and pairs (n,)."""
+        """Express which points of faces are in half-spaces, by functions u + v s.
+
+        Such a function is n.d + b / t, where the half-space is n.x + b >= 0, and the ray meets the
+        face at t d.  It is positive if the point is inside.
+
+        Parameters
+        ----------
+        pair : (n,) int array
+            Pairs of a cell and a face.
+        half_space : (5, n) float array
+            For each pair a half-space: the three components of n, b, and the size of the terms of
+            which b is a sum.
+
+        Returns
+        -------
+        u, v : Form and (n,) float array
+            The functions are u + v s, with the root s of the pair's inverse distance.
+        """
         *normal, b, size = half_space
         u = self._linear(np.array(normal), self.cells.cell[pair]) + self._rootless[pair] * b
         u.coef[R] += ROUNDING * size * self._inverse_size[pair]
         return u, b
 
     def _function(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
-        """Enclose u + v s on pairs (n,)."""
+        """Enclose functions u + v s, where s is the root in the inverse distance of a face.
+
+        Parameters
+        ----------
+        pair : (n,) int array
+            Pairs of a cell and a face.
+        u, v : Form, and Form or (n,) float array
+            The functions.  On rectangles, s is 0, and v is ignored.
+
+        Returns
+        -------
+        function : Form
+            Enclosures (8, n) of the functions on the pairs.
+        """
         coef = u.coef.copy()
         index = np.flatnonzero(~self.faces.is_planar[self.cells.face[pair]])
         coef[:, index] += (self.root[pair[index]] * v[index]).coef
@@ -355,9 +419,20 @@ class CellForms:
         return is_hidden
 
     def _heights(self, pair: Ints, light: Ints) -> tuple[Form, Floats]:
-        """Express, as u + v s, heights of lights (n,; -1: the eye) above the faces of pairs (n,).
+        """Express the heights of lights above the tangent planes of faces, as functions u + v s.
 
-        The heights are divided by the distance t of the face from the eye.
+        A height is divided by the distance t of the visible point from the eye, and is positive if
+        the light is in front of the face.
+
+        Parameters
+        ----------
+        pair, light : (n,) int arrays
+            Pairs of a cell and a face; lights, or -1 for the height of the eye.
+
+        Returns
+        -------
+        u, v : Form and (n,) float array
+            The functions are u + v s, with the root s of the pair's inverse distance.
         """
         return self._half_space(pair, self.faces.height[:, light, self.cells.face[pair]])
 

@@ -18,7 +18,7 @@ triple
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,14 +78,10 @@ class Cells(NamedTuple):
         """
         new_index = np.where(kept, kept.cumsum() - 1, -1)
         pair, light, occluder = self.triples
-        cells = self._replace(
-            cell=self.cell[kept],
-            face=self.face[kept],
-            covers=self.covers[kept],
-            is_settled=self.is_settled[kept],
-            radiance=self.radiance[kept],
-            triples=np.array([new_index[pair], light, occluder]),
-        )
+        names = "cell", "face", "covers", "is_settled", "radiance"
+        pairs: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        triples = np.array([new_index[pair], light, occluder])
+        cells = self._replace(**pairs, triples=triples)
         return cells.with_triples(cells.triples[0] >= 0), new_index
 
     def take(self, kept: Bools) -> Cells:

@@ -220,7 +220,20 @@ def enclose(
 
 
 def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
-    """Bound the radiance (3, c) of all points in each cell: the brightest face, fully lit."""
+    """Bound the radiance of all points in each cell, by its brightest face under all lights.
+
+    Parameters
+    ----------
+    cells : Cells
+        The c cells, and the radiance of settled lights.
+    contributions : Contributions
+        Radiance of all lights that are not settled.
+
+    Returns
+    -------
+    max_radiance : (3, c) float array
+        Upper bounds in each channel; 0 in cells without a face.
+    """
     bound_of_pair, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
     add_runs(bound_of_pair, contributions.pair, contributions.radiance.size)
     for channel, bound in zip(max_radiance, bound_of_pair, strict=True):
@@ -235,8 +248,12 @@ def _strips_of_edges(
 
     Parameters
     ----------
-    forms, contributions, is_unknown
-        As in `enclose`.
+    forms : CellForms
+        The c cells, with their edge functions.
+    contributions : Contributions
+        Radiance of all lights that are not settled, which bounds jumps at the edges of shadows.
+    is_unknown : (c,) bool array
+        Cells to skip.
     max_radiance : (3, c) float array
         Bound on the radiance in each cell, which bounds jumps where another face is visible.
 
@@ -257,10 +274,20 @@ def _strips_of_edges(
 
 
 def _is_loose(edges: Strips) -> Bools:
-    """Choose the edges (n,) that do not divide their cell.
+    """Decide which edges are loose, so that they do not divide their cell into regions.
 
-    These are edges whose strips cover nearly all of the cell, and all edges but the `_MAX_LINES`
-    with the largest jumps.
+    An edge is loose if (1) its strip covers nearly all of the cell, or (2) `_MAX_LINES` other edges
+    of the cell have larger jumps of radiance.
+
+    Parameters
+    ----------
+    edges : Strips
+        Strips (n,) around the edges, sorted by cell.
+
+    Returns
+    -------
+    is_loose : (n,) bool array
+        Whether each edge is loose.
     """
     is_loose = edges.area > _MAX_STRIP_AREA
     order = np.lexsort((-edges.jump, is_loose, edges.cell))
@@ -299,7 +326,23 @@ def _doubt(lines: Strips, regions: Regions, count: int) -> Floats:
 
 
 def _radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
-    """Enclose the radiance (8, 3, n) of n regions, as their centroids show it."""
+    """Enclose the radiance of regions, as a sample at the centroid of each region shows it.
+
+    Parameters
+    ----------
+    forms : CellForms
+        The cells.
+    contributions : Contributions
+        Radiance of all lights that are not settled.
+    regions : Regions
+        The n regions.
+
+    Returns
+    -------
+    radiance : Form
+        Enclosures (8, 3, n): the radiance of the visible face from all settled lights, and from
+        those of the others that reach the centroid.
+    """
     _, x, y, *_ = regions.mean
     pair, is_lit = _traced(forms, regions.cell, x, y)
     radiance = forms.cells.radiance[pair].coef
@@ -365,7 +408,17 @@ class _Picture:
     """
 
     def __init__(self, scene: Scene, error: float, codes: bool) -> None:
-        """Begin a picture in which every pixel may err by `error`; for `codes` see `certify`."""
+        """Begin a black picture.
+
+        Parameters
+        ----------
+        scene : Scene
+            The scene.
+        error : float
+            Permitted error of each pixel's mean radiance.
+        codes : bool
+            Whether a pixel is also finished if only one 8-bit code per channel is possible.
+        """
         self.faces, self.error, self.by_codes, self.cells = Faces(scene), error, codes, 0
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)

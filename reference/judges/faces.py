@@ -134,7 +134,13 @@ class Faces:
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
     def _add_faces(self, low: Floats, high: Floats) -> None:
-        """Set the attributes of faces, from the corners (3, boxes) of boxes relative to the eye."""
+        """Set all attributes of the faces: see the class.
+
+        Parameters
+        ----------
+        low, high : (3, boxes) float arrays
+            Corners of the boxes relative to the eye, along the scene's axes.
+        """
         prepared, axes, n = self.prepared, self.frame.axes, self.spheres
         c, r, power, scene_center = self.center, self.radius, self.power, prepared.spheres.center
         # Lights, then the eye.
@@ -180,11 +186,16 @@ class Faces:
         self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
-        """Set the attributes of boxes' shadows, from the corners (3, boxes) relative to the eye.
+        """Set the attributes `shadow` and `has_shadow_edge`: the shadow volumes of the boxes.
 
-        Each half-space touches its box: the minimum of n.x over the box's corners is -b.  The
-        corners are relative to the eye, not to the light, so that nothing cancels in n.x, however
-        distant the light is.
+        Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
+        -b.  The corners are relative to the eye, not to the light, so that nothing cancels in n.x,
+        however distant the light is.
+
+        Parameters
+        ----------
+        low, high : (3, boxes) float arrays
+            Corners of the boxes relative to the eye, along the scene's axes.
         """
         lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
         low, high = low[:, None], high[:, None]

@@ -59,6 +59,7 @@ class Form:
     __slots__ = ("coef",)
 
     def __init__(self, coef: Floats) -> None:
+        """Wrap coefficients, without a copy."""
         self.coef = coef
 
     def __getitem__(self, index: Index) -> Form:
@@ -208,7 +209,7 @@ class Form:
         return Form(coef)
 
     def quarters(self) -> Form:
-        """Express each quantity in the four quarters of its cell.
+        """Express each quantity by the coordinates of each of the four quarters of its cell.
 
         Returns
         -------
@@ -250,7 +251,20 @@ def constant(value: Floats, radius: Floats | float = 0.0) -> Form:
 
 
 def difference(form: Form, other: Form) -> Form:
-    """Subtract quantities of different surfaces: their Z are independent, so they do not cancel."""
+    """Subtract quantities of different surfaces.
+
+    Their unknown parts Z are independent, so they do not cancel, but add to the radius.
+
+    Parameters
+    ----------
+    form, other : Form
+        Enclosures (8, n) of the minuend and the subtrahend.
+
+    Returns
+    -------
+    difference : Form
+        Enclosures (8, n) of the differences, without Z.
+    """
     coef = form.coef - other.coef
     coef[R], coef[Z] = form.radius + other.radius, 0
     return Form(coef)

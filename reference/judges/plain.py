@@ -91,8 +91,19 @@ def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Arr
 def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """Intersect rays with a sphere by the quadratic formula of most textbooks.
 
-    The error grows as eps D^2 with the distance D in radii.  For arguments and results see
-    `closest_approach`.
+    The error grows as eps D^2 with the distance D in radii.
+
+    Parameters
+    ----------
+    o, d : (3, n) arrays
+        Origins and directions of the rays.
+    c, r : (3, 1) and () arrays
+        Centre and radius of the sphere.
+
+    Returns
+    -------
+    near, far : (n,) arrays
+        t of the intersections o + t d; NaN if the ray misses the sphere.
     """
     m = o - c
     return _quadratic_roots(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
@@ -101,15 +112,32 @@ def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
 def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
     """Intersect rays with a sphere by the quadratic formula with |o - c|^2 multiplied out.
 
-    The error also grows as the square of the scene's offset from the origin.  For arguments and
-    results see `closest_approach`.
+    The error also grows as the square of the scene's offset from the origin.
+
+    Parameters
+    ----------
+    o, d : (3, n) arrays
+        Origins and directions of the rays.
+    c, r : (3, 1) and () arrays
+        Centre and radius of the sphere.
+
+    Returns
+    -------
+    near, far : (n,) arrays
+        t of the intersections o + t d; NaN if the ray misses the sphere.
     """
     distance2 = _dot(o, o) - 2 * _dot(o, c) + _dot(c, c)
     return _quadratic_roots(_dot(d, d), 2 * (_dot(o, d) - _dot(c, d)), distance2 - r * r)
 
 
 def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Solve a t^2 + b t + c = 0 for arrays (n,): return both solutions, or NaN if there is none."""
+    """Solve quadratic equations a t^2 + b t + c = 0 with coefficients (n,).
+
+    Returns
+    -------
+    low, high : (n,) arrays
+        The smaller and the larger solution, if a > 0; NaN if there is none.
+    """
     root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
@@ -181,7 +209,17 @@ class _Plain:
     def __init__(
         self, scene: Scene, arithmetic: str, spheres: str, shadows: str, ties: str
     ) -> None:
-        """Convert a scene; for the methods see `trace`."""
+        """Convert a scene to numbers of an arithmetic.
+
+        Parameters
+        ----------
+        scene : Scene
+            The scene.
+        arithmetic, spheres, shadows : str
+            Keys of `ARITHMETICS`, `SPHERES` and `SHADOWS`.
+        ties : str
+            Which of several nearest surfaces is visible: "first" or "last".
+        """
         self.scene, self.surfaces, self.exact = scene, scene.surfaces[:], shadows == "exact"
         self.last_wins = ties == "last"
         self.cast, contact = ARITHMETICS[arithmetic]
@@ -202,13 +240,35 @@ class _Plain:
         self.inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
-        """Replace values by 0 if they count as 0 relative to `scale`, which broadcasts to them."""
+        """Replace values by 0 where they are tiny.
+
+        Parameters
+        ----------
+        values : array
+            Numbers of this arithmetic.
+        scale : array that broadcasts to `values`
+            A value is tiny if its absolute value is at most 1e-50 times this.  In float32 and
+            float64, no value is tiny.
+        """
         if not self.contact:
             return values
         return np.where(np.abs(values) <= self.contact * scale, self.cast(0), values)
 
     def signed_distance(self, i: int, p: Array) -> Array:
-        """Measure how far points p (3, n) are outside surface i: 0 on it, negative inside."""
+        """Measure distances of points from a surface.
+
+        Parameters
+        ----------
+        i : int
+            The surface.
+        p : (3, n) array
+            The points.
+
+        Returns
+        -------
+        distance : (n,) array
+            Positive outside the surface, 0 on it, negative inside.
+        """
         a, b = self.shapes[i]
         if self.is_sphere[i]:
             distance = _norm(p - a) - b[0]
@@ -217,7 +277,18 @@ class _Plain:
         return self.snap_to_zero(distance, self.scale)
 
     def rays(self, x: Array, y: Array) -> Array:
-        """Return the camera rays' directions (3, n), for positions (n,) in pixels."""
+        """Return the directions of camera rays.
+
+        Parameters
+        ----------
+        x, y : (n,) float arrays
+            Positions in the picture, in pixels from its upper left corner.
+
+        Returns
+        -------
+        d : (3, n) array
+            Vectors from the eye to points of the window.
+        """
         cast, camera = self.cast, self.scene.camera
         width, height = self.scene.width, self.scene.height
         ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
@@ -256,7 +327,16 @@ class _Plain:
         return near, np.where(d == 0, far_if_parallel, np.maximum(a, b))
 
     def intersect(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
-        """Intersect rays with surface i.
+        """Intersect rays with a surface.
+
+        Parameters
+        ----------
+        i : int
+            The surface.
+        o, d : (3, 1) or (3, n), and (3, n) arrays
+            Origins and directions of the rays.
+        closed : bool
+            Whether rays in a face of a box meet the box.
 
         Returns
         -------
@@ -269,7 +349,18 @@ class _Plain:
         return near.max(axis=0), far.min(axis=0)
 
     def trace(self, x: Array, y: Array) -> Seen:
-        """Find the visible surface of each ray, and its radiance; for arguments see `trace`."""
+        """Find the visible surface of each camera ray, the lights that reach it, and its radiance.
+
+        Parameters
+        ----------
+        x, y : (n,) float arrays
+            Positions in the picture, in pixels from its upper left corner.
+
+        Returns
+        -------
+        seen : Seen
+            What each ray shows.
+        """
         d = self.rays(x, y)
         nearest, owner = self.nearest(d)
         visible = np.flatnonzero(owner >= 0)

@@ -63,7 +63,7 @@ def true_picture(scene: Scene, error: float) -> Certificate:
 
 
 def rmse(image: NDArray[np.float64], reference_image: NDArray[np.float64]) -> float:
-    """Compute the root mean square difference of two images (height, width, 3)."""
+    """Compute the root mean square difference of two images (height, width, 3), in all channels."""
     return float(np.sqrt(np.mean((image - reference_image) ** 2)))
 
 
