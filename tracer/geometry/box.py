@@ -27,7 +27,7 @@ from tracer.geometry.numbering import ObjectRange, box_range
 from tracer.geometry.rounding import (
     INSIDE,
     LIGHT_TOLERANCE,
-    NEARLY_PARALLEL,
+    MIN_COMPONENT,
     OUTSIDE,
     PLANE_ROUNDING,
     SURFACE_TOLERANCE,
@@ -244,7 +244,7 @@ class Boxes:
             d, to_low, to_high = q - p, low - p, high - p
             if np.count_nonzero(d) < d.size:
                 lengths = np.abs(to_low) + np.abs(to_high) + thickness
-                d = d + (d == 0) * (NEARLY_PARALLEL * lengths)
+                d = d + (d == 0) * (MIN_COMPONENT * lengths)
             near, far = _slab(to_low, to_high, d)
             margin = thickness / np.abs(d)
             enter_shrunk = np.maximum(enter_shrunk, near + margin)

@@ -23,11 +23,11 @@ from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.numbering import ObjectRange, sphere_range
 from tracer.geometry.rounding import (
     LIGHT_TOLERANCE,
-    NEARLY_ZERO_POWER,
+    MIN_POWER,
     ON,
     OUTSIDE,
     SQUARE_ROUNDING,
-    UNIT_ROUNDING,
+    UNIT_TOLERANCE,
     hit_tolerance,
     side_of,
 )
@@ -90,7 +90,7 @@ class Spheres:
         distance = np.sqrt(dot(local, local))
         height = distance - radius
         # Rounding errors alone must not move the eye off a sphere on which it lies.
-        is_on = np.abs(height) <= UNIT_ROUNDING * radius
+        is_on = np.abs(height) <= UNIT_TOLERANCE * radius
         power = np.where(is_on, 0, height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
         rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
@@ -449,7 +449,7 @@ def _tangents(u: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[
     # The tangents lie at the same angle on either side of the centre.  If the origin is inside the
     # disc, all rays meet the disc.  If rounding decides whether it is inside, the origin counts as
     # on the disc, and half of the rays meet the disc.
-    power_bound = np.maximum(power - NEARLY_ZERO_POWER * (u * u + ahead * ahead), 0)
+    power_bound = np.maximum(power - MIN_POWER * (u * u + ahead * ahead), 0)
     half_angle = np.arctan2(np.sqrt(chord2), np.sqrt(power_bound))
     center_angle = np.arctan2(u, ahead)
     half_angle[power < 0] = np.inf

@@ -15,22 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scaled, take3
-from tracer.geometry.rounding import INSIDE
+from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2, MIN_HALF_SQUARE
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.world.prepared_scene import Lights
 
 # A highlight is the bell exp(-x^2).  Maximum change of x over the part of the surface for which one
 # sample can stand; the x from which on the bell is negligible; and the x where it underflows.
 _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
-
-# If 1 + l.v is less than this, too many of its digits are lost to cancellation.
-_MIN_HALF2 = 1e-3
-
-# If |l + v|^2 is less than this, it consists of rounding errors.
-_MIN_HALF_LENGTH2 = 1e-24
-
-# Maximum factor by which a highlight may amplify the rounding error of n.h.
-_MAX_AMPLIFICATION = 256.0
 
 
 class LightGeometry(NamedTuple):
@@ -287,7 +278,7 @@ def _highlight(
     square *= square
     square /= 2 * half2
     power: Floats = np.exp(0.5 * exponent * np.log(square))
-    index = indices((half2 < _MIN_HALF2) | (exponent * power > _MAX_AMPLIFICATION))
+    index = indices((half2 < MIN_HALF_SQUARE) | (exponent * power > MAX_AMPLIFICATION))
     if not index.size:
         return power
     n, light, eye = unit_vectors(index)
@@ -297,5 +288,5 @@ def _highlight(
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     accurate = np.where(p == 0, 1.0, np.exp(p * np.log1p(-0.5 * dot(e, e))))
     # If l = -v, the light grazes the surface, and h consists of rounding errors.
-    power[index] = np.where(length2 > _MIN_HALF_LENGTH2, accurate, 0.0)
+    power[index] = np.where(length2 > MIN_HALF_LENGTH2, accurate, 0.0)
     return power

@@ -60,10 +60,7 @@ from tracer.arrays import (
     run_lengths,
     segment_indices,
 )
-
-POSITION_ERROR = 1e-9
-"""Bounds on positions are widened by this fraction of the coordinates from which they are computed.
-This is far more than all rounding errors together."""
+from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_ROUNDING
 
 # With n objects, a patch has sqrt(n) cells along each side, but at most `_MAX_SIDE`.  Smaller cells
 # have shorter lists, but filling them takes longer.  Cells are larger where objects would be listed
@@ -99,17 +96,9 @@ _LISTS_READ = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
 # coordinates, and otherwise in float64.
 _MIN_FLOAT32_WIDTH = 1e-4
 
-# Added to divisors so that none is 0; negligible compared with any distance.
-_SMALLEST_DIVISOR = 1e-300
-
-# Bound on the rounding errors of directions, and of points that are snapped to planes, relative to
-# the distance from the light.  It is small enough for distant lights such as the sun, from which
-# the whole scene may have an angular size of 1e-9 radians or less.
-_DIRECTION_ROUNDING = 1e-13
-
 # A light farther away than this many times the scene's size is moved to this distance.  Directions
 # to the light turn by at most the reciprocal, in radians.
-_MAX_DISTANCE = 2.0**22
+_MAX_LIGHT_DISTANCE = 2.0**22
 
 # Eight bools that are all True, read as one integer.
 _EIGHT_TRUE = 0x0101010101010101
@@ -137,7 +126,7 @@ class LightGrid(NamedTuple):
     Attributes
     ----------
     light : (3, lights, 1) float array
-        Positions of the lights.  Distant lights are moved closer: see `_MAX_DISTANCE`.
+        Positions of the lights.  Distant lights are moved closer: see `_MAX_LIGHT_DISTANCE`.
     patch : (8 * lights,) int array
         Element octant * lights + light is the index of the patch in this octant of the light, or
         -1 if the octant contains no object that the camera may see.
@@ -360,7 +349,7 @@ def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
 
 
 def _move_closer(lights: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Move distant lights towards the scene, to `_MAX_DISTANCE` times the scene's size.
+    """Move distant lights towards the scene, to `_MAX_LIGHT_DISTANCE` times the scene's size.
 
     Without this, bounds on the directions from a very distant light would be lost in rounding.
 
@@ -382,10 +371,10 @@ def _move_closer(lights: Floats, low: Floats, high: Floats) -> tuple[Floats, Flo
     scene_low, scene_high = low.min(axis=1, keepdims=True), high.max(axis=1, keepdims=True)
     center, size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
     from_center = lights.T - center
-    factor = _MAX_DISTANCE * size / np.abs(from_center).sum(axis=0)
+    factor = _MAX_LIGHT_DISTANCE * size / np.abs(from_center).sum(axis=0)
     position = np.where(factor < 1, center + factor * from_center, lights.T)
-    turn_error = np.where(factor < 1, 2 * size / _MAX_DISTANCE, 0)
-    error = _DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + turn_error
+    turn_error = np.where(factor < 1, 2 * size / _MAX_LIGHT_DISTANCE, 0)
+    error = DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + turn_error
     return position[:, :, None], error[:, None]
 
 
@@ -431,15 +420,15 @@ def _split_by_octant(
         low_k, high_k = low[k].take(box), high[k].take(box)
         minimum = np.maximum(np.where(is_negative, -high_k, low_k), 0)
         # For a box that only touches a coordinate plane, 0 / 0 would give no bound.
-        maximum = np.where(is_negative, -low_k, high_k) + _SMALLEST_DIVISOR
+        maximum = np.where(is_negative, -low_k, high_k) + MIN_DIVISOR
         components.append((minimum, maximum))
     # Minimum and maximum of |x|, |y| and |z|.
     (x0, x1), (y0, y1), (z0, z1) = components
     rectangle = np.array(
         [x0 / (x0 + (y1 + z1)), x1 / (x1 + (y0 + z0)), y0 / (y0 + (x1 + z1)), y1 / (y1 + (x0 + z0))]
     )
-    rectangle[::2] -= _DIRECTION_ROUNDING
-    rectangle[1::2] += _DIRECTION_ROUNDING
+    rectangle[::2] -= DIRECTION_ROUNDING
+    rectangle[1::2] += DIRECTION_ROUNDING
     return octant, box, rectangle, _direction_bounds(*components)
 
 
@@ -465,10 +454,10 @@ def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     bounds = np.empty((8, x[0].size))
     # a0 and a1 are the minimum and the maximum of one component, b0 and b1 those of the next.
     for k, ((a0, a1), (b0, b1)) in enumerate(((x, y), (y, z), (z, x))):
-        bounds[2 * k] = a0 / (a0 + b1) - _DIRECTION_ROUNDING
-        bounds[2 * k + 1] = -(a1 / (a1 + b0)) - _DIRECTION_ROUNDING
-    bounds[6] = -(1 + POSITION_ERROR) * (x[1] + y[1] + z[1])
-    bounds[7] = (1 - POSITION_ERROR) * (x[0] + y[0] + z[0])
+        bounds[2 * k] = a0 / (a0 + b1) - DIRECTION_ROUNDING
+        bounds[2 * k + 1] = -(a1 / (a1 + b0)) - DIRECTION_ROUNDING
+    bounds[6] = -(1 + POSITION_ROUNDING) * (x[1] + y[1] + z[1])
+    bounds[7] = (1 - POSITION_ROUNDING) * (x[0] + y[0] + z[0])
     return bounds
 
 

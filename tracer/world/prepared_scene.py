@@ -16,9 +16,10 @@ import numpy as np
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, run_starts
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import ScreenBounds, camera_frame
+from tracer.geometry.rounding import POSITION_ROUNDING
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
-from tracer.world.light_grid import POSITION_ERROR, LightGrid, light_grid
+from tracer.world.light_grid import LightGrid, light_grid
 
 Shape: TypeAlias = Spheres | Boxes
 """All objects of one kind; `Spheres` documents the methods."""
@@ -137,7 +138,7 @@ class PreparedScene:
         self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
         self.glossy = np.any(table[3:6] > 0, axis=0)
         size = np.concatenate([shape.coordinate_size for shape in shapes])
-        self.position_error = POSITION_ERROR * (size + np.abs(frame.eye).sum())
+        self.position_error = POSITION_ROUNDING * (size + np.abs(frame.eye).sum())
         # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
         # pixels are lower than wide, there are more packets instead.
         pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
