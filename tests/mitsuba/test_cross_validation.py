@@ -1,4 +1,4 @@
-"""The tracer, live Mitsuba and Mitsuba's stored pictures: each against each, on every scene.
+"""Compare the tracer, Mitsuba, and Mitsuba's stored pictures with each other, on every scene.
 
 `python -m reference.check SCENE.xml` shows what differs.
 """
@@ -23,8 +23,8 @@ pytestmark = pytest.mark.cross_validation
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_diffuse_light_agrees_with_that_by_stock_plugins_alone(name):
-    # In the LLVM variant, a ray through the diagonal of a cube's face may miss it.
+def test_diffuse_light_agrees_with_stock_plugins(name):
+    # In the LLVM variant, a ray through the diagonal of a cube's face may miss the cube.
     result = check.check_diffuse(load_small(SCENES / f"{name}.xml"), name, SCALAR)
     use()
     assert result.verdict == "agrees", result.report()
@@ -42,22 +42,22 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
         assert (name == "touching") == bool(result.ties.any())
         assert result.edges.mean() <= 0.003
     excluded = now.excluded | then.excluded
-    # Variants may decide ties in other ways: such pixels do not count in SSIM either.
-    again = np.where(excluded[:, :, None], then.mitsuba, now.mitsuba)
-    found = figures(again, then.mitsuba, excluded)
-    assert check.out_of_tolerance(found) == []
-    assert found.max <= check.EXACT.difference
+    # Variants of Mitsuba may decide ties differently: such pixels do not count in SSIM either.
+    shown = np.where(excluded[:, :, None], then.mitsuba, now.mitsuba)
+    measured = figures(shown, then.mitsuba, excluded)
+    assert check.out_of_tolerance(measured) == []
+    assert measured.max <= check.EXACT.difference
 
 
-def test_what_is_stored_is_of_these_scenes():
+def test_the_stored_pictures_are_of_these_scenes():
     assert sorted(path.stem for path in regenerate.FOLDER.glob("*.exr")) == NAMES
-    told = json.loads((regenerate.FOLDER / "manifest.json").read_text())
-    then = {name: scene["sha256"] for name, scene in told["scenes"].items()}
+    manifest = json.loads((regenerate.FOLDER / "manifest.json").read_text())
+    then = {name: scene["sha256"] for name, scene in manifest["scenes"].items()}
     now = {name: scene_hash(SCENES / f"{name}.xml") for name in NAMES}
     assert then == now, "scenes have changed; python -m reference.regenerate renders them again"
 
 
-def test_regenerate_makes_what_is_stored(tmp_path, monkeypatch):
+def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
     then = stored("one-box")
     monkeypatch.setattr(regenerate, "HERE", tmp_path)
     monkeypatch.setattr(regenerate, "FOLDER", tmp_path)
@@ -67,11 +67,11 @@ def test_regenerate_makes_what_is_stored(tmp_path, monkeypatch):
     np.testing.assert_allclose(stored("one-box"), then, atol=1e-4)
     names = {"one-box.exr", "manifest.json", "sheet.png", "sunflower.png"}
     assert {path.name for path in tmp_path.iterdir()} == names
-    made = json.loads((tmp_path / "manifest.json").read_text())
-    assert made.keys() == json.loads((HERE / "mitsuba/manifest.json").read_text()).keys()
+    written = json.loads((tmp_path / "manifest.json").read_text())
+    assert written.keys() == json.loads((HERE / "mitsuba/manifest.json").read_text()).keys()
 
 
 def test_mitsuba_converges_to_the_smooth_picture():
-    """Edges included, each pixel of which is off by about 1 / 8 of its contrast at 64 samples."""
+    """Pixels at edges count, too: at 64 samples, their error is about 1/8 of their contrast."""
     scene = replace(load_scene(SCENES / "one-sphere.xml"), width=32, height=32)
     assert figures(render(scene, 64), render_mitsuba(scene, 64)).rmse < 5e-3

@@ -1,8 +1,8 @@
-"""Mistakes, of a tracer and of the converter, that the comparison with live Mitsuba catches.
+"""Mistakes of a tracer and of the converter that the comparison with Mitsuba must detect.
 
-Some are made in the tracer's camera itself, while scenes are converted as well: nothing that has
-gone through that camera may enter what is rendered by Mitsuba.  The others change the scene, the
-picture, or what Mitsuba is given.
+Some mistakes are put into the tracer's camera, and scenes are converted with that wrong camera.
+They are detected only if the converter does not depend on it.  Other mistakes change the scene, the
+picture, or the converted scene.
 """
 
 import importlib
@@ -36,24 +36,24 @@ CAMERA_FRAME = tracer.geometry.camera.camera_frame
 
 
 def mirrored(*arguments: object) -> CameraFrame:
-    """Right is left."""
+    """Return a camera that exchanges left and right."""
     frame = CAMERA_FRAME(*arguments)
     return frame._replace(axes=frame.axes * [[-1], [1], [1]], shift_u=-frame.shift_u)
 
 
 def half_a_pixel_out(*arguments: object) -> CameraFrame:
-    """Samples lie on the edges of the pixels."""
+    """Return a camera whose samples lie on the pixels' edges."""
     frame = CAMERA_FRAME(*arguments)
     return frame._replace(shift_u=frame.shift_u + frame.step_u / 2)
 
 
 def normal_ignored(camera: tracer.Camera, *arguments: object) -> CameraFrame:
-    """The window is perpendicular to the view direction."""
+    """Return a camera whose window is perpendicular to the view direction."""
     return CAMERA_FRAME(replace(camera, proj_normal=None), *arguments)
 
 
 def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFrame]) -> None:
-    """Put another camera into the tracer: wherever it has this one."""
+    """Replace the tracer's function `camera_frame` in all modules that import it."""
     modules = [module for name, module in sys.modules.items() if name.startswith("tracer")]
     homes = [module for module in modules if vars(module).get("camera_frame") is CAMERA_FRAME]
     assert len(homes) > 1
@@ -61,7 +61,7 @@ def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFram
         monkeypatch.setattr(module, "camera_frame", camera)
 
 
-@pytest.mark.parametrize("compared", [check_scene, check_diffuse])
+@pytest.mark.parametrize("check_flavour", [check_scene, check_diffuse])
 @pytest.mark.parametrize(
     ("camera", "name"),
     [
@@ -74,37 +74,38 @@ def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFram
         (normal_ignored, "sticks-shifted"),
     ],
 )
-def test_a_wrong_camera_is_caught(monkeypatch, compared, camera, name):
+def test_a_wrong_camera_is_detected(monkeypatch, check_flavour, camera, name):
     scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
-    assert compared(scene, name).verdict == "agrees"
+    assert check_flavour(scene, name).verdict == "agrees"
     use_camera(monkeypatch, camera)
-    assert compared(scene, name).verdict == "DIFFERS"
+    assert check_flavour(scene, name).verdict == "DIFFERS"
 
 
-def boxes_out(scene: Scene) -> Floats:
-    """Boxes, and there is nothing else, one unit beside where they should be."""
-    aside = np.array([1, 0, 0])
-    boxes = [replace(b, min_pt=b.min_pt + aside, max_pt=b.max_pt + aside) for b in scene.surfaces]
+def boxes_shifted(scene: Scene) -> Floats:
+    """Render a scene of boxes with all boxes one unit to the right."""
+    offset = np.array([1, 0, 0])
+    boxes = [replace(b, min_pt=b.min_pt + offset, max_pt=b.max_pt + offset) for b in scene.surfaces]
     return render(replace(scene, surfaces=boxes))
 
 
-# What is usually asked of SSIM between two renderers.  The last column: whether the mistake passes.
+# Minimum SSIM that is usually required between two renderers.  In the table below, the last column
+# states whether the mistake would go undetected by it.
 USUAL_SSIM = 0.98
 
 
 @pytest.mark.parametrize(
     ("mutation", "name", "ssim_misses"),
     [
-        # Encoded with 1.8 and, like all pictures, shown with 2.2.
+        # Encoded with a gamma of 1.8 and, like all pictures, displayed with 2.2.
         (lambda scene: np.clip(render(scene), 0, 1) ** (2.2 / 1.8), "non-square-pixels", True),
         (lambda scene: render(scene) * 1.02, "non-square-pixels", True),
         (lambda scene: draw(scene, "specular-none", formula="image"), "non-square-pixels", True),
         (lambda scene: draw(scene, "shadow-none", formula="image"), "non-square-pixels", False),
-        (boxes_out, "two-boxes", False),
+        (boxes_shifted, "two-boxes", False),
     ],
-    ids=["gamma", "brighter", "no highlights", "no shadows", "boxes out"],
+    ids=["gamma", "brighter", "no highlights", "no shadows", "boxes shifted"],
 )
-def test_a_wrong_picture_is_caught(monkeypatch, mutation, name, ssim_misses):
+def test_a_wrong_picture_is_detected(monkeypatch, mutation, name, ssim_misses):
     scene = load_small(SCENES / f"{name}.xml")
     assert compare(scene, name, Rendering(stored(name), "stored", 0.0)).verdict == "agrees"
     wrong = mutation(scene)
@@ -114,8 +115,8 @@ def test_a_wrong_picture_is_caught(monkeypatch, mutation, name, ssim_misses):
     assert (result.figures.ssim >= USUAL_SSIM) == ssim_misses
 
 
-# Mistakes as `reference/handins/mistakes.md` draws them.
-BEGINNERS = """
+# Mistakes that `reference/handins/mistakes.md` describes.
+MISTAKES = """
 ambient-.1 diffuse-ignored exponent-2 falloff-2 h-length l-length light-first mirrored
 nl-absolute-diffuse nl-unclipped normal-inwards normal-length-sphere pixel-upper-left flipped
 projDistance-ignored reflection shadow-from-behind shadow-none silhouettes size-minus-1
@@ -123,11 +124,11 @@ specular-none unshaded viewDir-length window-ignored
 """
 
 
-@pytest.mark.parametrize("mistake", BEGINNERS.split())
-def test_mistakes_of_beginners_are_caught(monkeypatch, mistake):
+@pytest.mark.parametrize("mistake", MISTAKES.split())
+def test_mistakes_of_beginners_are_detected(monkeypatch, mistake):
     scene = replace(load_small(SCENES / "four-spheres.xml"), width=48, height=48)
     if mistake == "shadow-from-behind":
-        # Of two balls, one is beyond the light.
+        # One of the two balls is beyond the light.
         balls = Sphere(center=(0, 0, -4)), Sphere(center=(0, 3, -4))
         lights = (PointLight(position=(0, 1.5, -4)),)
         scene = replace(scene, camera=tracer.Camera(), lights=lights, surfaces=balls)
@@ -137,43 +138,45 @@ def test_mistakes_of_beginners_are_caught(monkeypatch, mistake):
     assert check_scene(scene, mistake).verdict == "DIFFERS"
 
 
-def moved_aside(window: Window) -> Window:
-    """By a fifth of the picture."""
+def shifted(window: Window) -> Window:
+    """Return the window shifted by a fifth of its width."""
     return window._replace(center=window.center + np.array([0.2 * window.width, 0, 0]))
 
 
 def reflected(window: Window) -> Window:
-    """Right is left."""
+    """Return the window with left and right exchanged."""
     flip = np.array([-1, 1, 1])
     return window._replace(axes=window.axes * flip[:, None], center=window.center * flip)
 
 
 def wider(window: Window) -> Window:
-    """A field of view that is 1 % too large."""
+    """Return a window that is 1 % too large."""
     return window._replace(width=window.width * 1.01, height=window.height * 1.01)
 
 
 def without_a_surface(scene: Scene) -> Scene:
-    """Without the one that is in fewest pixels, of those which are in the light."""
+    """Return the scene without the lit surface that is visible in the fewest pixels."""
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
-    lit = render(scene).max(axis=2).ravel() > 0.05
-    surface, count = np.unique(first_hits(scene, x, y).surface[lit], return_counts=True)
+    is_lit = render(scene).max(axis=2).ravel() > 0.05
+    surface, count = np.unique(first_hits(scene, x, y).surface[is_lit], return_counts=True)
     surfaces = [*scene.surfaces]
     del surfaces[surface[count.argmin()]]
     return replace(scene, surfaces=surfaces)
 
 
 def with_surfaces(change: Callable[[Surface], Surface]) -> Callable[[Scene], Scene]:
+    """Return a function that changes each surface of a scene."""
     return lambda scene: replace(scene, surfaces=[change(surface) for surface in scene.surfaces])
 
 
 def larger(surface: Surface) -> Surface:
+    """Return a sphere that is 1 % larger, or the same box."""
     is_sphere = isinstance(surface, Sphere)
     return replace(surface, radius=surface.radius * 1.01) if is_sphere else surface
 
 
 def shiny(strength: float, exponent: float) -> Callable[[Surface], Surface]:
-    """A surface with another highlight, if it has one."""
+    """Return a function that multiplies the strength and the exponent of a surface's highlight."""
 
     def change(surface: Surface) -> Surface:
         if not isinstance(old := surface.shader, Phong):
@@ -187,12 +190,13 @@ def shiny(strength: float, exponent: float) -> Callable[[Surface], Surface]:
 
 
 def lights_swapped(scene: Scene) -> Scene:
+    """Return the scene with the intensity of each light replaced by that of the next."""
     intensities = [light.intensity for light in scene.lights]
     swapped = zip(scene.lights, intensities[1:] + intensities[:1], strict=True)
     return replace(scene, lights=[replace(light, intensity=i) for light, i in swapped])
 
 
-WRONG_WINDOWS = {"moved": moved_aside, "mirrored": reflected, "field of view": wider}
+WRONG_WINDOWS = {"shifted": shifted, "mirrored": reflected, "field of view": wider}
 
 WRONG_SCENES: dict[str, Callable[[Scene], Scene]] = {
     "no light": lambda scene: replace(scene, lights=scene.lights[1:]),
@@ -205,6 +209,7 @@ WRONG_SCENES: dict[str, Callable[[Scene], Scene]] = {
 
 
 def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
+    """Put a mistake into the converter, or into the BSDF of the exact flavour."""
     if mistake in WRONG_WINDOWS:
         wrong = WRONG_WINDOWS[mistake]
         monkeypatch.setattr(flavours, "window_of", lambda camera: wrong(window_of(camera)))
@@ -230,7 +235,7 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
     ],
 )
 @pytest.mark.parametrize("mistake", [*WRONG_WINDOWS, *WRONG_SCENES, "no cosine"])
-def test_a_broken_converter_is_caught(monkeypatch, mistake, name, variant):
+def test_a_broken_converter_is_detected(monkeypatch, mistake, name, variant):
     scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
     use(variant)
     break_converter(monkeypatch, mistake)
