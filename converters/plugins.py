@@ -136,10 +136,10 @@ class BlinnPhong(mi.BSDF):
 class EveryLight(mi.SamplingIntegrator):
     """An integrator that adds the light that comes directly from every emitter.
 
-    A shadow ray goes from the light to the hit.  All shapes are closed and convex.  What blocks the
-    ray therefore lies above the tangent plane of the hit, and the object of the hit lies below it.
-    So the hit is lit unless the first point on the ray lies more than `tolerance` above the plane.
-    This needs no offset from the surface, which would move the edges of shadows.
+    A shadow ray goes from the light to the hit.  All shapes are closed and convex.  An object that
+    blocks the ray therefore lies above the tangent plane of the hit, and the object of the hit lies
+    below it.  So the hit is lit unless the first point on the ray lies more than `tolerance` above
+    the plane.  This needs no offset from the surface, which would move the edges of shadows.
     """
 
     def __init__(self, props: mi.Properties) -> None:

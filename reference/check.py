@@ -92,8 +92,9 @@ MAX_MEDIAN = 1e-6  # maximum median of the differences
 # whole picture, and often the first batch decides.
 _PIXELS_PER_BATCH = 100
 
-# Relative distances, and distances in pixels, below which float64 cannot decide what is in front.
-_NEAR, _NEAR_SHIFT = 1e-12, 1e-6
+# Relative difference of radii, and distance in pixels, below which float64 may not decide correctly
+# which surface is in front.
+_MAX_GROWTH, _MAX_SHIFT = 1e-12, 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +151,7 @@ class CheckResult:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the pictures agree, and if not, whether the tracer is wrong."""
+        """The verdict: the pictures agree, the tracer is wrong (DIFFERS), or it is undecided."""
         if self.differing.any():
             return "DIFFERS" if self.wrong else "undecided"
         return "DIFFERS" if out_of_tolerance(self.figures) else "agrees"
@@ -301,8 +302,8 @@ def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floa
     """
     white = replace(light, intensity=(1.0, 1.0, 1.0))
     document = stock(replace(matte, lights=(white,)), 1)
-    parts = {part.get("type"): part for part in document.root.iter()}
-    integrator, sampler, emitter = parts["direct"], parts["multijitter"], parts["point"]
+    plugins = {element.get("type"): element for element in document.root.iter()}
+    integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
     document.root.remove(integrator)
     document.root.append(plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
@@ -429,7 +430,7 @@ def _compare_exactly(
     """Compare both pictures with exact arithmetic in some pixels.
 
     The tracer is right if its value is exact for the scene or for one so near that float64 cannot
-    tell the two apart.  Of surfaces that tie, it must show the first.
+    tell the two apart.  If surfaces tie, it must show the first.
 
     Parameters
     ----------
@@ -475,9 +476,9 @@ def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
         Distance in pixels by which its samples are moved along each axis.
     """
     yield scene, 0.0
-    for shift in (-_NEAR_SHIFT, _NEAR_SHIFT):
+    for shift in (-_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
-    for factor in (1 - _NEAR, 1 + _NEAR):
+    for factor in (1 - _MAX_GROWTH, 1 + _MAX_GROWTH):
         surfaces = (
             replace(s, radius=s.radius * factor) if isinstance(s, Sphere) else s
             for s in scene.surfaces

@@ -67,11 +67,11 @@ def cases() -> Iterator[tuple[str, str | bytes, list[str]]]:
         yield case, content, re.findall("^=> (.*)", expected, re.M)
 
 
-def is_expected(found: list[str], expected: list[str]) -> bool:
+def is_expected(lines: list[str], expected: list[str]) -> bool:
     """Return whether messages are those of a case; an expected "..." at the end is not compared."""
-    return len(found) == len(expected) and all(
+    return len(lines) == len(expected) and all(
         line.startswith(start.removesuffix("...")) and (start.endswith("...") or line == start)
-        for line, start in zip(found, expected, strict=True)
+        for line, start in zip(lines, expected, strict=True)
     )
 
 
@@ -80,22 +80,22 @@ def rewrite() -> None:
     text = MESSAGES.read_text(encoding="utf-8")
     warnings.simplefilter("error")
     for case, content, expected in cases():
-        if not is_expected(found := messages(content), expected):
-            old, new = ("".join(f"=> {line}\n" for line in each) for each in (expected, found))
+        if not is_expected(lines := messages(content), expected):
+            old, new = ("".join(f"=> {line}\n" for line in each) for each in (expected, lines))
             text = text.replace(f"\n{case}{old}", f"\n{case}{new}")
     MESSAGES.write_text(text, encoding="utf-8")
 
 
 @pytest.mark.parametrize(("content", "expected"), [case[1:] for case in cases()])
 def test_wording(content, expected):
-    found = messages(content)
-    assert found == expected or is_expected(found, expected)
+    lines = messages(content)
+    assert lines == expected or is_expected(lines, expected)
     # In the first line the mark of UTF-16 counts as a column, and remedies are for UTF-8.
     is_text = isinstance(content, str) and content.startswith("<") and "encoding=" not in content
     if is_text and not expected[-1].startswith("1: not XML"):
         same = [re.sub("(not XML.*?);.*", r"\1", line) for line in expected]
-        found = messages(content.encode("utf-16"))
-        assert [re.sub("(not XML.*?);.*", r"\1", line) for line in found] == same
+        lines = messages(content.encode("utf-16"))
+        assert [re.sub("(not XML.*?);.*", r"\1", line) for line in lines] == same
 
 
 def test_a_number_of_more_digits_than_int_reads():
@@ -143,7 +143,7 @@ LIMITS = {
 
 
 @pytest.mark.parametrize(("content", "message"), LIMITS.values(), ids=LIMITS)
-def test_what_would_eat_memory_or_time(content, message):
+def test_limits_of_memory_and_time(content, message):
     assert errors(f"<scene>{EMPTY}{content}</scene>")[-1].startswith(f"1: {message}")
 
 
@@ -158,12 +158,13 @@ def test_what_would_eat_memory_or_time(content, message):
     ],
     ids=["entities", "parameters", "a foreign file", "attributes"],
 )
-def test_bombs(declarations):
-    found = errors(f"<!DOCTYPE scene [{declarations}]>\n<scene>&g;</scene>")
-    assert found == [f"1: DOCTYPE: declarations are not allowed; {REMEDY}"]
+def test_declarations_are_refused(declarations):
+    assert errors(f"<!DOCTYPE scene [{declarations}]>\n<scene>&g;</scene>") == [
+        f"1: DOCTYPE: declarations are not allowed; {REMEDY}"
+    ]
 
 
-# What is no readable file
+# Files that cannot be read
 
 
 UNREADABLE: dict[str, Callable[[Path], object]] = {
@@ -179,10 +180,10 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize(("message", "make"), UNREADABLE.items())
-def test_no_readable_file(tmp_path, make, message):
+def test_a_file_that_cannot_be_read(tmp_path, make, message):
     make(tmp_path / "a.xml")
-    (found,) = errors(tmp_path / "a.xml")
-    assert found.startswith(message)
+    (line,) = errors(tmp_path / "a.xml")
+    assert line.startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -203,18 +204,18 @@ def test_odd_names(name, expected):
 
 
 @pytest.mark.parametrize(
-    ("source", "wrong"), [(0, "not int"), (io.StringIO("<a/>"), "binary file")]
+    ("source", "message"), [(0, "not int"), (io.StringIO("<a/>"), "binary file")]
 )
-def test_what_no_scene_is_read_from(source, wrong):
-    with pytest.raises(TypeError, match=wrong):
+def test_sources_that_are_not_binary_files(source, message):
+    with pytest.raises(TypeError, match=message):
         load_scene(source)
 
 
-# Files that are open already
+# Streams
 
 
 class Pipe(io.BytesIO):
-    """What can only be read on, and gives few bytes at a time."""
+    """A stream without seek, of which each read returns few bytes."""
 
     name = 3
     seek = None  # type: ignore[assignment]
@@ -224,9 +225,9 @@ class Pipe(io.BytesIO):
 
 
 def test_streams(tmp_path, monkeypatch):
-    many = b"<scene>\n<camera/>" + b"<!-- many -->\n" * 9000 + b"<image\n>4 3</image\n</scene>"
+    content = b"<scene>\n<camera/>" + b"<!-- many -->\n" * 9000 + b"<image\n>4 3</image\n</scene>"
     with pytest.raises(SceneFileError, match=r"^<stream>:9004: .*end the tag of line 9003 with >"):
-        load_scene(Pipe(many))
+        load_scene(Pipe(content))
     path = tmp_path / "scene.xml"
     path.write_text("<scene>")
     with path.open("rb") as file, pytest.raises(SceneFileError) as caught:
@@ -245,7 +246,7 @@ LARGE = {
     # A comparison of two names takes four calls or more: 900 times 250 would take 900,000.
     "misspelt": (SHADERS + "".join(SPHERE.format(f'<shader ref="rad{k}"/>') for k in range(900)),
                  300_000),
-    # 32 names are sought, each among 256 of these: among all it would take 5,700,000.
+    # 32 names are compared with 256 of these: with all, it would take 5,700,000 calls.
     "many names": ("".join(f'<shader name="red{k}" type="Phong"/>' for k in range(5000))
                    + "".join(SPHERE.format(f'<shader ref="rad{k}"/>') for k in range(40)),
                    800_000),
@@ -254,8 +255,8 @@ LARGE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "most"), LARGE.values(), ids=LARGE)
-def test_a_large_file_takes_few_calls(content, most):
+@pytest.mark.parametrize(("content", "max_calls"), LARGE.values(), ids=LARGE)
+def test_a_large_file_takes_few_calls(content, max_calls):
     calls = 0
 
     def count(_frame: object, event: str, _argument: object) -> None:
@@ -263,14 +264,14 @@ def test_a_large_file_takes_few_calls(content, most):
         calls += event in ("call", "c_call")
 
     file = io.BytesIO(f"<scene>{EMPTY}{content}</scene>".encode())
-    load_scene(io.BytesIO(f"<scene>{EMPTY}</scene>".encode()))  # and imports what it needs
+    load_scene(io.BytesIO(f"<scene>{EMPTY}</scene>".encode()))  # imports modules
     sys.setprofile(count)
     try:
         with suppress(SceneFileError):
             load_scene(file)
     finally:
         sys.setprofile(None)
-    assert 0 < calls < most + 3000
+    assert 0 < calls < max_calls + 3000
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Whatever a file holds, reading it gives a scene or says what is wrong, in lines."""
+"""Every file either is read as a scene or raises an error with readable lines."""
 
 import io
 from typing import Any
@@ -24,7 +24,7 @@ from tracer import (
 
 VALID = EVERYTHING.encode()
 
-# Pieces that make trouble in readers of XML, of numbers, or of this format.
+# Pieces that may cause trouble in a reader of XML, of numbers, or of this format.
 PIECES = [
     *(line.strip() for line in VALID.splitlines()),
     *VALID.replace(b">", b"> ").replace(b"<", b" <").split(),
@@ -41,7 +41,7 @@ PIECES = [
 
 @st.composite
 def mutated(draw: st.DrawFn) -> bytes:
-    """The valid file with a few places cut out, filled in or repeated."""
+    """Draw the valid file with a few pieces removed, inserted or repeated."""
     content = VALID
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(content)))
@@ -53,8 +53,8 @@ def mutated(draw: st.DrawFn) -> bytes:
     return content
 
 
-def read(content: bytes) -> None:
-    """The file is refused in lines, or its scene is the same when it has been written."""
+def check_reader(content: bytes) -> None:
+    """Check that a file is refused with readable lines, or that its scene survives saving."""
     try:
         scene = load_scene(io.BytesIO(content))
     except SceneFileError as error:
@@ -71,7 +71,7 @@ def read(content: bytes) -> None:
 @given(mutated())
 @example(VALID)
 def test_mutated_files(content):
-    read(content)
+    check_reader(content)
 
 
 @settings(max_examples=10 * settings.default.max_examples)
@@ -84,15 +84,15 @@ def test_mutated_files(content):
     ).map(b"".join)
 )
 def test_files_of_anything(content):
-    read(content)
+    check_reader(content)
 
 
-def valid(made: type, values: dict[str, Any], **needed: Any) -> Any:
-    """An object with these values, or of what it needs alone if they are not allowed."""
+def construct(dataclass: type, values: dict[str, Any], **required: Any) -> Any:
+    """Construct an object from these values; from the required ones alone if others are invalid."""
     try:
-        return made(**values, **needed)
+        return dataclass(**values, **required)
     except SceneError:
-        return made(**needed)
+        return dataclass(**required)
 
 
 SIZES = st.sampled_from([1e-75, 1e-20, 0.5, 1.0, 3.0, 1e20, 1e75])
@@ -104,10 +104,10 @@ POINTS, COLORS = (
 CAMERAS = st.fixed_dictionaries(
     dict.fromkeys(("view_point", "view_dir", "view_up"), POINTS)
     | dict.fromkeys(("proj_distance", "view_width", "view_height"), SIZES)
-).map(lambda values: valid(Camera, values))
-LIGHTS = st.builds(lambda p, c: valid(PointLight, {"intensity": c}, position=p), POINTS, COLORS)
+).map(lambda values: construct(Camera, values))
+LIGHTS = st.builds(lambda p, c: construct(PointLight, {"intensity": c}, position=p), POINTS, COLORS)
 SHADERS = st.fixed_dictionaries({"diffuse": COLORS, "specular": COLORS, "exponent": AMOUNTS}).map(
-    lambda values: valid(Phong, values)
+    lambda values: construct(Phong, values)
 )
 SURFACES = st.builds(Sphere, center=POINTS, radius=SIZES, shader=SHADERS) | st.builds(
     lambda a, b, s: Box(min_pt=np.minimum(a, b), max_pt=np.maximum(a, b), shader=s),

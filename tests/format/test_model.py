@@ -1,4 +1,4 @@
-"""Scenes that programs make: checks, copies, comparisons, types, files."""
+"""Scenes that programs construct: copies, comparisons, files."""
 
 import copy
 import io
@@ -46,7 +46,7 @@ def error_of(construct: Callable[[], object]) -> ValueError:
     return caught.value
 
 
-def test_a_scene_does_not_change_with_the_arrays_it_was_made_from():
+def test_surfaces_copy_their_arrays():
     arrays = {name: np.array(value) for name, value in ARRAYS.items() if name != "shaders"}
     surfaces = Surfaces(**arrays, shaders=ARRAYS["shaders"])
     for array in arrays.values():
@@ -58,7 +58,7 @@ def test_a_scene_does_not_change_with_the_arrays_it_was_made_from():
                 getattr(same, name)[:] = -1
 
 
-PICKLED = [lambda made, p=p: pickle.loads(pickle.dumps(made, p)) for p in range(6)]
+PICKLED = [lambda value, p=p: pickle.loads(pickle.dumps(value, p)) for p in range(6)]
 
 
 @pytest.mark.parametrize("copy_of", [copy.copy, copy.deepcopy, *PICKLED])
@@ -68,7 +68,7 @@ def test_copies_are_equal(copy_of):
     same = copy_of(scene)
     assert same == scene
     assert hash(same) == hash(scene)
-    # NumPy's own data types, not equal ones: see Surfaces.__setstate__.
+    # The data types must be NumPy's own objects, not equal ones: see Surfaces.__setstate__.
     assert same.surfaces.center.dtype is np.dtype(np.float64)
     assert same.surfaces.file_index.dtype is np.dtype(np.intp)
     for error in error_of(lambda: Scene(width=0, height=-1)), error_of(lambda: load_scene("a")):
@@ -112,7 +112,7 @@ def test_surfaces_are_sorted_once(monkeypatch):
     assert argsort.call_count == 1
 
 
-# In a file and back
+# Files
 
 
 def test_all_digits_are_saved(tmp_path):
@@ -135,7 +135,7 @@ def test_all_digits_are_saved(tmp_path):
         assert same == scene
         assert repr(same) == repr(scene)
         assert list(map(repr, same.surfaces)) == list(map(repr, scene.surfaces))
-    # What is shared is written once.
+    # A shader that several surfaces share is written once.
     assert path.read_text().count("Phong") == 1
     assert len(same.surfaces.shaders) <= 3
 
@@ -176,7 +176,7 @@ def test_objects_know_their_lines():
     assert [light.line for light in scene.lights] == [3, 5]
     ball, lights = Sphere(), [PointLight(position=(1, 2, 3))] * 2
     assert ball.line is lights[0].line is Surfaces.of([ball])[0].line is None
-    # They are no part of what an object is.
+    # Lines are ignored by ==, hash and repr.
     assert (read[1], scene.lights) == (ball, tuple(lights))
     assert (hash(read[1]), repr(read[1])) == (hash(ball), repr(ball))
     arrays = [a.nbytes for a in vars(read).values() if isinstance(a, np.ndarray)]
@@ -184,17 +184,17 @@ def test_objects_know_their_lines():
 
 
 @pytest.mark.parametrize(
-    ("vectors", "wrong"),
+    ("vectors", "message"),
     [
         (lambda x: {"view_up": (x, 0, -1)}, "view_up: must not be parallel to view_dir"),
         (lambda x: {"proj_normal": (0, 1, x), "view_up": (1, 0, 0)},
          "proj_normal: must not be perpendicular to view_dir"),
     ],
 )  # fmt: skip
-def test_directions_are_refused_where_too_few_digits_are_right(vectors, wrong):
-    """Below a sine or cosine of 1e-10."""
+def test_directions_are_refused_if_the_camera_would_be_inaccurate(vectors, message):
+    """The limit is a sine or cosine of 1e-10."""
     for x in (1.01e-10, -1.01e-10):
         Camera(**vectors(x))
     for x in (0.99e-10, -0.99e-10):
-        with pytest.raises(SceneError, match=wrong):
+        with pytest.raises(SceneError, match=message):
             Camera(**vectors(x))

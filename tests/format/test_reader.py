@@ -1,4 +1,4 @@
-"""What a scene file means: every default and every convention of the format."""
+"""The meaning of scene files: every default and every convention of the format."""
 
 import gc
 import io
@@ -13,7 +13,7 @@ EMPTY = "<camera/><image>4 3</image>"
 
 
 def scene_of(content: str) -> Scene:
-    """Read a scene, given what stands between <scene> and </scene>."""
+    """Read a scene from the text between <scene> and </scene>."""
     return load_scene(io.BytesIO(f"<scene>{content}</scene>".encode()))
 
 
@@ -45,7 +45,7 @@ def test_defaults():
 
 
 EVERYTHING = """<?xml version="1.0" encoding="utf-8"?>
-<!-- everything that the format has -->
+<!-- all elements of the format -->
 <scene>
   <surface type="Sphere"><shader ref="red"/><radius>.5</radius><center>1 2 3</center></surface>
   <surface type="Box">
@@ -68,7 +68,7 @@ EVERYTHING = """<?xml version="1.0" encoding="utf-8"?>
 """
 
 
-def test_everything_given():
+def test_all_elements():
     camera = Camera(
         view_point=(1, 2, 3),
         view_dir=(4, 5, 6),
@@ -119,7 +119,7 @@ def test_numbers(text, value):
     assert scene.camera.view_dir == value
 
 
-def test_the_least_scene_and_the_largest():
+def test_the_largest_picture():
     scene = scene_of("<camera/><image>16384 16384</image>")
     assert scene.width * scene.height == 2**28
     assert scene.lights == ()
@@ -127,7 +127,7 @@ def test_the_least_scene_and_the_largest():
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-15", "koi8-r"])
-def test_encodings_and_what_may_stand_around_the_scene(encoding):
+def test_encodings_comments_and_processing_instructions(encoding):
     declared = encoding.removesuffix("-sig")
     text = f"""<?xml version="1.0" encoding="{declared}"?>
       <?hint at all?> <!DOCTYPE scene> <!-- before --><scene>{EMPTY}</scene><!-- after -->
@@ -135,8 +135,8 @@ def test_encodings_and_what_may_stand_around_the_scene(encoding):
     assert load_scene(io.BytesIO(text.encode(encoding))).width == 4
 
 
-def test_a_token_may_lie_across_the_pieces_that_are_read():
-    """However a file is cut into pieces of 16 KiB, it means the same."""
+def test_a_token_may_be_divided_between_chunks():
+    """The file is parsed in chunks of 16 KiB, which begin at any place."""
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>'
     for shift in range(0, len(sphere), 7):
         scene = scene_of(EMPTY + " " * shift + sphere * 2000)
@@ -146,7 +146,7 @@ def test_a_token_may_lie_across_the_pieces_that_are_read():
 
 
 def test_surfaces_take_little_memory():
-    """The reader holds arrays, not a tree: fewer bytes than the file has."""
+    """The reader stores arrays, not a tree: they take fewer bytes than the file."""
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>\n'
     file = io.BytesIO(f"<scene>{EMPTY}{sphere * 20_000}</scene>".encode())
     load_scene(file)
@@ -156,12 +156,12 @@ def test_surfaces_take_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(scene.surfaces) == 20_000
-    # 32 bytes of numbers, 8 each of shader and place, 20 of line numbers; arrays grow in
-    # steps and are copied once into the scene: under 2 x 64 bytes a surface, and the buffers.
+    # 32 bytes of numbers, 8 each of shader and index, 22 of line numbers and tags; arrays grow in
+    # steps and are copied once into the scene: under 2 x 64 bytes per surface, and the buffers.
     assert peak < 20_000 * 128 + 2**20
 
 
-def test_nothing_is_left_for_the_garbage_collector():
+def test_the_reader_leaves_no_reference_cycles():
     gc.collect()
     gc.disable()
     try:

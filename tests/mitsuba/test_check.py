@@ -81,7 +81,7 @@ def four_spheres() -> tuple[Scene, np.ndarray]:
 
 
 def test_ties_are_explained_pixel_by_pixel(monkeypatch):
-    """A red box coincides with a white one: Mitsuba may show either, but nothing else."""
+    """A red box coincides with a white one: Mitsuba may show either, but no other colour."""
     scene = close_up(RED_WALL, WALL)
     red, white = render(scene), render(close_up(WALL, RED_WALL))
     assert red[..., 1].max() == 0
@@ -97,7 +97,7 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     mitsuba[23, 23] = 0.5  # in the last batch
     result = compared(scene, mitsuba)
     assert (result.verdict, result.differing.sum(), result.first) == ("undecided", 1, (23, 23))
-    # Of surfaces that tie, the tracer must show the first.
+    # If surfaces tie, the tracer must show the first.
     result = compared(replace(scene, surfaces=scene.surfaces[::-1]), white)
     assert (result.verdict, result.differing.sum()) == ("agrees", 0)
     replace_tracer(monkeypatch, white)

@@ -70,7 +70,7 @@ def test_shaders_that_no_surface_uses_are_not_converted(flavour):
     assert convert(scene, flavour) == convert(without, flavour).replace("bsdf0", "bsdf1")
 
 
-# What Mitsuba cannot represent
+# Scenes that Mitsuba cannot represent
 
 
 def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
@@ -173,7 +173,7 @@ def test_a_stock_highlight_has_the_right_height():
     assert image[50, 50, 0] == pytest.approx(0.6, rel=0.01)
 
 
-# What the trees contain
+# The content of the trees
 
 
 def number(document, path: str, name: str = "value") -> float:

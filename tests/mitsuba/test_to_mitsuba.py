@@ -101,7 +101,7 @@ def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, fl
     assert f"{odd.parent}/\\udcff\\n." in out
 
 
-# What Dr.Jit raises if a library of the system is missing.
+# Dr.Jit's error if a library of the system is missing.
 BROKEN = """
 try:
     raise ImportError('libatomic.so.1: cannot open shared object file')

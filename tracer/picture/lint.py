@@ -14,7 +14,7 @@ import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
-from tracer.scene.schema import number
+from tracer.scene.schema import number_text
 from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
@@ -198,7 +198,8 @@ def _stretched(scene: Scene) -> Iterator[str]:
     width, height, camera = scene.width, scene.height, scene.camera
     across, down = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= across * height / (down * width) <= _MAX_ASPECT:
-        window = f"{width} x {height} pixels show a window of {number(across)} x {number(down)}"
+        size = f"{number_text(across)} x {number_text(down)}"
+        window = f"{width} x {height} pixels show a window of {size}"
         columns = max(1, round(height * across / down))
         remedy = f"viewWidth {down * width / height:.6g}, or {columns} columns,"
         yield f"{window}, stretched; {remedy} would make them square"
@@ -242,6 +243,6 @@ def _code_warnings(scene: Scene) -> Iterator[str]:
                 colors.append((tag, color, _name("surface", user, surfaces[user].line)))
     for tag, color, owner in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
-            codes = " ".join(map(number, color))
+            codes = " ".join(map(number_text, color))
             fractions = " ".join(f"{value / 255:.3g}" for value in color)
             yield f"{tag} {codes} of {owner} looks like 0 to 255; for 0 to 1, write {fractions}"

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Checked, Columns, Floats, RowError, number, xml_field
+from tracer.scene.schema import Checked, Columns, Floats, RowError, number_text, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
 
-_ZERO, _ONE, _AHEAD, _UP = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
+_ORIGIN, _WHITE, _BLACK = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+_MINUS_Z, _PLUS_Y = (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
 
 _PROJ_NORMAL = xml_field(schema.DIRECTION, "projNormal")
 # The specification says color, the published scenes say intensity.
@@ -71,9 +72,9 @@ class Camera(Checked):
         `proj_normal` perpendicular to `view_dir`.
     """
 
-    view_point: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "viewPoint"))
-    view_dir: VectorLike = field(default=_AHEAD, metadata=xml_field(schema.DIRECTION, "viewDir"))
-    view_up: VectorLike = field(default=_UP, metadata=xml_field(schema.DIRECTION, "viewUp"))
+    view_point: VectorLike = field(default=_ORIGIN, metadata=xml_field(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(default=_MINUS_Z, metadata=xml_field(schema.DIRECTION, "viewDir"))
+    view_up: VectorLike = field(default=_PLUS_Y, metadata=xml_field(schema.DIRECTION, "viewUp"))
     proj_normal: VectorLike | None = field(default=None, metadata=_PROJ_NORMAL)
     proj_distance: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "projDistance"))
     view_width: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewWidth"))
@@ -116,7 +117,7 @@ class PointLight(Checked):
     """
 
     position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
-    intensity: VectorLike = field(default=_ONE, metadata=_INTENSITY)
+    intensity: VectorLike = field(default=_WHITE, metadata=_INTENSITY)
     line: int | None = field(default=None, compare=False, repr=False)
 
 
@@ -134,7 +135,7 @@ class Lambertian(Checked):
         Line number in the source file; ignored by ==.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
     line: int | None = field(default=None, compare=False, repr=False)
 
 
@@ -155,8 +156,8 @@ class Phong(Checked):
         Line number in the source file; ignored by ==.
     """
 
-    diffuse: VectorLike = field(default=_ONE, metadata=xml_field(schema.COLOR, "diffuseColor"))
-    specular: VectorLike = field(default=_ZERO, metadata=xml_field(schema.COLOR, "specularColor"))
+    diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_BLACK, metadata=xml_field(schema.COLOR, "specularColor"))
     exponent: float = field(default=1.0, metadata=xml_field(schema.EXPONENT, "exponent"))
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -179,7 +180,7 @@ class Sphere(Checked):
         Line number in the source file; ignored by ==.
     """
 
-    center: VectorLike = field(default=_ZERO, metadata=xml_field(schema.POINT, "center"))
+    center: VectorLike = field(default=_ORIGIN, metadata=xml_field(schema.POINT, "center"))
     radius: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "radius"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
@@ -214,7 +215,7 @@ class Box(Checked):
         low, high = columns["min_pt"], columns["max_pt"]
         for i in np.flatnonzero((low > high).any(axis=1)).tolist():
             has = " and ".join(
-                f"{axis} has {number(a)} > {number(b)}"
+                f"{axis} has {number_text(a)} > {number_text(b)}"
                 for axis, a, b in zip("xyz", low[i].tolist(), high[i].tolist(), strict=True)
                 if a > b
             )
@@ -266,11 +267,13 @@ class Surfaces(Sequence[Sphere | Box]):
         self.radius = schema.LENGTH.rows(radius, "radius")
         self.min_pt = schema.POINT.rows(min_pt, "min_pt")
         self.max_pt = schema.POINT.rows(max_pt, "max_pt")
-        self.shader_index = schema.integers(shader_index, "shader_index")
+        self.shader_index = schema.integer_array(shader_index, "shader_index")
         every = np.arange(len(self))
-        self.file_index = schema.integers(every if file_index is None else file_index, "file_index")
+        self.file_index = schema.integer_array(
+            every if file_index is None else file_index, "file_index"
+        )
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
-        lines = schema.integers(0 * every if line is None else line, "line")
+        lines = schema.integer_array(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
         schema.raise_any(self._conflicts())
         errors = sorted(self._errors(), key=lambda error: error[0])
@@ -416,8 +419,8 @@ class Scene(Checked):
     camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
     lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_of(PointLight)))
     surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.of(value)))
-    width: int = field(metadata=xml_field(schema.size))
-    height: int = field(metadata=xml_field(schema.size))
+    width: int = field(metadata=xml_field(schema.pixel_count))
+    height: int = field(metadata=xml_field(schema.pixel_count))
 
     # Not generated, because the parameters accept more types than the fields have.
     def __init__(

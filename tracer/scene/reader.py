@@ -206,7 +206,7 @@ class _Reader:
         """Read a surface as a row of the table of its type."""
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
-            # Which children it may have is unknown, but they may define shaders.
+            # The children of an unknown surface are unknown, too, but they may define shaders.
             self.report_type(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
@@ -261,7 +261,7 @@ class _Reader:
         return index
 
     def read_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Read an element as a row of a table, and report what is wrong with its parts.
+        """Read an element as a row of a table, and report what is wrong with it.
 
         Parameters
         ----------
@@ -273,31 +273,31 @@ class _Reader:
 
         Returns
         -------
-        parts : dict of Element
+        children : dict of Element
             Children of the element by the names of their fields.
         """
         misspelt: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
             misspelt = self.report_attributes(element, attributes, table.tags)
-        parts: dict[str, Element] = {}
+        children: dict[str, Element] = {}
         for child in element:
             name = table.tags.get(child.tag)
             if name is None:
                 misspelt.add(self.report_unknown(child, element, table.tags))
-            elif name in parts:
-                self.report_duplicate(child, parts[name])
+            elif name in children:
+                self.report_duplicate(child, children[name])
             else:
-                parts[name] = child
+                children[name] = child
         table.lines.append(element.line)
         for name, column in table.columns.items():
-            part = parts.get(name)
-            if part is not None:
-                column.append(self.read_numbers(part, column.count), part.line, part.tag)
+            given = children.get(name)
+            if given is not None:
+                column.append(self.read_numbers(given, column.count), given.line, given.tag)
                 continue
             column.append_missing()
             if column.required and (tag := column.tags[0]) not in misspelt:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
-        return parts
+        return children
 
     def read_numbers(self, element: Element, count: int) -> Sequence[float]:
         """Return the numbers that an element contains; after an error, `count` times NaN."""
@@ -361,7 +361,7 @@ class _Reader:
         self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
 
     def report_attributes(
-        self, element: Element, known: Sequence[str] = (), parts: Collection[str] = ()
+        self, element: Element, known: Sequence[str] = (), child_tags: Collection[str] = ()
     ) -> set[str | None]:
         """Report all attributes of an element that are unknown.
 
@@ -370,13 +370,13 @@ class _Reader:
         element : Element
         known : sequence of str
             Names of the attributes that it may have.
-        parts : collection of str
+        child_tags : collection of str
             Tags of the children that it may have, which may be given as attributes by mistake.
 
         Returns
         -------
         intended : set of (str or None)
-            Names in `known` and `parts` that the unknown attributes probably stand for.
+            Names in `known` and `child_tags` that the unknown attributes probably stand for.
         """
         intended: set[str | None] = set()
         for name, value in element.attrib.items():
@@ -384,11 +384,11 @@ class _Reader:
                 continue
             match = closest_name(name, known)
             remedy = suggestion(known, match)
-            if match is None and parts:
-                tag_remedy, match = unknown_tag(name, parts)
+            if match is None and child_tags:
+                tag_remedy, match = unknown_tag(name, child_tags)
                 if match == "shader":
                     remedy = f'write <shader ref="{shortened(value)}"/> in it'
-                elif match in parts:
+                elif match in child_tags:
                     remedy = f"write <{match}>{shortened(value)}</{match}> in it"
                 elif match is not None:
                     remedy = tag_remedy

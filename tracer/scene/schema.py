@@ -31,7 +31,7 @@ MAX_PIXELS = 1 << 28
 _MIN_LENGTH, _MAX_VALUE = 1e-75, 1e75
 
 
-def number(value: float) -> str:
+def number_text(value: float) -> str:
     """Return the shortest text of a number, without a final ``.0``: 3, 0.5, 1e+20."""
     return f"{value}".removesuffix(".0")
 
@@ -95,7 +95,10 @@ class Checked:
                 except SceneError as error:
                     lines += error.lines
         if not lines:
-            row = {name: np.array([getattr(self, name)], np.float64) for name in numeric(self)}
+            row = {
+                name: np.array([getattr(self, name)], np.float64)
+                for name in number_validators(self)
+            }
             lines = [f"{name}: {message}" for _, name, message in self.conflicts(row)]
         raise_any(lines)
 
@@ -127,12 +130,12 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
 # A predicate that is true for invalid values (n, count), and the message about the first of them.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
-_LIMITS = f"lengths other than 0 are from {number(_MIN_LENGTH)} to {number(_MAX_VALUE)}"
+_LIMITS = f"lengths other than 0 are from {number_text(_MIN_LENGTH)} to {number_text(_MAX_VALUE)}"
 _FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
 _NOT_LARGE: _Rule = (lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
 _NOT_HUGE: _Rule = (
     lambda x: x > _MAX_VALUE,
-    f"{{}} is too large; it is at most {number(_MAX_VALUE)}",
+    f"{{}} is too large; it is at most {number_text(_MAX_VALUE)}",
 )
 _NOT_SMALL: _Rule = (lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
 _NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
@@ -160,7 +163,7 @@ class Numbers:
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Validate the value of the field `name`; return a tuple, or the single number."""
-        array = _floats(value, name)
+        array = _float_array(value, name)
         if array.size != self.count or array.ndim > 1:
             has = f"shape {array.shape}" if array.ndim > 1 else array.size
             raise SceneError([f"{name}: {self.needed}, has {has}"])
@@ -183,7 +186,7 @@ class Numbers:
         rows : (n, count) or (n,) float array
             One-dimensional if the field is a single number.
         """
-        array = _floats(value, name)
+        array = _float_array(value, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
             raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
@@ -194,7 +197,7 @@ class Numbers:
         for is_broken, message in self.rules:
             broken = is_broken(values)
             for i in np.flatnonzero(broken.any(axis=1)).tolist():
-                messages.setdefault(i, message.format(number(values[i, broken[i]][0])))
+                messages.setdefault(i, message.format(number_text(values[i, broken[i]][0])))
         yield from messages.items()
 
 
@@ -205,7 +208,7 @@ LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
 EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
-def numeric(dataclass: Any) -> dict[str, Numbers]:
+def number_validators(dataclass: Any) -> dict[str, Numbers]:
     """Return the validators of those fields of a dataclass that consist of numbers, by name."""
     validators = {field.name: field.metadata.get("validator") for field in fields(dataclass)}
     return {
@@ -227,14 +230,14 @@ def errors(dataclass: type[Checked], columns: Columns) -> Iterator[RowError]:
     error : tuple
         The index of the object, the name of the field, and the message.
     """
-    for name, validator in numeric(dataclass).items():
+    for name, validator in number_validators(dataclass).items():
         yield from ((i, name, message) for i, message in validator.errors(columns[name]))
     yield from dataclass.conflicts(columns)
 
 
-def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
+def integer_array(value: ArrayLike, name: str) -> NDArray[np.intp]:
     """Validate whole numbers; return a copy (n,)."""
-    floats = _floats(value, name).ravel()
+    floats = _float_array(value, name).ravel()
     with np.errstate(invalid="ignore"):
         array = floats.astype(np.intp)
     if not np.array_equal(array, floats):
@@ -242,7 +245,7 @@ def integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
     return array
 
 
-def size(value: int, name: str) -> int:
+def pixel_count(value: int, name: str) -> int:
     """Validate a number of pixels; return it as a Python int, whose products do not overflow."""
     try:
         count = int(operator.index(value))
@@ -278,7 +281,7 @@ def one_of(*types: type) -> _Validator:
     return lambda value, name: validate([value], name)[0]
 
 
-def _floats(value: ArrayLike, name: str) -> Floats:
+def _float_array(value: ArrayLike, name: str) -> Floats:
     """Copy numbers into an array; raise `SceneError` for anything but real numbers."""
     try:
         array = np.asarray(value)

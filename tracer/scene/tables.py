@@ -22,7 +22,7 @@ from tracer.scene.schema import Floats, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# What a text contains if float() may have rounded one of its numbers to 0, and a word for 0.
+# Patterns in a text with numbers that float() may have rounded to 0, and of a word that is 0.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
@@ -130,10 +130,10 @@ class Table:
     """
 
     def __init__(self, made: type[schema.Checked]) -> None:
-        self.made, numeric = made, schema.numeric(made)
+        self.made, validators = made, schema.number_validators(made)
         tagged = [field for field in fields(cast(Any, made)) if field.metadata]
         self.tags = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
-        self.columns = {field.name: Column(field) for field in tagged if field.name in numeric}
+        self.columns = {field.name: Column(field) for field in tagged if field.name in validators}
         self.lines, self.index, self.shaders = array("i"), array("i"), array("i")
 
     def errors(self) -> Iterator[tuple[int, str, str]]:

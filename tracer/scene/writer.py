@@ -14,7 +14,7 @@ import numpy as np
 from tracer.files import atomic_file
 from tracer.scene.elements import Element, FatalError, Parser
 from tracer.scene.model import Scene
-from tracer.scene.schema import Numbers, number
+from tracer.scene.schema import Numbers, number_text
 
 
 def save_scene(
@@ -89,4 +89,4 @@ def _elements(instance: Any) -> str:
         if isinstance(field.metadata.get("validator"), Numbers)
         and (value := getattr(instance, field.name)) is not None
     }
-    return "".join(f" <{tag}>{' '.join(map(number, n))}</{tag}>" for tag, n in numbers.items())
+    return "".join(f" <{tag}>{' '.join(map(number_text, n))}</{tag}>" for tag, n in numbers.items())
