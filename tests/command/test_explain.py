@@ -10,10 +10,10 @@ import pytest
 from probe import record_calls, scene_of
 from random_scenes import random_scene
 from running import run
-from scene_files import small
+from scene_files import HARD_SCENES, small
 
 import tracer
-from tracer import Box, Camera, Lambertian, PointLight, SceneWarning, Sphere, render
+from tracer import Box, Camera, Lambertian, PointLight, SceneWarning, Sphere, load_scene, render
 from tracer.picture import explanation
 from tracer.picture.lint import Exposure
 from tracer.world.prepared_scene import PreparedScene
@@ -154,6 +154,9 @@ WIDE, TALL = (Box(min_pt=(-x, x - 4, -3), max_pt=(x, 4 - x, 5)) for x in (3, 1))
          r"^all lights have .* black; increase that of light 0 \(line 9\)$"),
         ({"lights": [*BALL.lights, PointLight(position=(3, 5, 4), intensity=(0, 0, 0), line=9)]},
          r"^light 1 \(line 9\) has intensity 0 0 0: it has no effect; remove it$"),
+        # One light of two inside a surface; the picture is not black.
+        ({"lights": [*BALL.lights, PointLight(position=(0, 0, 0), line=9)]},
+         r"^light 1 \(line 9\) is inside surface 0: it has no effect; move it out$"),
         # Surfaces that are black, or of another colour than the light.
         ({"surfaces": [replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0)), line=7),
                        Sphere(center=(99, 0, 0))]},
@@ -196,6 +199,9 @@ def test_scenes_that_warn(change, warning):
         replace(BALL, lights=[PointLight(position=(3, 5, 4), intensity=(1.3, 1, 1))]),
         replace(BALL, surfaces=[replace(CUBE, shader=Lambertian(diffuse=(0, 0, 0))),
                                 Sphere(center=(0, 0, -9), radius=8)]),
+        load_scene(HARD_SCENES / "light-on-a-table.xml"),
+        # A room that contains the eye and the light.
+        replace(BALL, surfaces=[Sphere(center=(9, 9, -9)), Sphere(radius=20)]),
         replace(BALL, width=100, height=104),
         replace(BALL, width=104, height=100),
         small("room"),

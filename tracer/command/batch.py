@@ -230,8 +230,9 @@ class Batch:
             return Report(pixels)
         seconds = perf_counter() - start
         line = f"{job.output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-        warnings = (f"{job.scene}: warning: {each}" for each in scene_warnings(scene, exposure))
-        return Report(pixels, printable(line), tuple(map(printable, warnings)))
+        warnings = scene_warnings(scene, picture.prepared, exposure)
+        texts = (printable(f"{job.scene}: warning: {warning}") for warning in warnings)
+        return Report(pixels, printable(line), tuple(texts))
 
     def _after_tile(self, pixels: int, total: int) -> None:
         """Show the progress after a tile, and keep the workers busy.

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
+from tracer.arrays import BATCH_SIZE, Floats, Ints, batches, indices
+from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
 from tracer.scene.schema import number_text
 from tracer.trace.samples import pixel_centers
@@ -25,6 +26,10 @@ _MIN_CODE = 10
 # Pixels count as stretched by mistake if they are more than this many times as wide as high, or as
 # high as wide.
 _MAX_ASPECT = 1.05
+
+# Maximum number of pairs of a light and a surface for which a picture that is not black is searched
+# for lights inside surfaces.
+_MAX_PAIRS = BATCH_SIZE
 
 # Maximum number of pixels of one rectangle of the picture that are examined for clipping.
 _MAX_EXAMINED = 1 << 12
@@ -67,13 +72,15 @@ class Exposure(NamedTuple):
         return Exposure(is_black, self.lit + other.lit, self.clipped + other.clipped)
 
 
-def scene_warnings(scene: Scene, exposure: Exposure) -> Iterator[str]:
+def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
     """Yield a warning for each property of a scene, or of its picture, that looks like a mistake.
 
     Parameters
     ----------
     scene : Scene
         The scene.
+    prepared : PreparedScene
+        The same scene, prepared for its camera.
     exposure : Exposure
         Numbers of black, lit and clipped pixels in its picture.
     """
@@ -82,12 +89,10 @@ def scene_warnings(scene: Scene, exposure: Exposure) -> Iterator[str]:
     yield from _ineffective_shaders(scene.surfaces)
     yield from _stretched(scene)
     if exposure.is_black:
-        reason, remedy = _reason_for_black(scene)
+        reason, remedy = _reason_for_black(scene, prepared)
         yield f"{reason}: the picture is black; {remedy}"
         return
-    for index, light in enumerate(scene.lights):
-        if not any(light.intensity):
-            yield f"{_light_name(scene, index)} has intensity 0 0 0: it has no effect; remove it"
+    yield from _ineffective_lights(scene, prepared)
     if not code_warnings and 2 * exposure.clipped > exposure.lit:
         brightest = max(range(len(scene.lights)), key=lambda k: max(scene.lights[k].intensity))
         share = f"{100 * exposure.clipped / exposure.lit:.0f} % of the pixels that are not black"
@@ -95,37 +100,72 @@ def scene_warnings(scene: Scene, exposure: Exposure) -> Iterator[str]:
         yield f"{share} are brighter than 1, and clipped at 1 in the PNG file; {remedy}"
 
 
+def _ineffective_lights(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
+    """Yield a warning for the first light of intensity 0, and for the first inside a surface."""
+    lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
+    for light in lights[:1]:
+        yield f"{_light_name(scene, light)} has intensity 0 0 0: it has no effect; remove it"
+    if len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
+        for light, enclosing in islice(_enclosed_lights(scene, prepared), 1):
+            where = f"{_light_name(scene, light)} is inside {_surface_name(scene, enclosing)}"
+            yield f"{where}: it has no effect; move it out"
+
+
+def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
+    """Find lights that reach nothing in view because they are inside objects without the eye.
+
+    Yields
+    ------
+    light : int
+        Index of a light whose intensity is not 0.
+    enclosing : (k,) int array
+        Indices of the objects that contain the light, but not the eye; at least one.
+    """
+    if not prepared.shapes:
+        return
+    for batch in batches(np.full(len(scene.lights), prepared.eye_inside.size)):
+        position = np.array([light.position for light in scene.lights[batch]])
+        x, y, z = position.T[:, :, None]
+        # A light at a depth of less than the tolerance counts as on the surface.
+        is_inside = [
+            shape.signed_distance(shape.objects.indices(), (x, y, z))
+            < -LIGHT_TOLERANCE * shape.coordinate_size
+            for shape in prepared.shapes
+        ]
+        encloses = np.concatenate(is_inside, axis=1) & ~prepared.eye_inside
+        for index in np.flatnonzero(encloses.any(axis=1)).tolist():
+            if any(scene.lights[batch.start + index].intensity):
+                yield batch.start + index, indices(encloses[index])
+
+
 @np.errstate(all="ignore")
-def _reason_for_black(scene: Scene) -> tuple[str, str]:
+def _reason_for_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """Find out why a picture is black; return the reason and a suggested fix."""
     if not scene.lights:
         return "the scene has no light", "add <light>"
-    prepared = PreparedScene(scene)
     visible = _visible_objects(prepared)
     if not visible.size:
         return _reason_for_empty(scene, prepared)
-    first = _surface_name(scene, visible)
+    shader = f"see the shader of {_surface_name(scene, visible)}"
     colors = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
     if not colors.any():
-        return "all surfaces in view are black", f"see the shader of {first}"
+        return "all surfaces in view are black", shader
     is_bright = np.array([light.intensity for light in scene.lights]) > 0
     if not is_bright.any():
         return "all lights have intensity 0 0 0", f"increase that of {_light_name(scene, 0)}"
     if not colors[is_bright.any(axis=0)].any():
-        return "the surfaces in view reflect no colour of the lights", f"see the shader of {first}"
-    contains_eye = _containing(prepared, scene.camera.view_point)
-    dark = "no light reaches anything in view"
-    around = visible[contains_eye[visible]]
+        return "the surfaces in view reflect no colour of the lights", shader
+    unlit = "no light reaches anything in view"
+    around = visible[prepared.eye_inside[visible]]
     if around.size:
         name = _surface_name(scene, around)
-        return dark, f"viewPoint is inside {name}: move it out, or a light in"
-    bright = np.flatnonzero(is_bright.any(axis=1)).tolist()
-    positions = [scene.lights[light].position for light in bright]
-    containing = [indices(_containing(prepared, p) & ~contains_eye) for p in positions]
-    if all(objects.size for objects in containing):
-        name = _surface_name(scene, containing[0])
-        return dark, f"{_light_name(scene, bright[0])} is inside {name}: move it out"
-    return dark, "see the lights' positions"
+        return unlit, f"viewPoint is inside {name}: move it out, or a light in"
+    enclosed = [*_enclosed_lights(scene, prepared)]
+    if len(enclosed) < np.count_nonzero(is_bright.any(axis=1)):
+        return unlit, "see the lights' positions"
+    light, enclosing = enclosed[0]
+    name = _light_name(scene, light)
+    return unlit, f"{name} is inside {_surface_name(scene, enclosing)}: move it out"
 
 
 def _reason_for_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
@@ -153,14 +193,6 @@ def _visible_objects(prepared: PreparedScene) -> Ints:
         samples = pixel_centers(slice(top, min(top + step, rows.stop)), columns)
         visible.append(np.unique(nearest_hits(prepared, samples).run_object))
     return np.unique(np.concatenate(visible))
-
-
-def _containing(prepared: PreparedScene, point: VectorLike) -> Bools:
-    """Return, for each object (n,), whether a point of the scene is inside it."""
-    x, y, z = np.asarray(point, dtype=np.float64)[:, None]
-    shapes = prepared.shapes
-    distances = [shape.signed_distance(shape.objects.indices(), (x, y, z)) for shape in shapes]
-    return np.concatenate(distances) < 0
 
 
 def _ineffective_shaders(surfaces: Surfaces) -> Iterator[str]:

@@ -156,7 +156,7 @@ def render(
     for index, radiance in work:
         if radiance is not None:
             image[tiles[index]] = radiance
-    for warning in scene_warnings(scene, Exposure.of_pixels(image)):
+    for warning in scene_warnings(scene, job.prepared, Exposure.of_pixels(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
