@@ -15,9 +15,17 @@ from running import INTERRUPTS, SCENE, drop_jit, run, start_process, wait_until
 
 from tracer import write_png
 
-# Commands, and what they write.
+# Runs the tracer as on systems whose new files have a name from the beginning.
+NAMED_FILES = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
+
+MANY = [f"{k}.xml" for k in range(20)]
+
+# Commands, and the files that they write.
 COMMANDS = {
     "tracer large.xml --processes 2": ["large.xml.png"],
+    f"named_files large.xml {' '.join(MANY)} --processes 2": [
+        f"{name}.png" for name in ("large.xml", *MANY)
+    ],
     "converters.to_mitsuba ball.xml": ["ball.mitsuba.xml"],
     "reference.check ball.xml -o out.png": ["out.png"],
     "reference.certify ball.xml -o sure.png --bounds wide.png": ["sure.png", "wide.png"],
@@ -28,7 +36,10 @@ COMMANDS = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """What the commands above read."""
+    """Create a folder with all files that the commands above read."""
+    (tmp_path / "named_files.py").write_text(NAMED_FILES)
+    for name in MANY:
+        (tmp_path / name).write_text(SCENE.format(400, 400))
     (tmp_path / "ball.xml").write_text(SCENE.format(60, 40))
     (tmp_path / "large.xml").write_text(SCENE.format(4000, 3000))
     image = np.random.default_rng(0).uniform(size=(60, 90, 3))
@@ -40,21 +51,21 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def left_running() -> set[str]:
-    """Processes that commands of this test have started."""
-    found, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
+def running_processes() -> set[str]:
+    """Return the numbers of the processes that commands of this test have started."""
+    numbers, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
     for path in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):
             if mark in path.read_bytes():
-                found.add(path.parent.name)
-    return found
+                numbers.add(path.parent.name)
+    return numbers
 
 
 def start(command: str, folder: Path) -> subprocess.Popen[str]:
-    """Start a command, and wait until it handles signals: before that Python itself starts."""
-    mine = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
+    """Start a command, and wait until it handles signals, which Python itself does not."""
+    environment = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
     python = ["-m", *command.split()]
-    process = start_process(python=python, cwd=folder, env=mine, start_new_session=True)
+    process = start_process(python=python, cwd=folder, env=environment, start_new_session=True)
     status = Path(f"/proc/{process.pid}/status")
     while process.poll() is None:
         caught = re.search(r"SigCgt:\s*(\w+)", status.read_text())
@@ -65,19 +76,31 @@ def start(command: str, folder: Path) -> subprocess.Popen[str]:
 
 
 def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
-    """Interrupt a command after some seconds; return its status, and check what it leaves."""
+    """Interrupt a command, check that it leaves nothing behind, and return its exit status.
+
+    Parameters
+    ----------
+    command : str
+        A key of `COMMANDS`.
+    moment : float
+        Seconds after which the command is interrupted.
+    number : int
+        Chooses the signal, how often it is sent, and whether to all processes of the command.
+    folder : Path
+        The working folder.
+    """
     before = set(folder.rglob("*"))
     process = start(command, folder)
     time.sleep(moment)
-    # From a terminal Ctrl-C reaches all processes of the group; some press it twice.
+    # In a terminal, Ctrl-C reaches all processes of the group, and users may press it twice.
     send = os.killpg if number % 2 else os.kill
     for _ in range(1 + (number // 2) % 2):
         with suppress(ProcessLookupError):
             send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
     assert drop_jit(err) == "", moment
-    wait_until(lambda: not left_running())
-    if process.returncode != 130:  # it was done: then its whole result is there
+    wait_until(lambda: not running_processes())
+    if process.returncode != 130:  # the command had ended: its results are complete
         assert process.returncode in (0, 1, 3)
         assert out
         assert all((folder / name).exists() for name in COMMANDS[command])
@@ -92,9 +115,9 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
 )
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[0])
 def test_at_any_moment(command, moments, folder):
-    began = time.monotonic()
+    begin = time.monotonic()
     start(command, folder).communicate(timeout=60)
-    took = time.monotonic() - began
+    duration = time.monotonic() - begin
     for name in COMMANDS[command]:
         (folder / name).unlink()
     seed = int(os.environ.get("INTERRUPTS_SEED", moments))
@@ -102,13 +125,23 @@ def test_at_any_moment(command, moments, folder):
     rng = random.Random(seed)
     statuses = []
     for k in range(moments):
-        moment = (k + rng.random()) / moments * took
+        moment = (k + rng.random()) / moments * duration
         statuses.append(interrupt(command, moment, k, folder))
-        if (
-            statuses[-1] != 130
-        ):  # this run was faster: the first one had to load files from the disk
-            took = moment
+        if statuses[-1] != 130:  # the first run had to load files from the disk: it took longer
+            duration = moment
     assert 130 in statuses
+
+
+@pytest.mark.parametrize("ignored", [signal.SIGINT, signal.SIGCHLD])
+def test_signals_that_the_caller_ignores(folder, ignored):
+    """Scripts ignore SIGINT for commands in the background, and some servers SIGCHLD."""
+    ignore = lambda: signal.signal(ignored, signal.SIG_IGN)  # noqa: E731
+    process = start_process("ball.xml", *MANY, "--quiet", preexec_fn=ignore, cwd=folder)
+    while process.poll() is None:
+        process.send_signal(ignored)
+        time.sleep(0.01)
+    assert (*process.communicate(), process.returncode) == ("", "", 0)
+    assert all((folder / f"{name}.png").exists() for name in ("ball.xml", *MANY))
 
 
 def test_watching_ends_when_nobody_reads(folder):
@@ -133,6 +166,6 @@ def test_watching_ends_when_nobody_reads(folder):
     ids=["a closed stream", "/dev/full"],
 )
 def test_results_that_cannot_be_printed(command, status, prepare, folder):
-    found, _, err = run(python=["-m", *command.split()], cwd=folder, preexec_fn=prepare)
-    assert (found, err.count("\n")) == (status, 1)
-    assert "standard output: cannot be written" in err
+    ended, _, err = run(python=["-m", *command.split()], cwd=folder, preexec_fn=prepare)
+    assert (ended, err.count("\n")) == (status, 1)
+    assert err.startswith("standard output: cannot be written: ")

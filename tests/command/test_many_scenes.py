@@ -112,7 +112,7 @@ def workers_of(process: Any) -> list[int]:
 
 @needs_two
 @pytest.mark.parametrize(
-    "moments", [3, pytest.param(100, marks=pytest.mark.slow)], ids=["some", "many"]
+    "moments", [3, pytest.param(40, marks=pytest.mark.slow)], ids=["some", "many"]
 )
 def test_a_worker_that_dies_at_any_moment_costs_no_picture(scenes, moments):
     assert run(*scenes, "--quiet", "--processes", 1)[0] == 0
