@@ -97,7 +97,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
         brightest = max(range(len(scene.lights)), key=lambda k: max(scene.lights[k].intensity))
         share = f"{100 * exposure.clipped / exposure.lit:.0f} % of the pixels that are not black"
         remedy = f"lower the intensities, first that of {_light_name(scene, brightest)}"
-        yield f"{share} are brighter than 1, and clipped at 1 in the PNG file; {remedy}"
+        yield f"{share} are brighter than 1, and clipped at 1 in a PNG file; {remedy}"
 
 
 def _ineffective_lights(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
@@ -185,13 +185,12 @@ def _reason_for_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
 
 def _visible_objects(prepared: PreparedScene) -> Ints:
     """Return the indices of all objects that are visible at the centre of any pixel."""
-    rows, columns = prepared.window
-    width = max(1, columns.stop - columns.start)
-    step = max(1, prepared.batch_size(BATCH_SIZE) // width)
-    visible = [np.zeros(0, dtype=np.intp)]
-    for top in range(rows.start, rows.stop if columns.start < columns.stop else rows.start, step):
-        samples = pixel_centers(slice(top, min(top + step, rows.stop)), columns)
-        visible.append(np.unique(nearest_hits(prepared, samples).run_object))
+    (rows, columns), visible = prepared.window, [np.zeros(0, dtype=np.intp)]
+    if columns.start < columns.stop:
+        step = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
+        for top in range(rows.start, rows.stop, step):
+            samples = pixel_centers(slice(top, min(top + step, rows.stop)), columns)
+            visible.append(np.unique(nearest_hits(prepared, samples).run_object))
     return np.unique(np.concatenate(visible))
 
 
