@@ -108,7 +108,7 @@ def make_output_folder(output: str | None) -> None:
         Argument of the option.
     """
     if output is not None and is_folder(output):
-        with errors_as_failure(output, "written"):
+        with errors_as_failure(output, "written", "choose another with -o"):
             Path(output).mkdir(parents=True, exist_ok=True)
 
 
@@ -209,7 +209,10 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> None:
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "converted"):
         text = convert(scene, options.flavour, options.samples)
-    with errors_as_failure(target, "written"), atomic_file(target, HEAD.encode()) as file:
+    with (
+        errors_as_failure(target, "written", "choose another with -o"),
+        atomic_file(target, HEAD.encode()) as file,
+    ):
         file.write(text.encode())
     print_line(sys.stdout, printable(f"{target}: {options.flavour} flavour"))
 
@@ -225,7 +228,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> None:
         image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
     png, exr = _png_and_exr(str(target))
     for picture, write in ((png, write_png), (exr, write_exr)):
-        with errors_as_failure(picture, "written"):
+        with errors_as_failure(picture, "written", "choose another with -o"):
             write(picture, image)
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))

@@ -516,7 +516,7 @@ def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> Che
     """Check the scene file `path`, write the comparison to the file `target`, print the result."""
     result = check(path, options.variant, options.flavour)
     labels = ("tracer", f"Mitsuba {result.variant}")
-    with errors_as_failure(target, "written"):
+    with errors_as_failure(target, "written", "choose another with -o"):
         write_comparison(target, result.tracer, result.mitsuba, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {target}"))

@@ -76,8 +76,6 @@ USAGE = [
     ("to_mitsuba --render a.exr -o a.png", f"a.exr: {A_SCENE}"),
     ("to_mitsuba ball.xml other.xml -o b.xml", f"-o b.xml: {FOLDER}"),
     ("to_mitsuba a.xml --samples 0", f"{COUNT} '0'"),
-    ("to_mitsuba a.xml --check",
-     "to compare is a command of its own: python -m reference.check SCENE.xml ..."),
     ("to_mitsuba a.xml --variant nope",
      "--variant is for --render; converting needs no Mitsuba"),
     ("check", f"{NEEDED} SCENE.xml"),
@@ -143,6 +141,7 @@ UNWRITTEN = [
     ("tracer ball.xml -o missing/a.exr", 1, "missing/a.exr", MISSING),
     ("to_mitsuba ball.xml -o text.png", 1, "text.png", EXISTING),
     ("to_mitsuba --render ball.xml -o text.png", 1, "text.png", EXISTING),
+    ("to_mitsuba ball.xml -o ball.xml/", 1, "ball.xml/", "File exists"),
     ("check ball.xml -o ball.xml/a.png", 1, "ball.xml/a.png", NO_FOLDER),
     ("certify ball.xml -o missing/a.png", 3, "missing/a.png", MISSING),
     ("compare a.png ball.xml -o text.png", 3, "text.png", EXISTING),
@@ -160,6 +159,6 @@ def test_results_that_cannot_be_written(folder, capsys, command, status, name, r
         found = MAIN[main](arguments), capsys.readouterr().err
     except Failure as failure:
         found = failure.status, f"{failure}\n"
-    remedy = f"; {OTHER}" * (main in ("tracer", "certify", "report"))
+    remedy = f"; {OTHER}" * (main != "compare")
     assert found == (status, f"{name}: cannot be written: {reason}{remedy}\n")
     assert contents(folder) == before

@@ -359,11 +359,6 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, co
         assert text.count("Not compared: ") == 2
 
 
-def test_a_comparison_that_cannot_be_written_is_reported(small, capsys):
-    assert main([*VARIANT, str(small), "-o", f"{small}/x.png"]) == 1
-    assert capsys.readouterr().err == f"{small}/x.png: cannot be written: Not a directory\n"
-
-
 @pytest.mark.parametrize(
     ("error", "message"),
     [

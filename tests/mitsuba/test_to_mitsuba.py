@@ -64,34 +64,6 @@ def test_the_files_are_written_although_no_one_reads_the_output(
     assert target.exists()
 
 
-@pytest.mark.parametrize("options", [[], RENDER])
-def test_a_file_of_another_kind_is_not_replaced(small, capsys, options):
-    other = small.with_name("other.png" if options else "other")
-    other.write_text("<scene>")
-    assert main([*options, str(small), "-o", str(other)]) == 1
-    message = f"{other}: cannot be written: a file of another kind is there\n"
-    assert capsys.readouterr().err == message
-    assert other.read_text() == "<scene>"
-    assert {*file_names(small.parent)} == {other.name, "small.xml"}
-    use()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--render", "a.exr", "-o", "a.png"], "would replace a scene"),
-        (["a.xml", "--samples", "0"], "must be a whole number from 1 to 999999999, is '0'"),
-        (["a.xml", "--flavour", "best"], "invalid choice: 'best'"),
-        (["a.xml", "--variant", "nope"], "--variant is for --render;"),
-        ([], "the following arguments are required: SCENE.xml"),
-    ],
-)
-def test_wrong_usage_ends_with_status_2(arguments, message, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(arguments)
-    assert message in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("flavour", ["stock", "exact"])
 def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, flavour):
     odd.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
