@@ -162,7 +162,7 @@ def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | 
         where, what = picture, "compared"
         found, b = solution.diagnose(a), solution.codes
         notes = [f"{name} {n}" for name, n in (("It", a.note), (f"{right.name}", note)) if n]
-        text = " ".join([*(() if found.kind == "identical" else notes), found.text])
+        text = " ".join([*(() if found.kind == "identical" else notes), str(found)])
         result = result._replace(kind=found.kind, diagnosis=text)
         if a.codes.shape != b.shape:
             return result, None

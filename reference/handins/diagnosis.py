@@ -1,204 +1,338 @@
-"""Say what is wrong with a hand-in: which mistakes draw it, or where it differs.
+"""Say what is wrong with a hand-in: with which mistakes a scene renders so, or where it differs.
 
-Mistakes are drawn, and a cause that was not drawn is never named.  Of a scene any can be drawn; of
-a right picture alone, some of geometry and encoding.
+A cause that was not rendered is never reported.  Of a scene, all mistakes of the table can be
+rendered; of a right picture alone, some of the camera and of the encoding.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reference.handins import symptoms
 from reference.handins.formulas import Array, Formulas
 from reference.handins.mistakes import OF_PICTURE
-from reference.handins.search import Drawings, Finding, Search
+from reference.handins.search import MAX_PIXELS, Cause, Finding, KnownPictures, Search, difference
 from reference.pictures import Codes, Picture
-from tracer import Scene, SurfaceRef
+from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
 AGREEING = ("identical", "rounding", "format")
 """Kinds of pictures that are right."""
-# So many surfaces are named where a picture differs, and so many alternatives.
-_NAMED = 3
+UNKNOWN = "unknown"
+# Maximum number of surfaces, and of alternatives, that a text names.
+_MAX_NAMED = 3
 # Lights are named that are wrong at this part of the pixels that differ.
-_PART = 0.1
-# Levels that light read from a picture may be off: they were rounded.
-_ROUNDED = 3
-# Pictures of another size are compared with the scene drawn in theirs.
+_MIN_LIGHT_SHARE = 0.1
+# Light read from a picture is off by at most this many levels, as its codes were rounded.
+_PICTURE_LEVELS = 3
+# A picture of another size is compared with the scene rendered at that size.
 _TURNS = ("transposed", "turned-90", "turned-270")
 
 
-class Diagnosis(NamedTuple):
-    """A keyword, such as ``"gamma-none"``, and a sentence.
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is known of a hand-in.
 
-    Of several mistakes, keywords are joined by ``+``; those that draw the same, by ``|``.
+    Attributes
+    ----------
+    causes : tuple of dict
+        The alternatives, each with its keywords and their sentences: ``{"gamma-none": "Gamma is
+        missing."}``.  A verdict such as "identical" is the only one.
+    before, after : str
+        Sentences before and after those of the causes.
+    hint : str
+        If no cause is known, the keywords of the nearest, joined by ``+``.
     """
 
-    kind: str
-    text: str
+    causes: tuple[dict[str, str], ...]
+    before: str = ""
+    after: str = ""
+    hint: str = ""
+
+    @property
+    def kind(self) -> str:
+        """The keywords: those of one cause are joined by ``+``, alternatives by ``|``."""
+        return "|".join("+".join(cause) for cause in self.causes)
+
+    @property
+    def first(self) -> str:
+        """The sentences of the first cause."""
+        return " ".join(self.causes[0].values())
+
+    def __str__(self) -> str:
+        alternatives = [" ".join(text for kind, text in cause.items() if kind not in self.causes[0])
+                        for cause in self.causes[1:]]  # fmt: skip
+        ways = [text for text in alternatives if text]
+        words = ""
+        if ways:
+            more = len(ways) - _MAX_NAMED + 1
+            words = " Or: ".join(ways[: _MAX_NAMED - 1])
+            words += f" Or one of {more} more." if more > 0 else ""
+            words = f"(In this scene one cannot tell it from: {words})"
+        return " ".join(filter(None, (self.before, self.first, words, self.after)))
+
+    def preferring(self, kinds: Iterable[str]) -> Diagnosis:
+        """Return the same with the causes of these keywords first, in this order."""
+        place = {kind: k for k, kind in enumerate(kinds)}
+        order = sorted(self.causes, key=lambda cause: place.get("+".join(cause), len(place)))
+        return replace(self, causes=tuple(order))
+
+
+def _verdict(kind: str, text: str, **more: str) -> Diagnosis:
+    return Diagnosis(({kind: text},), **more)
 
 
 class Solution:
-    """A scene, or a right picture, that hand-ins are held against; its drawings serve all of them.
+    """A scene, or a right picture, with which hand-ins of any size are compared.
 
-    `name` is what the scene's file is called on a command line.
+    Parameters
+    ----------
+    scene : Scene or Picture
+    name : str
+        The scene's file as it is written on a command line.
     """
 
     def __init__(self, scene: Scene | Picture, name: str = "") -> None:
-        self.name, self._drawings = name, dict[tuple[int, int, str], Drawings]()
+        self.name, self._known = name, dict[tuple[int, int, str], KnownPictures]()
         self.scene = scene if isinstance(scene, Scene) else None
-        self.right = scene if isinstance(scene, Scene) else scene.codes
-        self.lossy = 0 if isinstance(scene, Scene) else scene.lossy
-        self.saved = None if isinstance(scene, Scene) else scene.saved
-        if isinstance(scene, Scene):
-            self.height, self.width = scene.height, scene.width
-        else:
-            self.height, self.width = scene.codes.shape[:2]
-
-    @property
-    def codes(self) -> Codes:
+        self.picture = Picture(_rendered(scene)) if isinstance(scene, Scene) else scene
+        self.codes: Codes = self.picture.codes
         """The right picture (h, w, 3)."""
-        return _picture(self._drawn(self.height, self.width).right, self.width)
+        self.height, self.width = self.codes.shape[:2]
 
     @np.errstate(all="ignore")
-    def _drawn(self, height: int, width: int, turn: str = "") -> Drawings:
-        key = height, width, turn
-        if key not in self._drawings:
-            base: Formulas = {} if self.scene else OF_PICTURE
-            if turn:
-                base = self._drawn(height, width).table[turn]
-            columns = height if turn else width
-            self._drawings[key] = Drawings(self.right, height, width, columns, base)
-        return self._drawings[key]
+    def _known_pictures(self, height: int, width: int, turn: str = "") -> KnownPictures:
+        """Return what is known at one size, of the scene or of the scene turned.
+
+        At most that of the right size and of one more are kept, because they are large.
+        """
+        key, own = (height, width, turn), (self.height, self.width, "")
+        if key in self._known:
+            return self._known[key]
+        for other in [other for other in self._known if other != own]:
+            del self._known[other]
+        base: Formulas = {} if self.scene else OF_PICTURE
+        codes, columns, order = self.codes, width, None
+        scene: Scene | Codes = codes
+        if self.scene:
+            scene = replace(self.scene, width=width, height=height)
+            codes = codes if key == own else _rendered(scene)
+        right = _flat(codes)
+        surface = _surfaces(scene) if isinstance(scene, Scene) else right.any(axis=0) - 1
+        if turn:
+            upright = self._known_pictures(height, width)
+            base, columns = upright.table[turn] | base, height
+            turned = KnownPictures(scene, right, surface, (width, height), columns, base)
+            column, row = (turned.in_batches(name, np.arange(len(surface)))
+                           for name in ("column", "row"))  # fmt: skip
+            order = row * width + column
+            right, surface = np.ascontiguousarray(right[:, order]), surface[order]
+        known = KnownPictures(scene, right, surface, (width, height), columns, base)
+        self._known[key] = known
+        return known
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
-        """Name what draws a hand-in of any size, or say where it differs."""
+        """Find the mistakes with which the scene renders as a hand-in, or say where it differs."""
         height, width = picture.codes.shape[:2]
         if (height, width) == (self.height, self.width):
-            return self._of_size(picture, self._drawn(height, width))
+            plain = agreement(picture.codes, self.codes) or featureless(picture.codes)
+            return plain or self._compare(picture, self._known_pictures(height, width))
         size = f"The picture has {width}x{height} pixels in place of {self.width}x{self.height}."
         if flat := featureless(picture.codes):
             return flat
-        tries = {"size": self._drawn(height, width)}
+        if found := symptoms.disguise(picture.codes, self.codes):
+            return _verdict(*found, before=size)
+        codes, turns = _flat(picture.codes), [""]
         if (height, width) == (self.width, self.height):
-            tries |= {turn: self._drawn(self.height, self.width, turn) for turn in _TURNS}
-        codes = _flat(picture.codes)
-        kind = min(tries, key=lambda kind: int(Search(codes, tries[kind]).wrong.sum()))
-        found = self._of_size(picture, tries[kind])
-        text = size if kind == "size" else f"{size} {tries['size'].text[kind]}"
-        if found.kind not in AGREEING:
-            return Diagnosis(f"{kind}+{found.kind}", f"{text} {found.text}")
-        return Diagnosis(kind, text)
+            turns = ["", *_TURNS]
+        off = {turn: int(difference(self._of_turn(height, width, turn).right, codes).sum())
+               for turn in turns}  # fmt: skip
+        turn = min(turns, key=lambda turn: off[turn])
+        known = self._of_turn(height, width, turn)
+        right = _picture(known.right, width)
+        kind = {turn: known.text[turn]} if turn else {"size": size}
+        before = {"before": size} if turn else {}
+        if agreement(picture.codes, right):
+            return Diagnosis((kind,), **before)
+        found_here = self._compare(picture, known)
+        if found_here.kind in AGREEING:
+            return Diagnosis((kind,), **before)
+        return replace(
+            found_here, causes=tuple(kind | cause for cause in found_here.causes), **before
+        )
 
-    def _of_size(self, picture: Picture, drawings: Drawings) -> Diagnosis:
-        handin, width = picture.codes, picture.codes.shape[1]
-        if plain := agreement(handin, _picture(drawings.right, width)) or featureless(handin):
-            return plain
-        handin = self.saved(handin) if self.saved else handin
-        saved, lossy = picture.saved, max(picture.lossy, self.lossy)
-        search = Search(_flat(handin), drawings, lossy or _ROUNDED * (self.scene is None),
+    def _of_turn(self, height: int, width: int, turn: str) -> KnownPictures:
+        if turn:
+            height, width = self.height, self.width
+        return self._known_pictures(height, width, turn)
+
+    def _compare(self, picture: Picture, known: KnownPictures) -> Diagnosis:
+        """Diagnose a picture of the size of the known ones."""
+        handin, width, saved = picture.codes, known.columns, picture.saved
+        handin = self.picture.saved(handin) if self.picture.saved else handin
+        lossy = max(picture.lossy, self.picture.lossy)
+        search = Search(_flat(handin), known, lossy or _PICTURE_LEVELS * (self.scene is None),
                         saved and (lambda flat: _flat(saved(_picture(flat, width)))))  # fmt: skip
-        if lossy and search.wrong.mean() < 0.01:
-            return Diagnosis("format", "It is the right picture.")
-        found, wrong = search.find(), search.wrong.sum()
+        if lossy and search.is_wrong.mean() < 0.01:
+            return _verdict("format", "It is the right picture.")
+        found = search.find()
         if found.causes:
-            text = _named(found, drawings)
-            if found.left:
-                text += f" That leaves {found.left} of {wrong} pixels that differ."
-            return Diagnosis("|".join("+".join(cause) for cause in found.causes), text)
-        if not search.lossy and search.speckled():
-            text = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
-            return Diagnosis("shadow-speckles", text)
-        if not search.lossy and search.near_ties():
-            text = f"{_differ(wrong)} where rounding decides, as in single precision."
-            return Diagnosis("single-precision", text)
-        return Diagnosis("unknown", f"No mistake of the table draws this. {self._where(search)}")
+            causes = tuple(_sentences(cause, search) for cause in found.causes)
+            left = f"That leaves {found.left:,} of {search.wrong:,} pixels that differ."
+            return Diagnosis(causes, after=left if found.left else "")
+        if not search.lossy and (text := _symptom(search)):
+            return _verdict(*text)
+        return self._unknown(search, found)
 
-    def _where(self, search: Search) -> str:
-        """Which pixels differ, in words of the scene."""
-        d, wrong = search.drawings, search.wrong
-        x, y = worst_pixel(*(_picture(codes, d.columns) for codes in (search.handin, d.right)))
-        pixel = y * d.columns + x
-        here, right = (" ".join(map(str, codes[:, pixel])) for codes in (search.handin, d.right))
+    def _unknown(self, search: Search, found: Finding) -> Diagnosis:
+        """Say what is known of a picture that no known mistake explains."""
+        if not search.beyond:
+            text = f"{_pixels(search.wrong)} one level off; no known mistake does this."
+            return _verdict(UNKNOWN, text)
+        count = len(search.known.table)
+        text, nearest = f"None of the {count} known mistakes explains this picture.", ""
+        if found.hint:
+            nearest = " ".join(_sentences(found.hint, search).values())
+            nearest = (f"The nearest that is known: {nearest} It does not explain {found.left:,} of"
+                       f" {search.wrong:,} pixels.")  # fmt: skip
+        after = " ".join(filter(None, (nearest, self._where(search, found.hint))))
+        return _verdict(UNKNOWN, text, after=after, hint="+".join(found.hint))
+
+    def _where(self, search: Search, hint: Cause) -> str:
+        """Say which pixels differ, in words of the scene."""
+        known, wrong = search.known, difference(search.known.right, search.handin) > 1
+        x, y = worst_pixel(*(_picture(c, known.columns) for c in (search.handin, known.right)))
+        pixel = y * known.columns + x
+        here, right = (" ".join(map(str, c[:, pixel])) for c in (search.handin, known.right))
         worst = f" The worst is {x},{y}: {here} in place of {right}"
         if not self.scene:
             more = "With the scene in place of the right picture, more can be said."
             return f"{_differ(wrong.sum())}.{worst}. {more}"
-        change = search.handin.astype(np.int16) - d.right
-        found = []
-        for k in np.unique(d.surface[wrong]):
-            on = d.surface == k
+        change = search.handin.astype(np.int16) - known.right
+        lines = []
+        for k in np.unique(known.surface[wrong]):
+            on = known.surface == k
             name = str(SurfaceRef.from_index(self.scene, int(k))) if k >= 0 else "the background"
-            number = int((wrong & on).sum())
-            text = f"{number} of {on.sum()} on {name}{_brighter(change[:, wrong & on])}"
-            found.append((number, text))
-        found.sort(key=lambda one: -one[0])
-        words = ", ".join(text for _, text in found[:_NAMED])
-        rest = sum(number for number, _ in found[_NAMED:])
-        words += f", {rest} on others" if rest else ""
+            count = int((wrong & on).sum())
+            text = f"{count:,} of {on.sum():,} on {name}{_brighter(change[:, wrong & on])}"
+            lines.append((count, text))
+        lines.sort(key=lambda line: -line[0])
+        words = ", ".join(text for _, text in lines[:_MAX_NAMED])
+        others = sum(count for count, _ in lines[_MAX_NAMED:])
+        words += f", {others:,} on others" if others else ""
+        outlines = (wrong & (known.surface < 0)).sum() > 0.02 * wrong.sum()
+        if outlines or hint:
+            return f"{_differ(wrong.sum())}: {words}."
+        size = (self.scene.width, self.scene.height)
+        shown = (known.columns, known.count // known.columns)
+        option = "" if size == shown else f" --size {shown[0]}x{shown[1]}"
         return (
-            f"{_differ(wrong.sum())}: {words}.{self._lights(search)}{worst};"
-            f" tracer {self.name} --pixel {x},{y} explains it."
+            f"{_differ(wrong.sum())}: {words}.{self._lights(search, wrong)}{worst};"
+            f" tracer {self.name}{option} --pixel {x},{y} explains it."
         )
 
-    def _lights(self, search: Search) -> str:
-        """Which lights the wrong pixels lack, or have too much of."""
-        words = ""
-        for k, (lacks, too_much) in enumerate(zip(*search.lights[:2], strict=True)):
-            line = self.scene.lights[k].line if self.scene else None
-            name = f"ight {k}" + (f" (line {line})" if line else "")
-            few = _PART * search.wrong.sum()
-            if (number := (lacks & search.wrong).sum()) > few:
-                words += f" It lacks l{name} at {number}."
-            if (number := (too_much & search.wrong).sum()) > few:
-                words += f" L{name} is not kept out at {number}."
+    def _lights(self, search: Search, wrong: Array) -> str:
+        """Say which lights the wrong pixels lack, or have too many."""
+        words, found = "", symptoms.lights(search)
+        if not found or not self.scene:
+            return words
+        for k, light in enumerate(self.scene.lights):
+            name = f"light {k}" + (f" (line {light.line})" if light.line else "")
+            for wrongly, verb in ((found.lost, "should shine but does not"),
+                                  (found.extra, "should be blocked but shines")):  # fmt: skip
+                count = int((wrongly[k] & wrong[found.pixels]).sum())
+                if count > _MIN_LIGHT_SHARE * wrong.sum():
+                    words += f" At {count:,} of these pixels {name} {verb}."
         return words
 
 
+def _rendered(scene: Scene) -> Codes:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a size that stretches the window
+        codes: Codes = to_codes(render(scene))
+    return codes
+
+
+def _surfaces(scene: Scene) -> Array:
+    """Return the index (n,) of the surface that each pixel shows, or -1."""
+    surface = []
+    for start in range(0, scene.width * scene.height, MAX_PIXELS):
+        pixels = np.arange(start, min(start + MAX_PIXELS, scene.width * scene.height))
+        row, column = np.divmod(pixels, scene.width)
+        surface.append(first_hits(scene, column + 0.5, row + 0.5).surface.astype(np.int32))
+    return np.concatenate(surface)
+
+
+def _symptom(search: Search) -> tuple[str, str] | None:
+    """Return a keyword and a sentence for what is no mistake in a formula."""
+    known = search.known
+    if search.beyond and symptoms.is_decided_by_rounding(search):
+        text = f"{_differ(search.beyond)} where rounding decides, as in single precision."
+        return "single-precision", text
+    if symptoms.is_speckled(symptoms.lights(search), known):
+        text = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+        return "shadow-speckles", text
+    pictures = (_picture(codes, known.columns) for codes in (search.handin, known.right))
+    if symptoms.is_after_jpeg(*pictures):
+        return "format", "It is the right picture, after JPEG, which changes levels."
+    wrong = (difference(known.right, search.handin) > 1).reshape(-1, known.columns)
+    if edge := symptoms.edges(wrong):
+        return (
+            "edge",
+            f"It is the right picture, but for {_pixels(wrong.sum())[:-4]} in its {edge}.",
+        )
+    return None
+
+
 def worst_pixel(a: Codes, b: Codes) -> tuple[int, int]:
-    """Column and row of the pixel whose codes differ most."""
+    """Return column and row of the pixel whose codes differ most."""
     y, x = np.unravel_index(np.abs(a.astype(np.int16) - b).max(axis=2).argmax(), a.shape[:2])
     return int(x), int(y)
 
 
 def agreement(a: Codes, b: Codes) -> Diagnosis | None:
-    """Whether pictures of one size agree, but for one level in some pixels."""
+    """Return a diagnosis if pictures of one size agree, but for one level in few pixels."""
     count = int((a != b).any(axis=2).sum())
     if not count:
-        return Diagnosis("identical", "The pictures are identical.")
-    if count < 0.01 * a.shape[0] * a.shape[1] and np.abs(a.astype(np.int16) - b).max() == 1:
+        return _verdict("identical", "The pictures are identical.")
+    few = count <= max(10, 0.01 * a.shape[0] * a.shape[1])
+    if few and np.abs(a.astype(np.int16) - b).max() == 1:
         text = f"{_differ(count)} by one level: rounding, nothing to worry about."
-        return Diagnosis("rounding", text)
+        return _verdict("rounding", text)
     return None
 
 
 def featureless(codes: Codes) -> Diagnosis | None:
-    """Whether a picture has one colour: no cause is looked for."""
+    """Return a diagnosis if a picture has one colour: no cause is searched for."""
     if np.ptp(codes, axis=(0, 1)).any():
         return None
     if codes.any():
-        return Diagnosis("flat", "The picture has one colour everywhere.")
-    return Diagnosis("black", "The picture is black.")
+        return _verdict("flat", "The picture has one colour everywhere.")
+    return _verdict("black", "The picture is black.")
+
+
+def _pixels(count: int) -> str:
+    return "One pixel is" if count == 1 else f"{count:,} pixels are"
 
 
 def _differ(count: int) -> str:
-    return "One pixel differs" if count == 1 else f"{count} pixels differ"
+    return "One pixel differs" if count == 1 else f"{count:,} pixels differ"
 
 
-def _named(found: Finding, drawings: Drawings) -> str:
-    """What is common to all causes, and of the rest some."""
-    common = [kind for kind in found.causes[0] if all(kind in cause for cause in found.causes)]
-    texts = [drawings.text[kind] for kind in common]
-    first, *others = [" ".join(drawings.text[kind] for kind in cause if kind not in common)
-                      for cause in found.causes]  # fmt: skip
-    if first:
-        texts.append(first)
-    if others:
-        more = len(others) - _NAMED + 1
-        ways = " Or: ".join(others[: _NAMED - 1]) + (f" Or one of {more} more." * (more > 0))
-        texts.append(f"(In this scene one cannot tell it from: {ways})")
-    return " ".join(texts)
+def _sentences(cause: Cause, search: Search) -> dict[str, str]:
+    """Return the keywords of a cause and their sentences, with the numbers that are fitted."""
+    sentences, changes = {}, search.known.changes(cause) or {}
+    for kind in cause:
+        text = search.known.text[kind]
+        for name in search.known.fitted_names(kind):
+            if "{" + name + "}" in text:
+                text = text.replace("{" + name + "}", f"{search.fit.get(name, changes):.3g}")
+        sentences[kind] = text
+    return sentences
 
 
 def _flat(codes: Codes) -> Array:
@@ -210,7 +344,7 @@ def _picture(flat: Array, width: int) -> Codes:
 
 
 def _brighter(change: Array) -> str:
-    """How codes (3, n) are changed, in a word if most are in the same way."""
+    """Say how codes (3, n) are changed, in a word if most are in the same way."""
     if (change >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"
     return " (darker)" if (change <= 1).all(axis=0).mean() > 0.9 else ""

@@ -95,20 +95,41 @@ def first_positive(roots: Array) -> Array:
     return np.where(t > 1e-9, t, np.inf)
 
 
-def each_light(
-    intersect: Callable[[Array, Array], Array], p: Array, to_lights: Array
-) -> list[Array]:
-    """Both t of shadow rays towards each light."""
-    return [intersect(p, d) for d in to_lights]
+def each_light(intersect: Callable[[Array, Array], Array], p: Array, to_lights: Array) -> Array:
+    """Intersect shadow rays towards each light: both t (lights, 2, surfaces, n)."""
+    roots = [intersect(p, d) for d in to_lights]
+    return np.array(roots) if roots else np.zeros((0, 2, 1, 1))
 
 
-def blockers(shadow_roots: list[Array], t_min: Array, t_max: Array, tested: Array) -> Array:
-    """Which surfaces keep each light from each point (lights, surfaces, n)."""
-    found = np.zeros((len(shadow_roots), *tested.shape), dtype=bool)
+def blockers(
+    shadow_roots: Array, t_min: Array, t_max: Array, tested: Array, far_min: float | None = None
+) -> Array:
+    """Test which surfaces block each light: (lights, surfaces, n) bools.
+
+    Parameters
+    ----------
+    shadow_roots : (lights, 2, surfaces, n) array
+        Near and far t of the shadow rays.
+    t_min, t_max : (lights, n) array
+        A surface blocks the light if its first t beyond `t_min` is smaller than `t_max`.
+    tested : (surfaces, n) bool array
+        Whether the surface is tested for the hit.
+    far_min : float, optional
+        Replaces `t_min` for the far t.
+    """
+    is_blocking = np.zeros((len(shadow_roots), *tested.shape), dtype=bool)
     for k, ((near, far), low, high) in enumerate(zip(shadow_roots, t_min, t_max, strict=True)):
-        t = np.where(near > low, near, far)
-        found[k] = (t > low) & (t < high) & tested
-    return found
+        t = np.where(
+            near > low, near, np.where(far > (low if far_min is None else far_min), far, np.nan)
+        )
+        is_blocking[k] = (t < high) & tested
+    return is_blocking
+
+
+def last_of(values: Array, is_chosen: Array) -> Array:
+    """Return the last of values (..., surfaces) that is chosen: (..., 1), or 0 if none is."""
+    chosen = np.flatnonzero(is_chosen)
+    return values[..., chosen[-1:]] if chosen.size else 0 * values[..., :1]
 
 
 def box_normals(
@@ -126,33 +147,58 @@ def grey(shares: tuple[float, float, float], channels: Array) -> Array:
     return np.tensordot(shares, channels, 1) + 1e-9 + 0 * channels
 
 
-def fitted_brightness(radiance: Array, hit: Array, handin: Array) -> Array:
-    """Multiply by the factor that most of the hand-in's pixels show."""
-    usual = (handin > 8) & (handin < 247) & hit & (radiance > 1e-3)
-    factors = ((handin / 255) ** 2.2)[usual] / radiance[usual]
-    return np.where(hit, radiance * (np.median(factors) if factors.size else 1), 0)
+def _usual_values(handin: Array, hit: Array, expected: Array, limit: float) -> tuple[Array, Array]:
+    """Select the values that show a factor, a gamma or an ambient term best.
+
+    Parameters
+    ----------
+    handin : (3, n) uint8 array
+        The hand-in's codes.  Codes that may be clipped, or have few digits, are not selected.
+    hit : (n,) bool array
+        Whether a surface is hit.
+    expected : (3, n) float array
+        Right values; only those above `limit` are selected.
+
+    Returns
+    -------
+    index : (3, n) bool array
+        Which values are selected.
+    light : (k,) float array
+        The hand-in's linear light at these.
+    """
+    usual = (handin > 8) & (handin < 247) & hit & (expected > limit)
+    return usual, (handin[usual] / 255) ** 2.2
 
 
-def fitted_ambient(radiance: Array, kd: Array, hit: Array, handin: Array) -> Array:
-    """Add the part of kd that most of the hand-in's pixels show."""
-    usual = (handin > 8) & (handin < 247) & hit & (kd > 0.05)
-    parts = (((handin / 255) ** 2.2)[usual] - radiance[usual]) / kd[usual]
-    return np.where(hit, radiance + kd * (np.median(parts) if parts.size else 0), 0)
+def _median(values: Array, default: float) -> float:
+    return float(np.median(values)) if values.size else default
 
 
-def fitted_gamma(coloured: Array, hit: Array, handin: Array) -> Array:
-    """Encode with the gamma that most of the hand-in's pixels show."""
-    usual = (handin > 8) & (handin < 247) & hit & (coloured > 0.01) & (coloured < 0.95)
-    gammas = np.log(coloured[usual]) / np.log(handin[usual] / 255)
-    return coloured ** (1 / np.clip(np.median(gammas) if gammas.size else 2.2, 0.1, 10))
+def median_factor(radiance: Array, hit: Array, handin: Array) -> float:
+    """Return the factor by which most of the hand-in's values are brighter than `radiance`."""
+    usual, light = _usual_values(handin, hit, radiance, 1e-3)
+    return _median(light / radiance[usual], 1.0)
 
 
-def fitted_background(bytes: Array, hit: Array, handin: Array) -> Array:
-    """Fill the background with the hand-in's commonest colour there."""
+def median_ambient(radiance: Array, kd: Array, hit: Array, handin: Array) -> float:
+    """Return the multiple of the diffuse colour `kd` that most of the hand-in's values add."""
+    usual, light = _usual_values(handin, hit, kd + 0 * radiance, 0.05)
+    return _median((light - radiance[usual]) / (kd + 0 * radiance)[usual], 0.0)
+
+
+def median_gamma(coloured: Array, hit: Array, handin: Array) -> float:
+    """Return the gamma with which most of the hand-in's values are encoded, 0.1 to 10."""
+    usual, light = _usual_values(handin, hit & (coloured < 0.95), coloured, 0.01)
+    gamma = _median(2.2 * np.log(coloured[usual]) / np.log(light), 2.2)
+    return min(max(gamma, 0.1), 10.0)
+
+
+def commonest_color(hit: Array, handin: Array) -> Array:
+    """Return the hand-in's commonest colour (3, 1) where no surface is hit."""
     if hit.all():
-        return bytes
-    shades, count = np.unique(handin[:, ~hit], axis=1, return_counts=True)
-    return np.where(hit, bytes, shades[:, count.argmax()][:, None]).astype(np.uint8)
+        return np.zeros((3, 1), dtype=np.uint8)
+    colors, count = np.unique(handin[:, ~hit], axis=1, return_counts=True)
+    return colors[:, [count.argmax()]]
 
 
 def light_in(picture: Array, x: Array, y: Array) -> Array:
@@ -170,12 +216,12 @@ def shown_in(picture: Array, x: Array, y: Array, handin: Array) -> Array:
 
 _OWN: tuple[Callable[..., Any], ...] = (
     unit, dot, at, middle, sphere_roots, box_roots, scaled, intersection, first_positive, far_roots,
-    each_light, blockers, box_normals, grey, fitted_ambient, fitted_background, fitted_brightness,
-    fitted_gamma, light_in, shown_in, len, partial,
+    each_light, blockers, last_of, box_normals, grey, commonest_color, median_ambient,
+    median_factor, median_gamma, light_in, shown_in, len, partial,
 )  # fmt: skip
-_NUMPY = """abs arange arccos array clip cos cross exp floor full_like inf int64 isfinite log
-    logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis uint8 where
-    zeros"""
+_NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
+    logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
+    where zeros"""
 _FUNCTIONS = {function.__name__: function for function in _OWN}
 _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 

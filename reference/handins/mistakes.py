@@ -13,20 +13,34 @@ from reference.handins.formulas import Formulas, formula
 from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
-OWN_SURFACE = "shadow-own"
-"""Not a mistake: tracers whose shadow rays test the surface itself draw some others differently."""
+FITTED = frozenset({"brightest", "fitted_factor", "fitted_ambient", "fitted_gamma",
+                    "fitted_background"})  # fmt: skip
+"""Formulas with one value for the whole picture, computed from all pixels."""
+VARIANTS = ("shadow-own", "shadow-own-lobe")
+"""Not mistakes: other ways to write a right tracer, which render some mistakes differently."""
 BACKGROUND: tuple[str, ...] = ("background",)
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
-"""They show where light is beyond 1, which another mistake may bring about."""
-ROUNDINGS = ("levels-truncated", "levels-256", "levels-256-wrapped")
+"""Mistakes that show only where light is beyond 1, which another mistake may bring about."""
+ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
+"""Mistakes by which levels are off by one."""
 
 
 class Mistake(NamedTuple):
-    """A sentence on what is wrong, and the formulas that draw it; of one `surface`, its number."""
+    """A mistake of the table.
+
+    Attributes
+    ----------
+    text : str
+        A sentence on what is wrong.
+    formulas : dict
+        The formulas that replace those of the right picture.
+    is_numbered : bool
+        Whether this is the mistake of a single surface or light, of those that the scene has.
+    """
 
     text: str
     formulas: Formulas
-    surface: int | None = None
+    is_numbered: bool = False
 
 
 def _rows() -> Iterator[list[str]]:
@@ -38,6 +52,8 @@ def _rows() -> Iterator[list[str]]:
 
 RIGHT: Formulas = {row[0]: formula(row[1]) for row in _rows() if len(row) == 2}
 """The right picture, in the order of computation."""
+CAMERA = frozenset([*RIGHT][: [*RIGHT].index("samples")])
+"""Formulas of the camera."""
 _MISTAKES = [row for row in _rows() if len(row) == 3]
 
 
@@ -71,6 +87,6 @@ def mistakes_of(scene: Scene) -> dict[str, Mistake]:
         word = next((word for word in named if word in text), "")
         for k, name in enumerate(named.get(word, [""])):
             changes = read(formulas.replace("{k}", str(k)))
-            one = Mistake(text.replace(word, name), changes, k if word == "{surface}" else None)
+            one = Mistake(text.replace(word, name), changes, bool(word))
             found[kind.replace("{k}", str(k))] = one
     return found

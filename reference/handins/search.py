@@ -1,402 +1,424 @@
-"""Find the mistakes that draw a hand-in: single ones first, then all pairs.
+"""Find the mistakes with which a scene renders as a hand-in: first single ones, then all pairs.
 
-A mistake is named only if the hand-in *is* the picture drawn with it; what draws the same picture
-is named along with it.  Where all pixels are computed by themselves, few of them rule out most.
+The problem is that there are tens of thousands of pairs, and that a picture of each would take
+hours.  Almost all pairs are refuted by a few pixels, so the search is successive halving (Jamieson
+and Talwalkar 2016): all candidates are rendered at few pixels, the best of them at more pixels,
+and only the last few in full.  A *cause* is a tuple of mistakes that are made together.
+
+What is reported is certain in this sense: with the cause, the scene renders as the hand-in, except
+for at most 3 % of the pixels that differ from the right picture.  If no cause does, the nearest is
+returned as a hint.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from functools import cached_property
-from itertools import product
-from typing import Any, NamedTuple, TypeAlias
+from itertools import combinations
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from reference.handins import mistakes
-from reference.handins.drawing import PER_PIXEL, Drawing, given, join
+from reference.handins.drawing import FormulaCache, join, scene_values
 from reference.handins.formulas import Array, Formulas, parameters
 from reference.pictures import Codes
 from tracer import Scene
 
-# A picture drawn may differ in so many pixels: of all, of those in which the right one differs, and
-# of those in which the hand-in does not have its commonest colour.
-_OF_ALL, _OF_WRONG, _OF_SHOWN = 0.005, 0.2, 0.05
-# What is named differs in so many times fewer pixels than what is not.
-_APART = 5
-# If a single mistake leaves more pixels wrong, pairs are tried.
-_ENOUGH = 10
-# So many pixels of a sample count as chance.
-_ODD = 3
-# Pixels of a scene on which single mistakes and pairs are drawn for all hand-ins; how many pairs
-# are drawn on as many pixels of the hand-in, on more of them, and whole.
-_SINGLES, _PAIRS = 2400, 240
-_SOME, _FEW, _FINAL = 400, 60, 16
-# Of more surfaces, single ones are left out of pairs; of more lights, none is missed at pixels.
-_MANY_SURFACES, _MANY_LIGHTS = 40, 4
-# Rounding decides so many pixels at most, each within so many pixels from its centre, or where
-# shadow rays start so far above or below a surface, in parts of its distance from the origin.
-_TIES, _HAIR, _LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
-# Dots: neighbours differ so often, as a part of how often they would by chance.
-_DOTS = 0.3
-# Levels: where a format changes them, those further apart count as these.
-_FAR = 32
-# Numbers that are kept of some pixels, if every value had one for each surface; bytes of whole
-# pictures that are kept for other hand-ins.
-_VALUES, _KEPT = 60_000_000, 100_000_000
+# A cause is reported if it leaves at most this part of the differing pixels, or this many pixels.
+_MAX_LEFT, _MAX_LEFT_PIXELS = 0.03, 10
+# Minimum ratio between the pixels that two causes leave, if only the better one is reported; and
+# between what a mistake of a pair takes away and what the pair leaves.
+_MIN_RATIO = 5
+# Number of pixels at which mistakes are compared with each other.
+_GROUPING_PIXELS = 2400
+# Pixels of the first round, and causes after it.  Each further round has four times the pixels, and
+# a quarter of the causes, but not fewer than the last number.
+_FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
+# A cause that is not the best may leave this many pixels of a round more by chance.  A search ends
+# if the best leaves more than this part of the differing pixels.
+_CHANCE, _MAX_WORST = 4, 0.75
+# Maximum numbers of pixels, and of pixels times surfaces, at which many causes are rendered: a
+# larger picture is represented by a random subset.  A picture that was compressed is rendered in
+# full, with fewer causes.
+MAX_PIXELS, _MAX_INTERSECTIONS = 131_072, 2_000_000
+# Number of intersections in one batch of pixels: their arrays take about a megabyte each.
+_INTERSECTIONS_PER_BATCH = 100_000
+# In scenes of more surfaces, mistakes of a single surface are not tried in pairs.
+_MAX_PAIRED_SURFACES = 40
+# Compression changes levels: differences of more levels count as this many.
+_MAX_LEVELS = 32
 
 Cause: TypeAlias = tuple[str, ...]
 
 
 def difference(a: Array, b: Array) -> Array:
-    """The largest of three channels' differences (..., n) between codes (..., 3, n)."""
+    """Return the maximum over the channels of the difference (..., n) of codes (..., 3, n)."""
     return (np.maximum(a, b) - np.minimum(a, b)).max(axis=-2)
 
 
 class Finding(NamedTuple):
-    """Sets of mistakes, each of which draws the hand-in; none if nothing does.
+    """What is known of a hand-in after the search.
 
-    `left` pixels differ from the picture drawn.
+    Attributes
+    ----------
+    causes : tuple of causes
+        Those with which the scene renders as the hand-in; empty if there are none.  If there are
+        several, this scene cannot tell them apart.
+    left : int
+        Number of pixels in which the hand-in differs from the picture with the first cause, or
+        with the hint.
+    hint : cause
+        If no cause is known, the nearest one; empty if it explains less than half of the pixels.
     """
 
     causes: tuple[Cause, ...]
     left: int
+    hint: Cause = ()
 
 
-class Sample(NamedTuple):
-    """Some pixels of a picture, and how many each stands for."""
-
-    pixels: Array
-    weights: Array
-
-    @classmethod
-    def of(cls, strata: Array, size: int) -> Sample:
-        """Choose as many pixels from each stratum (n,), in a fixed random order."""
-        order = np.random.default_rng(1).permutation(len(strata))
-        order = order[np.argsort(strata[order], kind="stable")]
-        _, first, count = np.unique(strata[order], return_index=True, return_counts=True)
-        rank = np.arange(len(order)) - np.repeat(first, count)
-        chosen = np.argsort(rank, kind="stable")[:size]
-        taken = np.bincount(np.repeat(np.arange(len(first)), count)[chosen], minlength=len(first))
-        weights = np.repeat(count / np.maximum(taken, 1), count)[chosen]
-        return cls(order[chosen], weights)
+def stratified(strata: Array, size: int) -> Array:
+    """Choose at most `size` indices from strata (n,), about as many of each stratum."""
+    order = np.random.default_rng(1).permutation(len(strata))
+    order = order[np.argsort(strata[order], kind="stable")]
+    _, start, count = np.unique(strata[order], return_index=True, return_counts=True)
+    rank = np.arange(len(order)) - np.repeat(start, count)
+    return order[np.argsort(rank, kind="stable")[:size]]
 
 
-class Drawings:
-    """A scene, or a right picture alone, drawn with mistakes; all have the formulas of `base`.
+class KnownPictures:
+    """The pictures of one scene at one size: the right one, and those with mistakes.
 
-    `columns` are the picture's, which are the scene's unless it is turned.  What does not depend on
-    a hand-in is drawn once for all of them.
+    Parameters
+    ----------
+    scene : Scene or (h, w, 3) uint8 array
+        The scene at this size, or a right picture alone.
+    right : (3, n) uint8 array
+        The right picture's codes.
+    surface : (n,) int array
+        The index of the surface that each pixel shows, or -1.
+    size : tuple of 2 ints
+        Width and height of the scene in pixels.
+    columns : int
+        Width of the picture, which is the scene's height if the picture is turned.
+    base : dict
+        Formulas that all pictures share.
     """
 
     def __init__(
-        self, scene: Scene | Codes, height: int, width: int, columns: int, base: Formulas
-    ) -> None:
-        self.given = given(scene) | {"width": width, "height": height}
-        self.base, self.columns, self.number = base, columns, height * width
-        self.blank = np.zeros((3, self.number), dtype=np.uint8)
-        known = scene if isinstance(scene, Scene) else Scene(width=width, height=height)
-        self.surfaces = len(known.surfaces)
-        mistake = mistakes.mistakes_of(known)
-        self.text = {kind: one.text for kind, one in mistake.items()}
-        # With a picture alone, few mistakes can be drawn.
-        pixel = self.drawing(np.array([0]), self.blank)
-        self.table = {kind: one.formulas for kind, one in mistake.items()
-                      if (both := join([base, one.formulas])) and pixel.able(both)}  # fmt: skip
-        # Of many surfaces, each is drawn where a hand-in calls for it.
-        self.alone = {kind: one.surface for kind, one in mistake.items()
-                      if one.surface is not None and self.surfaces > _MANY_SURFACES}  # fmt: skip
-        self._whole: dict[Cause, Array] = {}
-        self.right = self.whole([()], self.blank)[()]
-        seen = self.values(("surface", "hit", "lit", "image"), [base], self.blank)[0]
-        self.surface = np.where(seen["hit"], seen.get("surface", 0), -1)
-        self.lit = seen.get("lit", np.zeros((0, self.number), dtype=np.bool_))
-        self.brightest = seen["image"].argmax(axis=1)
-        strata = self.surface
-        for lit in self.lit[:_MANY_LIGHTS]:
-            strata = 2 * strata + lit
-        self.samples = [Sample.of(strata, size) for size in (_PAIRS, _SINGLES)]
+        self, scene: Scene | Codes, right: Array, surface: Array, size: tuple[int, int],
+        columns: int, base: Formulas,
+    ) -> None:  # fmt: skip
+        self._given = scene_values(scene) | {"width": size[0], "height": size[1]}
+        self.right, self.surface, self.columns, self.base = right, surface, columns, base
+        self.count, self._blank = right.shape[1], np.zeros_like(right)
+        known = scene if isinstance(scene, Scene) else Scene(width=size[0], height=size[1])
+        self.surface_count = len(known.surfaces)
+        table = mistakes.mistakes_of(known)
+        self.text = {kind: mistake.text for kind, mistake in table.items()}
+        one_pixel = self.formulas(np.array([0]), self._blank)
+        self.table = {kind: mistake.formulas for kind, mistake in table.items()
+                      if (both := join([base, mistake.formulas])) is not None
+                      and one_pixel.is_computable(both)}  # fmt: skip
+        self.kinds = [kind for kind in self.table if kind not in mistakes.VARIANTS]
+        self.numbered = {kind for kind, mistake in table.items() if mistake.is_numbered}
+        # The scene's pixels, mixed so that the first ones have all surfaces and shadows.
+        subset = stratified(surface, max(MAX_PIXELS // 32, _MAX_CAUSES))
+        strata = surface[subset]
+        if isinstance(scene, Scene) and scene.lights:
+            for lit in self.in_batches("lit", subset)[:4]:
+                strata = 2 * strata + lit
+        self.sample = subset[stratified(strata, len(subset))]
 
     def changes(self, cause: Cause) -> Formulas | None:
-        """The formulas of a set of mistakes; None if they exclude each other."""
+        """Return the formulas of a cause; None if its mistakes exclude each other."""
         return join([self.base, *(self.table[kind] for kind in cause)])
 
-    def fitted(self, cause: Cause) -> bool:
-        """Whether the picture depends on the hand-in."""
-        return any("handin" in parameters(f) for kind in cause for f in self.table[kind].values())
+    def fitted_names(self, kind: str) -> Set[str]:
+        """Return the formulas that a mistake uses, and that are computed from the hand-in."""
+        used = {name for f in self.table[kind].values() for name in parameters(f)}
+        return used & (mistakes.FITTED - {"brightest"})
 
-    def drawing(self, pixels: Array, handin: Array, capacity: int = 0) -> Drawing:
-        """Some pixels, to be drawn; so many values are kept, or as many as memory bears."""
-        capacity = capacity or _VALUES // (len(pixels) * (1 + self.surfaces))
+    def formulas(
+        self, pixels: Array, handin: Array, fit: FormulaCache | None = None
+    ) -> FormulaCache:
+        """Return the formulas for pixels (k,), given as indices; `handin` (3, n) is complete."""
         places = {"i": pixels % self.columns, "j": pixels // self.columns}
-        return Drawing(self.given | places | {"handin": handin[:, pixels]}, capacity)
+        return FormulaCache(self._given | places | {"handin": handin[:, pixels]}, fit)
 
-    def parts(self, handin: Array) -> Iterator[Drawing]:
-        """All pixels in parts that fit into a processor's cache."""
-        step = max(2000, 400_000 // max(1, self.surfaces))
-        for start in range(0, self.number, step):
-            yield self.drawing(np.arange(start, min(start + step, self.number)), handin, 100)
+    def batches(self, pixels: Array) -> Iterator[Array]:
+        """Divide pixels (k,) into batches that take little memory."""
+        step = max(500, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
+        return (pixels[start : start + step] for start in range(0, len(pixels), step))
 
-    @cached_property
-    def parts_of_scene(self) -> list[Drawing]:
-        """The same, to be used again, for what does not depend on a hand-in."""
-        return [*self.parts(self.blank)]
+    def in_batches(self, name: str, pixels: Array, changes: Formulas | None = None) -> Array:
+        """Compute a formula for pixels (k,), by default that of the right picture."""
+        values = [self.formulas(batch, self._blank).get(name, changes or self.base)
+                  for batch in self.batches(pixels)]  # fmt: skip
+        return np.concatenate(values, axis=-1)
 
-    def values(self, names: Sequence[str], changes: Sequence[Formulas], handin: Array) -> list[Any]:
-        """Formulas' values for all pixels, in terms of a scene or of a right picture."""
-        again = 0 < self.surfaces <= _MANY_SURFACES  # others would take too much memory
-        parts = self.parts_of_scene if again else self.parts(handin)
-        found: list[list[Any]] = [[] for _ in changes]
-        for part in parts:
-            for each, changed in zip(found, changes, strict=True):
-                each.append(part.pixels(changed, names))
-        return [{name: np.concatenate([values[name] for values in each], axis=-1)
-                 for name in each[0]} for each in found]  # fmt: skip
+    def fitted_formulas(self, handin: Array) -> FormulaCache:
+        """Return the formulas for the pixels that decide on numbers fitted to a hand-in."""
+        brightest = self.right.astype(np.int16).sum(axis=0).argmax()
+        return self.formulas(np.append(next(self.batches(self.sample)), brightest), handin)
 
-    def whole(self, causes: Iterable[Cause], handin: Array) -> dict[Cause, Array]:
-        """Whole pictures (3, n)."""
-        causes = list(causes)
-        found = {c: self._whole[c] for c in causes if c in self._whole}
-        todo = {c: changes for c in causes if c not in found and (changes := self.changes(c))
-                is not None}  # fmt: skip
-        pixels = self.values(PER_PIXEL, [*todo.values()], handin) if todo else []
-        for (c, changes), values in zip(todo.items(), pixels, strict=True):
-            found[c] = Drawing({"handin": handin} | values).get("codes", changes)
-            if not self.fitted(c):
-                self._whole[c] = found[c]
-        while len(self._whole) * 3 * self.number > _KEPT:
-            del self._whole[next(iter(self._whole))]
-        return found
+    def render(
+        self, causes: Sequence[Cause], pixels: Array, handin: Array, fit: FormulaCache | None
+    ) -> Array:
+        """Render pixels (k,) with each cause: (causes, 3, k) codes.
 
-    def codes(self, causes: Iterable[Cause], sample: Sample, handin: Array) -> dict[Cause, Array]:
-        """Draw some pixels, and the brightest for what depends on these."""
-        drawing = self.drawing(np.append(sample.pixels, self.brightest), handin)
-        found = {c: drawing.codes(self.changes(c) or {}) for c in causes}
-        return {c: codes[:, : len(sample.pixels)] for c, codes in found.items()}
-
-    @cached_property
-    def singles(self) -> dict[Cause, Array]:
-        """The scene's sample drawn with each mistake; shadow rays spare the surface or not."""
-        kinds = [kind for kind in self.table if kind not in self.alone and not self.fitted((kind,))]
-        ways = ((kind, *own) for kind in kinds for own in ((), (mistakes.OWN_SURFACE,)))
-        possible = [c for c in ways if c[-1] in self.table and self.changes(c) is not None]
-        drawn = self.codes(possible, self.samples[1], self.blank)
-        return {c: drawn[c] for c in sorted(drawn, key=len)}
+        `fit` is the result of `fitted_formulas` for the hand-in (3, n).
+        """
+        codes = np.empty((len(causes), 3, len(pixels)), dtype=np.uint8)
+        start = 0
+        for batch in self.batches(pixels):
+            formulas = self.formulas(batch, handin, fit)
+            for one, cause in zip(codes, causes, strict=True):
+                one[:, start : start + len(batch)] = formulas.codes(self.changes(cause) or {})
+            start += len(batch)
+        return codes
 
     @cached_property
     def alike(self) -> dict[Cause, list[Cause]]:
-        """Of mistakes that show, the first of all that draw the same, and these."""
-        found: dict[bytes, list[Cause]] = {}
-        for cause, codes in self.singles.items():
-            found.setdefault(codes.tobytes(), []).append(cause)
-        found.pop(self.right[:, self.samples[1].pixels].tobytes(), None)
-        # With another mistake, some show that do not show alone.
-        hidden: dict[Cause, list[Cause]] = {
-            (kind,): [(kind,)] for kind in mistakes.OVEREXPOSED if kind in self.table
-        }
-        return hidden | {causes[0]: causes for causes in found.values()}
+        """Mistakes that show, grouped by their pictures: the first of each group, and all of it.
+
+        A mistake is also rendered in the variants of the right tracer, where these differ.
+        """
+        variants = ((), *((kind,) for kind in mistakes.VARIANTS if kind in self.table))
+        skipped = self.numbered if self.surface_count > _MAX_PAIRED_SURFACES else set[str]()
+        causes = [(kind, *variant) for kind in self.kinds for variant in variants
+                  if kind not in skipped and not self.fitted_names(kind)]  # fmt: skip
+        causes = [cause for cause in causes if self.changes(cause) is not None]
+        pixels = next(self.batches(self.sample[:_GROUPING_PIXELS]))
+        codes = dict(zip(causes, self.render(causes, pixels, self._blank, None), strict=True))
+        groups: dict[bytes, list[Cause]] = {}
+        for cause in sorted(causes, key=len):
+            group = groups.setdefault(codes[cause].tobytes(), [])
+            if cause[:1] not in group:
+                group.append(cause)
+        groups.pop(self.right[:, pixels].tobytes(), None)
+        # Some mistakes show only where another mistake brings about light beyond 1.
+        hidden: list[Cause] = [(kind,) for kind in mistakes.OVEREXPOSED if kind in self.table]
+        return {c: [c] for c in hidden} | {group[0]: group for group in groups.values()}
 
     @cached_property
-    def pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array]:
-        """All pairs of mistakes that show, and these drawn on a sample: (pairs, 3, n)."""
-        sample = self.samples[0]
-        drawing = self.drawing(np.append(sample.pixels, self.brightest), self.blank)
-        heads = [c for c in self.alike if "samples" not in self.table[c[0]]]  # takes too long
-        found: dict[Cause, tuple[Cause, Cause]] = {}
-        drawn: list[Array] = []
+    def singles(self) -> list[Cause]:
+        """All single mistakes."""
+        members = (cause for group in self.alike.values() for cause in group)
+        return [*((kind,) for kind in self.kinds), *(c for c in members if len(c) > 1)]
+
+    @cached_property
+    def pairs(self) -> tuple[list[tuple[Cause, Cause]], Array, Array]:
+        """All pairs of mistakes that show: the pairs, and their codes (pairs, 3, k) at k pixels.
+
+        Item 2 contains the indices (k,) of these pixels.
+        """
+        share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
+        pixels = self.sample[: max(40, int(share * _FIRST_PIXELS))]
+        formulas = self.formulas(pixels, self._blank)
+        # Several samples per pixel would take too long, and rounding is determined in the end.
+        slow = {kind for kind in self.table if "samples" in self.table[kind]}
+        heads = [c for c in self.alike if slow.isdisjoint(c) and c[0] not in mistakes.ROUNDINGS]
+        pairs, codes = list[tuple[Cause, Cause]](), list[Array]()
         for k, a in enumerate(heads):
-            new = {c: (a, b) for b in heads[k + 1 :] if (c := self.joined(a, b)) and c not in found}
-            others = [self.changes(b) or {} for _, b in new.values()]
-            drawn += drawing.pairs(self.changes(a) or {}, others)
-            found |= new
-        return found, np.array(drawn)[..., : len(sample.pixels)]
+            others = [b for b in heads[k + 1 :] if self.joined(a, b)]
+            changes = [self.changes(b) or {} for b in others]
+            codes += formulas.pairs(self.changes(a) or {}, changes)
+            pairs += [(a, b) for b in others]
+        return pairs, np.array(codes).reshape(len(pairs), 3, len(pixels)), pixels
 
     def joined(self, a: Cause, b: Cause) -> Cause | None:
-        """Both causes; None if they exclude each other."""
-        kinds = tuple(kind for kind in (*a, *b) if kind != mistakes.OWN_SURFACE)
-        cause = (*kinds, mistakes.OWN_SURFACE) if mistakes.OWN_SURFACE in (*a, *b) else kinds
-        return None if self.changes(cause) is None else cause
+        """Return the cause of both; None if they exclude each other, or assume other variants."""
+        variants = [kind for kind in mistakes.VARIANTS if kind in (*a, *b)]
+        kinds = [kind for kind in (*a, *b) if kind not in mistakes.VARIANTS]
+        cause = (*kinds, *variants)
+        return cause if len(variants) < 2 and self.changes(cause) is not None else None
 
 
 class Search:
-    """A hand-in's pixels (3, n), and what draws them.
+    """The search for the causes of one hand-in.
 
-    Its format, or that of the right picture, changes levels by `lossy`; `saved` does so to others.
+    Parameters
+    ----------
+    handin : (3, n) uint8 array
+    known : KnownPictures
+    lossy : int
+        Levels by which the file format of the hand-in, or of the right picture, changes codes.
+    saved : callable, optional
+        Changes codes (3, n) as that file format does.
     """
 
     def __init__(
-        self,
-        handin: Array,
-        drawings: Drawings,
-        lossy: int = 0,
+        self, handin: Array, known: KnownPictures, lossy: int = 0,
         saved: Callable[[Array], Array] | None = None,
-    ) -> None:
-        self.handin, self.drawings, self.number = handin, drawings, drawings.number
-        self.lossy, self.saved = lossy, saved or (lambda codes: codes)
-        right = self.saved(drawings.right)
-        self.near = lossy or 1
-        if (difference(right, handin) > 1).sum() <= 2:  # rounding, if anything
-            self.near = 0
-        self.wrong = difference(right, handin) > self.near
-        colours = handin.T.astype(np.int32) @ (65536, 256, 1)
-        commonest = np.unique(colours, return_counts=True)[1].max()
-        self.most = min(_OF_ALL * self.number, _OF_WRONG * self.wrong.sum(),
-                        _OF_SHOWN * (self.number - int(commonest)))  # fmt: skip
-        # Half of them wrong.
-        self.samples = [Sample.of(self.wrong, size) for size in (_PAIRS, _SINGLES // 2)]
+    ) -> None:  # fmt: skip
+        self.handin, self.known, self.lossy = handin, known, lossy
+        self.saved = saved or (lambda codes: codes)
+        off = difference(self.saved(known.right), handin)
+        # Where at most two pixels differ by more than rounding, single levels are searched.
+        self.tolerance = lossy or int((off > 1).sum() > 2)
+        self.is_wrong, self.beyond = off > self.tolerance, int((off > 1).sum())
+        self.wrong = int(self.is_wrong.sum())
+        commonest = np.unique(handin.astype(np.int32).T @ (65536, 256, 1), return_counts=True)[1]
+        shown = known.count - int(commonest.max())
+        self.max_left = max(_MAX_LEFT_PIXELS, int(_MAX_LEFT * min(self.wrong, shown)))
+        mixed = np.random.default_rng(1).permutation(known.count)
+        self._halves = [mixed[self.is_wrong[mixed]], mixed[~self.is_wrong[mixed]]]
+        size = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, known.surface_count))
+        self._last, self._weights = self._pixels(size)
+        if lossy or known.count <= size:
+            self._last, self._weights = np.arange(known.count), np.ones(known.count)
+        self._left, self._inexact = dict[Cause, int](), dict[Cause, int]()
+        self.fit = known.fitted_formulas(handin)
 
-    def left(self, cause: Cause, tolerance: int) -> int:
-        """Count the pixels that a cause leaves wrong."""
-        drawn = self.saved(self.drawings.whole([cause], self.handin)[cause])
-        return int((difference(drawn, self.handin) > tolerance).sum())
+    def _pixels(self, size: int) -> tuple[Array, Array]:
+        """Choose pixels, half of them wrong: indices (k,), and what each counts (k,)."""
+        a, b = self._halves
+        first = a[: max(size // 2, size - len(b))]
+        second = b[: size - len(first)]
+        weights = [len(half) / max(1, len(chosen)) for half, chosen in ((a, first), (b, second))]
+        return np.append(first, second), np.repeat(weights, (len(first), len(second)))
+
+    def off(self, causes: Sequence[Cause]) -> Array:
+        """Render the last round: (causes, k), by how many levels each of its k pixels is off."""
+        rendered = self.known.render(causes, self._last, self.handin, self.fit)
+        return np.array([difference(self.saved(codes), self.handin[:, self._last])
+                         for codes in rendered]).reshape(len(causes), len(self._last))  # fmt: skip
+
+    def left(self, cause: Cause) -> int:
+        """Return the number of pixels that a cause leaves wrong, an estimate for a subset."""
+        if cause not in self._left:
+            self._left[cause] = round((self.off([cause])[0] > self.tolerance) @ self._weights)
+        return self._left[cause]
+
+    def left_everywhere(self, cause: Cause) -> int:
+        """Count the pixels of the complete picture that a cause leaves wrong."""
+        if len(self._last) == self.known.count:
+            return self.left(cause)
+        left = 0
+        for batch in self.known.batches(np.arange(self.known.count)):
+            codes = self.known.render([cause], batch, self.handin, self.fit)[0]
+            left += int((difference(codes, self.handin[:, batch]) > self.tolerance).sum())
+        return left
+
+    def halve(self, causes: list[Cause]) -> list[Cause]:
+        """Return the best causes, the best first, by successive halving; none if all are bad."""
+        size, count, least = _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES
+        if self.lossy:
+            least = max(1, min(least, least * MAX_PIXELS // self.known.count))
+        while len(causes) > least and size < len(self._last):
+            causes = self._round(causes, size, max(least, count))
+            size, count = 4 * size, count // 4
+        return sorted(self._rounded(causes[:_MIN_CAUSES]), key=self.left)
+
+    def _round(self, causes: list[Cause], size: int, count: int) -> list[Cause]:
+        """Return the best causes, at most `count`, by `size` pixels.
+
+        Causes that leave the fewest pixels wrong are the best.  If all leave nearly all of the
+        differing pixels wrong, none is returned.  Compression changes a pixel by its neighbours,
+        so there the levels are added up.
+        """
+        pixels, weights = self._pixels(size)
+        off = difference(self.known.render(causes, pixels, self.handin, self.fit),
+                         self.handin[:, pixels])  # fmt: skip
+        if self.lossy:
+            order = np.argsort(np.minimum(off, _MAX_LEVELS) @ weights, kind="stable")
+            return [causes[k] for k in order[:count]]
+        off = off > self.tolerance
+        if off[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_WORST:
+            return []
+        error = off @ weights
+        worst = 1.5 * error.min() + _CHANCE * weights.max()
+        order = np.argsort(error, kind="stable")[:count]
+        return [causes[k] for k in order if error[k] <= worst]
 
     def find(self) -> Finding:
-        """Say what draws the hand-in, if anything does."""
-        left, group = self.single()
-        if not group or left > _ENOUGH:
-            fewer, two = self.double()
-            if two and (not group or _APART * fewer <= left):
-                left, group = fewer, two
-        if group:
-            group = self.rounded(group)
-        causes = dict.fromkeys(tuple(k for k in c if k != mistakes.OWN_SURFACE) for c in group)
-        return Finding(tuple(causes), left)
+        """Return the causes that render the hand-in, or else the nearest one."""
+        singles = self.halve(self.known.singles)
+        group = self._reported(singles)
+        if not group or self.left(group[0]) > _MAX_LEFT_PIXELS:
+            pairs = self._pairs()
+            better = self._reported([c for c in pairs if self.is_needed(c)])
+            if better and (not group or _MIN_RATIO * self.left(better[0]) <= self.left(group[0])):
+                group = better
+            elif not group:
+                return self._nearest(singles, pairs)
+        causes = dict.fromkeys(tuple(k for k in c if k not in mistakes.VARIANTS) for c in group)
+        return Finding(tuple(causes), self.left_everywhere(group[0]))
 
-    def single(self) -> tuple[int, list[Cause]]:
-        """Draw each mistake alone."""
-        d = self.drawings
-        good = self.good([*d.singles], [*d.singles.values()], d.samples[1], _SOME)
-        kinds = [kind for kind in d.table if d.fitted((kind,))] + self.of_suspects()
-        return self.best(self.sifted([*good, *((kind,) for kind in kinds)], 1))
+    def _nearest(self, singles: list[Cause], pairs: list[Cause]) -> Finding:
+        """Return the cause that explains most pixels as a hint; a pair only if it is far better."""
+        if not (best := singles[:1] + pairs[:1]):
+            return Finding((), self.wrong)
+        hint = best[-1] if 2 * self.left(best[-1]) < self.left(best[0]) else best[0]
+        if 2 * (left := self.left_everywhere(hint)) > self.wrong:
+            return Finding((), self.wrong)
+        return Finding((), left, tuple(kind for kind in hint if kind not in mistakes.VARIANTS))
 
-    def of_suspects(self) -> list[str]:
-        """Mistakes of one surface of many: most of what is wrong is on it, or in its shadow."""
-        d = self.drawings
-        if not d.alone:
-            return []
-        sample = self.samples[0].pixels[self.wrong[self.samples[0].pixels]]
-        on = d.surface[sample] == np.arange(d.surfaces)[:, None]
-        blocked = d.drawing(sample, self.handin).get("blocking", d.base).any(axis=0)
-        touched = (on | blocked).mean(axis=1) > 1 - _OF_WRONG
-        return [kind for kind, surface in d.alone.items() if touched[surface]]
-
-    def double(self) -> tuple[int, list[Cause]]:
-        """Of mistakes that show, one for all that draw the same, all pairs."""
-        pairs, drawn = self.drawings.pairs
-        parts = dict(pairs)
-        good = self.good([*parts], drawn, self.drawings.samples[0], _SOME)
+    def _pairs(self) -> list[Cause]:
+        """Return the best pairs of mistakes."""
+        known = self.known
+        pairs, codes, pixels = known.pairs
+        off = difference(codes, self.handin[:, pixels]) > self.tolerance
+        order = np.argsort(off.sum(axis=1), kind="stable")[:_MAX_CAUSES]
+        parts = {c: pairs[k] for k in order if (c := known.joined(*pairs[k]))}
         background = mistakes.BACKGROUND
-        alike = {background: [background]} | self.drawings.alike
-        join = self.drawings.joined
-        if self.handin[:, self.drawings.surface < 0].any():
-            shown = {both: (background, a) for a in alike if (both := join(background, a))}
-            parts |= shown
-            good += self.sifted([*shown], 0)
-        least, group = self.best(self.sifted(self.sifted(good, 0), 1))
-        all_of_them = {c: None for both in group for a in alike[parts[both][0]]
-                for b in alike[parts[both][1]] if (c := join(a, b))}  # fmt: skip
-        wide = [*all_of_them][: 4 * _FINAL]
-        return self.best(wide) if len(wide) > len(group) else (least, group)
+        if self.handin[:, known.surface < 0].any():
+            parts |= {c: (background, a) for a in known.alike if (c := known.joined(background, a))}
+        best = self.halve([*parts])
+        alike = {background: [background]} | known.alike
+        close = [c for c in parts if c in best or any((*c, k) in best for k in mistakes.ROUNDINGS)]
+        members = {c: None for both in close for a in alike[parts[both][0]]
+                   for b in alike[parts[both][1]] if (c := known.joined(a, b))}  # fmt: skip
+        return self.halve([*members]) if len(members) > len(close) else best
 
-    def good(
-        self, causes: list[Cause], drawn: Array | list[Array], sample: Sample, count: int
-    ) -> list[Cause]:
-        """Those that leave fewest pixels wrong in a sample."""
+    def is_needed(self, cause: Cause) -> bool:
+        """Return whether each mistake of a pair takes away far more than the pair leaves.
+
+        Mistakes of the camera by which fewer surfaces are seen than in the right picture count as
+        needed only if three are seen: with fewer, the picture shows too little.
+        """
+        fixed = (*mistakes.VARIANTS, *mistakes.ROUNDINGS)
+        left, variant = self.left(cause), [kind for kind in cause if kind in fixed]
+        kinds = [kind for kind in cause if kind not in fixed]
+        for part in combinations(kinds, len(kinds) - 1):
+            if self.left((*part, *variant)) - left < max(_MIN_RATIO * left, 1):
+                return False
+        camera = any(mistakes.CAMERA & self.known.table[kind].keys() for kind in kinds)
+        if not camera or not self.known.surface_count:
+            return True
+        sample = next(self.known.batches(self.known.sample))
+        formulas, changes = self.known.formulas(sample, self.handin), self.known.changes(cause)
+        hit, surface = (formulas.get(name, changes or {}) for name in ("hit", "surface"))
+        right = np.unique(self.known.surface[sample])
+        return len(np.unique(surface[hit])) >= min(3, int((right >= 0).sum()))
+
+    def _reported(self, causes: list[Cause]) -> list[Cause]:
+        """Select the causes that may be reported, from the best ones, in the table's order."""
+        causes = [c for c in causes if self.left(c) <= self.max_left and self.shows(c)]
         if not causes:
             return []
-        off = difference(np.asarray(drawn), self.handin[:, sample.pixels])
-        if self.lossy:  # what a format does to a few pixels depends on others around them
-            left, limit = np.minimum(off, _FAR) @ sample.weights, np.inf
-        else:
-            left = (off > self.near) @ sample.weights
-            few = _ODD * sample.weights.max()
-            limit = min(self.most, _APART * left.min()) + few
-        order = np.argsort(left, kind="stable")
-        return [causes[k] for k in order[left[order] <= limit][:count]]
+        least = min(map(self.left, causes))
+        causes = [c for c in causes if self.left(c) < _MIN_RATIO * max(1, least)]
+        exact = _MIN_RATIO * max(min(map(self._inexact.__getitem__, causes)), _MAX_LEFT_PIXELS)
+        causes = [c for c in causes if self._inexact[c] <= exact]
+        causes = [c for c in causes if not any(map(self.known.fitted_names, c))] or causes
+        place = {kind: k for k, kind in enumerate(self.known.table)}
+        return sorted(causes, key=lambda c: [place[kind] for kind in c])
 
-    def sifted(self, causes: list[Cause], size: int) -> list[Cause]:
-        """The best in a sample of the hand-in, half of it wrong."""
-        count = (_FEW, _FINAL)[size]
-        if len(causes) <= count // 8:
-            return causes
-        drawn = self.drawings.codes(causes, self.samples[size], self.handin)
-        return self.good(causes, [*drawn.values()], self.samples[size], count)
+    def shows(self, cause: Cause) -> bool:
+        """Return whether a cause takes away any of the differing pixels."""
+        return self.left(cause) < self.wrong
 
-    def best(self, causes: list[Cause]) -> tuple[int, list[Cause]]:
-        """Draw them whole: how many pixels the best leaves wrong, and all that leave as few."""
-        drawn = self.drawings.whole(causes, self.handin)
-        right = self.drawings.right
-        left = {c: self.left(c, self.near) for c in causes if (drawn[c] != right).any()}
-        least = min(left.values(), default=self.number)
-        if least > self.most:
-            return least, []
-        group = [c for c in left if left[c] < _APART * max(1, least)]
-        # Of those, the ones that have the very levels, and no number from the hand-in.
-        levels = {c: self.left(c, self.lossy) for c in group}
-        exact = max(_APART * min(levels.values()), _OF_ALL * self.number)
-        group = [c for c in group if levels[c] <= exact]
-        group = [c for c in group if not self.drawings.fitted(c)] or group
-        place = {name: k for k, name in enumerate(self.drawings.table)}
-        return least, sorted(group, key=lambda c: [place[kind] for kind in c])
-
-    def rounded(self, group: list[Cause]) -> list[Cause]:
-        """The same with another way to round, if that gives the very levels."""
-        before = self.left(group[0], 0)
-        if self.near == 1 and before > _OF_ALL * self.number:
-            for kind in mistakes.ROUNDINGS:
-                cause = (*group[0], kind)
-                if self.drawings.changes(cause) and _APART * self.left(cause, 0) <= before:
-                    return [(*c, kind) for c in group]
-        return group
-
-    def near_ties(self) -> bool:
-        """Whether few pixels are wrong, and each is drawn so a hair beside its centre."""
-        pixels = np.flatnonzero(difference(self.drawings.right, self.handin) > 1)
-        if len(pixels) > _TIES * self.number:
-            return False
-        drawing, base = self.drawings.drawing(pixels, self.handin), self.drawings.base
-        hairs = [
-            mistakes.offset(0.5 + x, 0.5 + y) for x, y in product((-_HAIR, 0, _HAIR), repeat=2)
-        ]
-        lifts = [mistakes.read(f"shadow_p = p + {by} * sqrt(dot(p, p)) * n") for by in _LIFTS]
-        drawn = np.array([drawing.codes(base | a | b) for a in hairs for b in lifts]).astype(int)
-        here = self.handin[:, pixels]
-        return bool(((here >= drawn.min(axis=0) - 1) & (here <= drawn.max(axis=0) + 1)).all())
-
-    @cached_property
-    def lights(self) -> tuple[Array, Array, Array]:
-        """Which lights (lights, n) the hand-in lacks, which it has too much; whether that is known.
-
-        These are the fewest changes that give its levels.
-        """
-        d, lit = self.drawings, self.drawings.lit
-        found, fewest = lit.copy(), np.full(self.number, np.inf)
-        if len(lit) <= _MANY_LIGHTS:
-            choices = [*product((False, True), repeat=len(lit))]
-            some = [
-                mistakes.read(f"lit = array({[*c]})[:, None] & (distance > 0)") for c in choices
-            ]
-            drawn = d.values(["codes"], [d.base | chosen for chosen in some], self.handin)
-            for lights, one in zip(np.array(choices), drawn, strict=True):
-                number = (lit != lights[:, None]).sum(axis=0)
-                better = (difference(one["codes"], self.handin) <= 1) & (number < fewest)
-                fewest[better] = number[better]
-                found[:, better] = lights[:, None]
-        return lit & ~found, found & ~lit, np.isfinite(fewest)
-
-    def speckled(self) -> bool:
-        """Whether surfaces shadow themselves, in dots that depend on rounding.
-
-        Light is lost alone, and so that neighbours differ nearly as often as by chance.
-        """
-        lost, too_much, known = self.lights
-        if (too_much.any(axis=0) | ~known).sum() > self.most or not lost.any():
-            return False
-        shape = len(lost), -1, self.drawings.columns
-        lost, lit = lost.reshape(shape), self.drawings.lit.reshape(shape)
-        share, differ, expected = lost.sum() / lit.sum(), 0, 0.0
-        for axis in (1, 2):
-            both = lit & np.roll(lit, 1, axis)
-            differ += int((both & (lost != np.roll(lost, 1, axis))).sum())
-            expected += 2 * share * (1 - share) * both.sum()
-        return bool(lost.any(axis=0).mean() > _OF_ALL and differ > _DOTS * expected)
+    def _rounded(self, causes: list[Cause]) -> list[Cause]:
+        """Render causes for the last time, and add the rounding to those that it makes exact."""
+        kinds = [k for k in mistakes.ROUNDINGS if k in self.known.table and not self.lossy]
+        variants = {c: [(*c, k) for k in kinds if self.tolerance and self.known.changes((*c, k))
+                        is not None] for c in causes}  # fmt: skip
+        every = [*dict.fromkeys(v for c in causes for v in (c, *variants[c]))]
+        for cause, off in zip(every, self.off(every), strict=True):
+            self._left[cause] = round((off > self.tolerance) @ self._weights)
+            self._inexact[cause] = round((off > self.lossy) @ self._weights)
+        rounded = [min([c, *variants[c]], key=self._inexact.__getitem__) for c in causes]
+        return [r if _MIN_RATIO * max(self._inexact[r], _MAX_LEFT_PIXELS) < self._inexact[c] else c
+                for c, r in zip(causes, rounded, strict=True)]  # fmt: skip
