@@ -1,18 +1,26 @@
-"""Edge functions: smooth signed functions on the picture that are zero at its edges.
+"""Edge functions: smooth functions on the picture that are zero at an edge (Pineda 1988).
 
-(Pineda, A parallel algorithm for polygon rasterization, 1988.)  These are, of a ray from the eye,
+The values of an edge function at six points of a cell (a pixel, or a square part of a pixel) give
+its gradient and its second derivatives by differences.  `fit_lines` computes from them the straight
+line that represents the edge in the cell, or finds that the edge is too curved for a line.
 
-    silhouette of a sphere    the angle between the ray and the sphere's centre, less its radius's
-    silhouette of a box       n . ray, with the normal n of a plane through the apex and an edge
-    where two surfaces meet   the difference of 1 / t, with the distances t along the ray
-    terminator                the cosine between the normal and the direction to the light
+The edge functions are, of a ray from the eye:
 
-The apex is the eye, or a light: then silhouettes are the edges of shadows, on the surface that a
-cell sees, and the ray that counts leads from the light to that surface.
+==========================  ======================================================================
+silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
+                            minus the angular radius of the sphere
+silhouette of a box         n . ray, with the normal n of the plane through the apex and an edge
+intersection of surfaces,   the difference of 1 / t, where the ray meets the two surfaces at t
+or crease                   times the ray
+terminator                  the cosine between the normal and the direction to the light
+==========================  ======================================================================
 
-EdgeValues are evaluated at six points of a cell, which give gradient and second derivatives by
-differences; `fit_lines` finds the straight lines c + a x + b y = 0 that stand for their zeros.
-All vectors are in the camera's axes, seen from the eye.
+The *apex* of a silhouette is the eye or a light.  Silhouettes as seen from a light are the edges of
+shadows; the ray then leads from the light to the surface that the cell sees.
+
+All vectors are in the axes of the camera, relative to the eye.
+
+Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 """
 
 from __future__ import annotations
@@ -40,26 +48,33 @@ from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
 EdgeValues: TypeAlias = tuple[Ints, Floats]
-"""Cells (n,), and edge functions at the six points of each (6, n); NaN where unknown."""
+"""Cells (n,) of n edges, and the values (6, n) of their edge functions at the six points of the
+cell; NaN where unknown."""
 
-# The points: in the middle, half a cell to the right, left, below and above, and one corner.
+# The six points of a cell, in widths of the cell from its centre: the centre; the middles of the
+# right, left, lower and upper side; and the lower right corner.
 _X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
-# A line that turns by less (in radians) across a cell can stand for what bends there.  It passes
-# for straight if it turns by less than `_TURN` times the tolerance.  Found by trial.
-_MOST_TURN, _TURN = 0.5, 500.0
+# Maximum turn of an edge across a cell, in radians, for which a line represents the edge.  An edge
+# that turns by less than `_TURN_PER_TOLERANCE` times the cell's tolerance in radiance counts as
+# straight.  Tuned on the project's scenes: with half the maximum, errors of 4 samples per pixel are
+# up to 1.6 times as large; half or twice the other number changes errors and times by 1 %.
+_MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
 
 
 class Lines(NamedTuple):
-    """Lines c + a x + b y = 0 across cells.
+    """Straight lines c + a x + b y = 0 that cross cells.
+
+    The coordinates x and y are relative to the centre of the cell, in widths of the cell.
 
     Attributes
     ----------
-    cell : (n,)
-        The cell that each lies in.
-    a, b, c : (n,)
-        So scaled that |a x + b y| is at most 1 in the cell, with a >= 0, or b > 0 if a is 0.
+    cell : (n,) int array
+        The cell of each line.
+    a, b, c : (n,) float arrays
+        Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, with a > 0, or
+        with a = 0 and b > 0.
     """
 
     cell: Ints
@@ -68,138 +83,206 @@ class Lines(NamedTuple):
     c: Floats
 
     @classmethod
-    def joined(cls, lines: Iterable[Lines]) -> Lines:
-        """All lines of some."""
-        return cls._make(map(np.concatenate, zip(*lines, strict=True)))
+    def joined(cls, parts: Iterable[Lines]) -> Lines:
+        """Return the lines of all parts, one part after the other."""
+        return cls._make(map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, index: Ints | slice) -> Lines:
-        """Some of them."""
-        return Lines._make(m[index] for m in self)
+        """Select lines by index."""
+        return Lines._make(field[index] for field in self)
 
     def distinct(self) -> Lines:
-        """Sort them by cell; of equal lines keep one.
+        """Sort lines by cell and coefficients, and keep one of equal lines.
 
-        So the order in which they were found changes nothing.
+        So the order in which lines were found does not change the result.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(run_starts(*lines)))
 
-    def first(self, most: int) -> Lines:
-        """The first lines of each cell, at most so many; these are sorted."""
-        return self.take(indices(ranges(0, run_lengths(self.cell)[1]) < most))
+    def first(self, max_lines: int) -> Lines:
+        """Return the first `max_lines` lines of each cell; the lines must be sorted by cell."""
+        return self.take(indices(ranges(0, run_lengths(self.cell)[1]) < max_lines))
 
 
-def rays(frame: CameraFrame, s: Floats, g: Floats, size: float) -> Triple:
-    """Rays through the six points, three (6, n), of cells with (s, g, depth) through their middles.
+def rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
+    """Compute rays from the eye through the six points of cells.
 
-    `size`: width of the cells, in pixels.
+    Parameters
+    ----------
+    frame : CameraFrame
+        The camera.
+    x, y : (n,) float arrays
+        The vectors (x, y, frame.depth) are rays through the centres of the cells, in the axes of
+        the camera.
+    cell_width : float
+        Width of the cells, in pixels.
+
+    Returns
+    -------
+    ray : tuple of three (6, n) or (1, n) float arrays
+        Components of the rays; the third is the same for all six points.
     """
-    across, down = _X * (frame.step_u * size), _Y * (frame.step_v * size)
-    return s + across, g + down, np.full((1, s.size), frame.depth)
+    across, down = _X * (frame.step_u * cell_width), _Y * (frame.step_v * cell_width)
+    return x + across, y + down, np.full((1, x.size), frame.depth)
 
 
-def span(value: Floats) -> Floats:
-    """Bound how far edge functions (6, ...) differ within a cell from its middle."""
-    middle, right, left, below, above, corner = value
+def value_range(values: Floats) -> Floats:
+    """Bound by how much edge functions differ in their cells from their values at the centres.
+
+    Parameters
+    ----------
+    values : (6, ...) float array
+        Values of the edge functions at the six points of their cells.
+
+    Returns
+    -------
+    maximum : (...) float array
+        Bound on the absolute difference, from the first and second differences.
+    """
+    center, right, left, below, above, corner = values
     linear = np.abs(right - left) + np.abs(below - above)
-    bend = np.abs(right + left - 2 * middle) + np.abs(below + above - 2 * middle)
-    twist = np.abs(corner - right - below + middle)
-    most: Floats = 0.5 * linear + 0.5 * bend + twist
-    return most
+    quadratic = np.abs(right + left - 2 * center) + np.abs(below + above - 2 * center)
+    mixed = np.abs(corner - right - below + center)
+    maximum: Floats = 0.5 * linear + 0.5 * quadratic + mixed
+    return maximum
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
-    """Fit straight lines to edges; also return the cells of edges that are not straight.
+    """Fit straight lines to edges, and find the cells of edges that are not straight.
 
-    `tolerance`: by how much a cell's mean may be off, in radiance.
+    Parameters
+    ----------
+    edges : iterable of (cell, values)
+        In batches: the cells (n,) of edges, and the values (6, n) of their edge functions.
+    tolerance : float
+        Maximum error of the mean radiance of a cell.
 
-    An edge function is taken for c + g . x + x . H x / 2.  Straight down its slope, at x = s g,
-    that is c + s g^2 + s^2 (g . H g) / 2, zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)): in
-    this foot of the cell's middle, or as near to it as the cell reaches, it is linearised.  Along
-    the tangent t (a unit vector) it changes by u^2 (t . H t) / 2: over the cell's length,
-    -1/2 < u < 1/2, by t . H t / 24 on average, which is added to the line's c.  The zero's
-    curvature, and so its turn over that length, is |t . H t| / |g|.
+    Returns
+    -------
+    lines : Lines
+        Lines that represent the edges, except for edges that certainly do not cross their cells,
+        and for edges that turn too much.
+    curved_cell : (k,) int array
+        Cells with edges that are not straight, or are unknown.
     """
-    none: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    lines, curved = zip(*(_fit(*some, tolerance) for some in chain([none], edges)), strict=True)
-    return Lines.joined(lines), np.concatenate(curved)
+    no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
+    fits = (_fit(cell, values, tolerance) for cell, values in chain([no_edges], edges))
+    lines, curved_cell = zip(*fits, strict=True)
+    return Lines.joined(lines), np.concatenate(curved_cell)
 
 
-def _fit(cell: Ints, value: Floats, tolerance: float) -> tuple[Lines, Ints]:
-    # Whatever the unit of lengths, squares of squares stay within the range of numbers.
-    value /= span(value)
-    middle, right, left, below, above, corner = value
+def _fit(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
+    """Fit a straight line to each edge of one batch, and find the cells of curved edges.
+
+    The edge function is approximated by f(x) = c + g . x + x . H x / 2, with the gradient g and the
+    matrix H of second derivatives at the centre of the cell.  The line is computed in two steps:
+
+    1. On the straight line x = s g through the centre, f is c + s g^2 + s^2 (g . H g) / 2.  It is
+       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  In this point, or the nearest point to
+       it on x = s g in the cell, f is replaced by its tangent plane c + a x + b y.
+    2. Along the unit vector t of the line, f differs from the tangent plane by u^2 (t . H t) / 2,
+       at the distance u from the point.  This is t . H t / 24 on average, for -1/2 < u < 1/2, and
+       is added to c.
+
+    The curvature of the edge is |t . H t| / |g|, so this is also its turn over a length of 1.
+
+    Parameters
+    ----------
+    cell : (n,) int array
+        The cell of each edge.
+    values : (6, n) float array
+        Values of the edge functions at the six points of the cells.
+    tolerance : float
+        Maximum error of the mean radiance of a cell.
+
+    Returns
+    -------
+    lines, curved_cell : Lines, (k,) int array
+        See `fit_lines`.
+    """
+    # So powers of the derivatives are finite, whatever the scene's unit of length.
+    center, right, left, below, above, corner = values / value_range(values)
     a, b = right - left, below - above
-    xx, yy = 4 * (right + left - 2 * middle), 4 * (below + above - 2 * middle)
-    xy = 4 * (corner - right - below + middle)
-    steep = a * a + b * b
-    bend = (a * a * xx + 2 * a * b * xy + b * b * yy) / steep
-    step = -2 * middle / (steep + np.sqrt(np.abs(steep * (steep - 2 * middle * bend))))
-    most = 0.5 / np.maximum(np.abs(a), np.abs(b))
-    step = np.clip(step, -most, most)
+    xx, yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
+    xy = 4 * (corner - right - below + center)
+    slope2 = a * a + b * b
+    bend = (a * a * xx + 2 * a * b * xy + b * b * yy) / slope2
+    step = -2 * center / (slope2 + np.sqrt(np.abs(slope2 * (slope2 - 2 * center * bend))))
+    max_step = 0.5 / np.maximum(np.abs(a), np.abs(b))
+    step = np.clip(step, -max_step, max_step)
     x, y = step * a, step * b
-    c = middle + a * x + b * y + 0.5 * (x * (xx * x + 2 * xy * y) + y * yy * y)
+    c = center + a * x + b * y + 0.5 * (x * (xx * x + 2 * xy * y) + y * yy * y)
     a, b = a + xx * x + xy * y, b + xy * x + yy * y
     c -= a * x + b * y
-    steep = a * a + b * b
-    sag = (b * b * xx - 2 * a * b * xy + a * a * yy) / steep
-    reach = 0.5 * (np.abs(a) + np.abs(b))
+    slope2 = a * a + b * b
+    sag = (b * b * xx - 2 * a * b * xy + a * a * yy) / slope2
+    maximum = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scaled((a, b, c + sag / 24), sign / reach))
-    # Where the slope changes as much as that, the far side of what is small may be in the cell too.
-    turn = np.maximum(np.abs(sag), np.abs(bend)) / np.sqrt(steep)
-    straight, crosses = turn <= _MOST_TURN, np.abs(lines.c) < 1
-    # Arcs may cross cells that their tangents miss; NaN rules nothing out.
-    near = np.where(straight, crosses, ~(np.abs(middle) > 1))
-    curved = near & ~(turn <= min(_TURN * tolerance, _MOST_TURN))
-    return lines.take(indices(straight & crosses)), cell[indices(curved)]
+    lines = Lines(cell, *scaled((a, b, c + sag / 24), sign / maximum))
+    # If the slope changes much across the edge, the far side of a small object may be in the cell.
+    turn = np.maximum(np.abs(sag), np.abs(bend)) / np.sqrt(slope2)
+    has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
+    # A curved edge may cross a cell that its tangent misses.  NaN counts as an edge in the cell.
+    is_near = np.where(has_line, crosses, ~(np.abs(center) > 1))
+    is_curved = is_near & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
+    return lines.take(indices(has_line & crosses)), cell[indices(is_curved)]
 
 
 class InverseDepth(NamedTuple):
-    """Surfaces as the picture shows them: a ray d meets one at t, with 1 / t a function of d.
+    """The surfaces at n hits as functions on the picture: 1 / t, where a ray meets them at t.
 
-    A plane n . x = n . p has 1 / t = d . n / (n . p), a linear function.  A sphere of centre C, at
-    |t d - C|^2 = r^2, has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P, with P = C^2 - r^2: the
-    near root, or with the eye inside (P < 0) the far one.  So for both, with k = n / (n . p) and
-    w = 0, or k = C / P and w = 1 / P: 1 / t = k . d + sqrt((k . d)^2 - w d^2), without the root
-    for planes.  A ray that misses the sphere counts as one that grazes it.
+    A plane n . x = n . p has 1 / t = d . n / (n . p) for a ray d, which is a linear function.  A
+    sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P,
+    with P = C^2 - r^2.  This is the near intersection or, if the eye is inside (P < 0), the far
+    one.  Both are 1 / t = k . d + sqrt((k . d)^2 - w d^2):
+
+    - for a plane, k = n / (n . p) and w = 0, without the square root;
+    - for a sphere, k = C / P and w = 1 / P.
+
+    A ray that misses the sphere counts as one that touches it.
 
     Attributes
     ----------
-    k : three (n,)
-    w : (n,)
+    k : tuple of three (n,) float arrays
+        Components of k, in the axes of the camera.
+    w : (n,) float array
+        w; 0 for planes.
     """
 
     k: Triple
     w: Floats
 
     @classmethod
-    def of(cls, hits: Hits) -> InverseDepth:
-        """The surfaces (n,) that hits are on."""
+    def from_hits(cls, hits: Hits) -> InverseDepth:
+        """Return the surfaces at n hits."""
         spheres = hits.prepared.spheres
         k, w = np.empty(hits.local.shape), np.zeros(hits.local.shape[1])
         for group in hits.groups:
-            part = group.interval
-            # Also where the eye is on a sphere: the plane that touches it where it is seen.
-            for out, n in zip(k, group.normal, strict=True):
-                out[part] = group.expand(n / -group.eye_height)
+            interval = group.interval
+            # If the eye is on a sphere (P = 0), the tangent plane at the hit replaces the sphere.
+            for k_component, normal in zip(k, group.normal, strict=True):
+                k_component[interval] = group.expand(normal / -group.eye_height)
             if not group.shape.is_planar:
                 power = group.per_sample(spheres.power)
-                w[part] = np.where(power != 0, 1 / power, 0)
-                for out, center in zip(k, spheres.local, strict=True):
-                    np.divide(group.per_sample(center), power, out=out[part], where=power != 0)
+                w[interval] = np.where(power != 0, 1 / power, 0)
+                for k_component, center in zip(k, spheres.local, strict=True):
+                    quotient = group.per_sample(center) / power
+                    k_component[interval] = np.where(power != 0, quotient, k_component[interval])
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:
-        """Some of them."""
+        """Select surfaces by index."""
         return InverseDepth(take3(self.k, index), self.w[index])
 
-    def inverse(self, d: Triple) -> Floats:
-        """1 / t (6, n) of rays, three (6, n)."""
-        linear = dot(self.k, d)
-        at = indices(self.w)
-        if at.size:
-            some = map3(lambda m: m[:, at], d)
-            square = linear[:, at] ** 2 - self.w[at] * dot(some, some)
-            linear[:, at] += np.sqrt(np.maximum(square, 0))
-        return linear
+    def inverse(self, ray: Triple) -> Floats:
+        """Compute 1 / t (6, n) for rays, whose three components are (6, n) float arrays.
+
+        Column i contains six rays that meet the surface i.
+        """
+        values = dot(self.k, ray)
+        index = indices(self.w)
+        if index.size:
+            sphere_ray = map3(lambda x: x[:, index], ray)
+            square = values[:, index] ** 2 - self.w[index] * dot(sphere_ray, sphere_ray)
+            values[:, index] += np.sqrt(np.maximum(square, 0))
+        return values

@@ -1,19 +1,25 @@
-"""Edge functions of what may cross cells: silhouettes, shadows, creases, terminators.
+"""Find the edges that may cross cells of the picture: silhouettes, creases, shadows, terminators.
 
-Silhouettes are sought along all of the objects' outlines across the picture, so that objects are
-found as well that the samples in the middles of pixels miss; the others around these samples.
-The *footprint* of a cell is the radius of what it sees of a surface.
+A cell is a pixel or a square part of a pixel.  Each edge is found as an edge function: a smooth
+function on the picture that is zero at the edge (see `edge_functions`).  The functions of this
+module yield the values of edge functions at six points of each cell; a later step decides from the
+values whether the edge does cross the cell.
+
+Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
+is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
+which is the point where the ray through the centre of the cell meets a surface.  The search radius
+is the *footprint*: the radius, around the hit, of the part of the surface that the cell sees.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, span
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, value_range
 from tracer.arrays import (
     BATCH_SIZE,
     Bools,
@@ -33,124 +39,205 @@ from tracer.trace.hits import Hits
 from tracer.trace.samples import spans
 from tracer.world.prepared_scene import PreparedScene
 
-Apexes: TypeAlias = tuple[Floats, Floats]
-"""Where lights are, or the eye (m, 3): in the scene's axes, and in the camera's."""
-
-# Towards a face's horizon footprints are lengthened, by a factor of at most one over this.
-_NEARLY = 1e-3
+# Towards the horizon of a face, footprints are divided by the cosine at the far end of the cell.
+# This cosine is at least this fraction of the cosine at the hit, so that footprints stay finite.
+_MIN_COSINE_RATIO = 1e-3
 
 
-def pieces(index: Ints) -> Iterator[Ints]:
-    """Some of an index at a time: edge functions are six numbers for each."""
+class Apexes(NamedTuple):
+    """Points from which silhouettes are seen: the eye, or m lights.
+
+    Attributes
+    ----------
+    position : (m, 3) float array
+        Positions in the axes of the scene.
+    local : (m, 3) float array
+        The same positions relative to the eye, in the axes of the camera.
+    """
+
+    position: Floats
+    local: Floats
+
+
+def edge_batches(index: Ints) -> Iterator[Ints]:
+    """Yield consecutive parts (k,) of an array of indices (n,), each for one batch of edges."""
     for start in range(0, index.size, BATCH_SIZE):
         yield index[start : start + BATCH_SIZE]
 
 
-def footprints_of(hits: Hits, size: float) -> Floats:
-    """Footprints (n,): radii, around all points, of what cells of a size see."""
+def footprints_of(hits: Hits, cell_width: float) -> Floats:
+    """Compute the footprint of each hit: the radius of the part of the surface that its cell sees.
+
+    Parameters
+    ----------
+    hits : Hits
+        The n hits of rays through the centres of cells.
+    cell_width : float
+        Width of the cells, in pixels.
+
+    Returns
+    -------
+    footprint : (n,) float array
+        Radius around each hit, in the scene's unit of length.
+    """
     frame = hits.prepared.frame
-    angle = _angle(frame, size)
-    halves, distance = hits.local[2] * angle, hits.distance
-    footprints = np.empty(halves.size)
+    angle = _half_diagonal(frame, cell_width)
+    perpendicular_radius, distance = hits.local[2] * angle, hits.distance
+    footprint = np.empty(distance.size)
     for group in hits.groups:
-        half = halves[group.interval]
+        radius = perpendicular_radius[group.interval]
         n_dot_v = group.expand(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprints[group.interval] = _on_face(half, n_dot_v, angle)
+            footprint[group.interval] = _footprint_on_face(radius, n_dot_v, angle)
             continue
-        # However small the cosine, from the silhouette a width of `half` covers no more of a
-        # sphere than sqrt(2 half radius).
-        most = np.sqrt(2 * half / group.per_sample(hits.prepared.curvature))
-        footprints[group.interval] = np.fmin(half / n_dot_v, most)
-    return footprints
+        # At any angle, a strip of width r next to the silhouette of a sphere of radius R shows no
+        # more of the sphere than sqrt(2 r R).
+        maximum = np.sqrt(2 * radius / group.per_sample(hits.prepared.curvature))
+        footprint[group.interval] = np.fmin(radius / n_dot_v, maximum)
+    return footprint
 
 
-def _angle(frame: CameraFrame, size: float) -> float:
-    """Under this angle, in radians, the eye sees half the diagonal of a cell."""
-    return 0.5 * size * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
+def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
+    """Return half the diagonal of a cell as an angle from the eye, in radians.
+
+    `cell_width` is the width of the cell, in pixels.
+    """
+    return 0.5 * cell_width * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
 
 
-def _on_face(half: Floats, n_dot_v: Floats, angle: float) -> Floats:
-    """Footprints on faces: half the cell's diagonal at their distance, over the cosine."""
-    # The far end of the cell sees the face at a smaller cosine: by up to the angle.
-    return half / (n_dot_v * np.maximum(1 - angle / n_dot_v, _NEARLY))
+def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
+    """Compute the footprints of cells on planar faces.
+
+    Parameters
+    ----------
+    radius : (n,) float array
+        Half the diagonal of the cell at the distance of the hit, perpendicular to the ray.
+    n_dot_v : (n,) float array
+        Cosine between the normal of the face and the direction to the eye, at the hit.
+    angle : float
+        Half the diagonal of the cell as an angle from the eye, in radians.
+
+    Returns
+    -------
+    footprint : (n,) float array
+        Radius around the hit of the part of the face that the cell sees.
+    """
+    # At the far end of the cell, the cosine is smaller by at most the angle.
+    return radius / (n_dot_v * np.maximum(1 - angle / n_dot_v, _MIN_COSINE_RATIO))
 
 
 def silhouette_pixels(
     prepared: PreparedScene, rows: slice, columns: slice
 ) -> tuple[Ints, Ints, Ints]:
-    """Row, column and object: the pixels of a rectangle that an outline may cross.
+    """Find all pairs of a pixel and an object whose silhouette may cross the pixel.
 
-    Being convex, an object fills the pixels of a row whose upper and lower sides it covers.  Its
-    outline may cross the others in which it is seen.
+    Objects are convex.  So an object covers a pixel entirely if it covers both the upper and the
+    lower side of the pixel.  The silhouette may cross every other pixel that the object covers in
+    part.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    rows, columns : slice
+        The rectangle of pixels to search.
+
+    Returns
+    -------
+    row, column : (n,) int arrays
+        The pixel of each pair: its row and column in the picture.
+    object_index : (n,) int array
+        The object of each pair.
     """
     lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
-    found: list[tuple[Ints, Ints, Floats, Floats]] = []
+    intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
-        between = columns.start, columns.stop
-        obj, row, left, right = spans(shape, prepared, lines[:-1], between, height=1.0)
-        full, full_end = left, right
+        limits = columns.start, columns.stop
+        owner, row, left, right = spans(shape, prepared, lines[:-1], limits, height=1.0)
+        # The interval in which the object covers both the upper and the lower side of the row.
+        inner_start, inner_stop = left, right
         for line in (row, row + 1):
-            begin, end = shape.row_extent(obj, lines[line], 0.0)
-            full, full_end = np.maximum(full, begin), np.minimum(full_end, end)
-        fills = (top[obj] < lines[row]) & (bottom[obj] > lines[row + 1]) & (full < full_end)
-        left, stop = np.floor(left), np.floor(right) + 1
-        full, full_end = (np.where(fills, m, stop) for m in (np.ceil(full), np.floor(full_end)))
-        full = np.clip(full, left, stop)
-        full_end = np.clip(full_end, full, stop)
-        found += [(row, obj, left, full), (row, obj, full_end, stop)]
-    row, obj, start, stop = (np.concatenate(m) for m in zip(*found, strict=True))
-    start, stop = (m.clip(columns.start, columns.stop).astype(np.intp) for m in (start, stop))
-    span, column = segment_indices(stop - start, start)
-    return row[span] + rows.start, column, obj[span]
+            line_left, line_right = shape.row_extent(owner, lines[line], 0.0)
+            inner_start = np.maximum(inner_start, line_left)
+            inner_stop = np.minimum(inner_stop, line_right)
+        covers_row = (top[owner] < lines[row]) & (bottom[owner] > lines[row + 1])
+        covers_row &= inner_start < inner_stop
+        start, stop = np.floor(left), np.floor(right) + 1
+        # Pixels that are covered entirely; if there are none, the interval is empty, at the end.
+        inner_start, inner_stop = np.ceil(inner_start), np.floor(inner_stop)
+        inner_start = np.where(covers_row, inner_start, stop).clip(start, stop)
+        inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
+        intervals += [(row, owner, start, inner_start), (row, owner, inner_stop, stop)]
+    row, owner, left, right = (np.concatenate(field) for field in zip(*intervals, strict=True))
+    start, stop = (x.clip(columns.start, columns.stop).astype(np.intp) for x in (left, right))
+    interval, column = segment_indices(stop - start, start)
+    return row[interval] + rows.start, column, owner[interval]
 
 
 def silhouettes(
-    prepared: PreparedScene, apexes: Apexes, number: Ints, cell: Ints, obj: Ints, q: Triple
+    prepared: PreparedScene, apexes: Apexes, apex: Ints, cell: Ints, owner: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Silhouettes of objects, given pairs (n,) of a cell and an object.
+    """Yield the silhouettes of objects, as seen from apexes (the eye, or lights).
 
-    `number` (n,): of the apex they are seen from; `q`: rays from there through the cells, three
-    (6, n).
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene, prepared for the camera.
+    apexes : Apexes
+        The points from which silhouettes are seen.
+    apex, cell, owner : (n,) int arrays
+        Triples of an apex, a cell, and the object whose silhouette may cross the cell.
+    ray : tuple of three (6, n) float arrays
+        Vectors from the apex through the six points of the cell, in the axes of the camera.
+
+    Yields
+    ------
+    cell : (k,) int array
+        The cell of each silhouette.  A box has up to six silhouettes, one for each edge.
+    values : (6, k) float array
+        Values of the edge function at the six points of the cell.
     """
-    spheres, boxes, (positions, local) = prepared.spheres, prepared.boxes, apexes
-    at = indices(spheres.objects.contains(obj))
-    if at.size:
-        center = map3(np.subtract, take3(spheres.local, obj[at]), take3(local.T, number[at]))
-        some, radius = map3(lambda m: m[:, at], q), spheres.radius[obj[at]]
-        yield cell[at], sphere_edge_function(some, center, radius)
-    at = indices(boxes.objects.contains(obj))
-    if at.size:
-        # Planes are found once for each pair of an apex and a box.
-        pair = number[at] * boxes.objects.size + boxes.objects.positions(obj[at])
-        pair, inverse = np.unique(pair, return_inverse=True)
-        which, box = np.divmod(pair, boxes.objects.size)
-        low, high = (m[:, box] - positions.T[:, which] for m in (boxes.min_pt, boxes.max_pt))
+    spheres, boxes = prepared.spheres, prepared.boxes
+    index = indices(spheres.objects.contains(owner))
+    if index.size:
+        sphere, sphere_ray = owner[index], map3(lambda x: x[:, index], ray)
+        apex_position = take3(apexes.local.T, apex[index])
+        center = map3(np.subtract, take3(spheres.local, sphere), apex_position)
+        yield cell[index], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
+    index = indices(boxes.objects.contains(owner))
+    if index.size:
+        # Planes are computed once for each pair of an apex and a box.
+        pair = apex[index] * boxes.objects.size + boxes.objects.positions(owner[index])
+        pair, pair_index = np.unique(pair, return_inverse=True)
+        pair_apex, box = np.divmod(pair, boxes.objects.size)
+        position = apexes.position.T[:, pair_apex]
+        low, high = boxes.min_pt[:, box] - position, boxes.max_pt[:, box] - position
         planes = prepared.frame.vector_to_camera(silhouette_planes(low, high))
-        some = map3(lambda m: m[:, at], q)
-        value = box_edge_functions(map3(lambda m: m[:, inverse], planes), some)
-        most, middle = span(value), value[0]
-        # An edge ends where the planes beside it begin.
-        near = (np.abs(middle) <= most) & (middle >= -most).all(axis=0)
-        # Of six planes those that are zero count if all are: nothing is known of the box.
-        near &= (most > 0) | ~(most > 0).any(axis=0)
-        yield cell[at[near.nonzero()[1]]], value[:, near]
+        box_ray = map3(lambda x: x[:, index], ray)
+        values = box_edge_functions(map3(lambda x: x[:, pair_index], planes), box_ray)
+        maximum, center_value = value_range(values), values[0]
+        # An edge of the box ends where the planes through the neighbouring edges begin.
+        is_near = (np.abs(center_value) <= maximum) & (center_value >= -maximum).all(axis=0)
+        # A plane that is zero bounds nothing.  If all six are zero, nothing is known of the box.
+        is_near &= (maximum > 0) | ~(maximum > 0).any(axis=0)
+        yield cell[index[is_near.nonzero()[1]]], values[:, is_near]
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that cells see, each at the hit in its middle.
+    """The surfaces that cells see: one for each of n hits of rays through the centres of cells.
 
     Attributes
     ----------
     hits : Hits
+        The hits.
     inverse_depth : InverseDepth
-        The surfaces that are seen.
-    cell : (n,)
+        The surface at each hit, as a function on the picture.
+    cell : (n,) int array
         The cell of each hit.
-    footprint : (n,)
-        See `footprints_of`.
-    size : float
+    footprint : (n,) float array
+        Radius around each hit of the part of the surface that the cell sees.
+    cell_width : float
         Width of the cells, in pixels.
     """
 
@@ -158,92 +245,188 @@ class CellSurfaces(NamedTuple):
     inverse_depth: InverseDepth
     cell: Ints
     footprint: Floats
-    size: float
+    cell_width: float
 
-    def rays(self, at: Ints) -> tuple[Triple, Floats]:
-        """Rays through the cells of some hits, three (6, n), and 1 / t (6, n) of what is seen."""
-        frame = self.hits.prepared.frame
-        ahead = frame.depth / self.hits.local[2][at]
-        d = rays(frame, self.hits.local[0][at] * ahead, self.hits.local[1][at] * ahead, self.size)
-        return d, self.inverse_depth.take(at).inverse(d)
+    def rays(self, index: Ints) -> tuple[Triple, Floats]:
+        """Compute where rays through the six points of cells meet the surfaces at the hits.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Indices of the hits.
+
+        Returns
+        -------
+        ray : tuple of three (6, k) float arrays
+            Rays from the eye through the six points of each cell, in the axes of the camera.
+        inverse : (6, k) float array
+            1 / t of each ray, which meets the surface at t times the ray.
+        """
+        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.local, index)
+        scale = frame.depth / z
+        ray = rays(frame, x * scale, y * scale, self.cell_width)
+        return ray, self.inverse_depth.take(index).inverse(ray)
 
     def intersections(self, hidden: Hits) -> Iterator[EdgeValues]:
-        """Where surfaces meet those `hidden` behind them."""
+        """Yield edges where the visible surface of a cell may meet a surface behind it.
+
+        Parameters
+        ----------
+        hidden : Hits
+            Hits behind the visible surfaces, of the same samples.
+
+        Yields
+        ------
+        cell : (k,) int array
+            The cell of each edge.
+        values : (6, k) float array
+            Values of the edge function, which is the difference of 1 / t of the two surfaces.
+        """
         sample = self.hits.sample
-        hit = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
-        hit[sample] = np.arange(sample.size)
-        at = hit[hidden.sample]
-        # What a cell sees of two surfaces that meet there is as near as both footprints reach.
-        reach = self.footprint[at] + footprints_of(hidden, self.size)
-        close, behind = hidden.distance - self.hits.distance[at] <= reach, InverseDepth.of(hidden)
-        for near in pieces(indices(close)):
-            d, inverse = self.rays(at[near])
-            yield self.cell[at[near]], inverse - behind.take(near).inverse(d)
-        yield from self._other_faces(hidden, at, close)
+        hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
+        hit_of_sample[sample] = np.arange(sample.size)
+        visible = hit_of_sample[hidden.sample]
+        # Two surfaces that meet within the cell are no farther from each other than this.
+        max_gap = self.footprint[visible] + footprints_of(hidden, self.cell_width)
+        is_close = hidden.distance - self.hits.distance[visible] <= max_gap
+        hidden_depth = InverseDepth.from_hits(hidden)
+        for batch in edge_batches(indices(is_close)):
+            ray, inverse = self.rays(visible[batch])
+            yield self.cell[visible[batch]], inverse - hidden_depth.take(batch).inverse(ray)
+        yield from self._intersections_with_other_faces(hidden, visible, is_close)
 
-    def _other_faces(self, hidden: Hits, at: Ints, close: Bools) -> Iterator[EdgeValues]:
-        """Where hidden boxes may come forward with another face, whose crease is hidden as well.
+    def _intersections_with_other_faces(
+        self, hidden: Hits, visible: Ints, is_close: Bools
+    ) -> Iterator[EdgeValues]:
+        """Yield edges where another face of a hidden box may meet the visible surface of a cell.
 
-        Seen from inside, that face may be near where the hidden one is not `close` (n,).
+        A crease between the face at the hidden hit and the other face may be hidden as well, so
+        the other face can be visible in the cell although no sample sees it.
+
+        Parameters
+        ----------
+        hidden : Hits
+            The n hits behind visible surfaces.
+        visible : (n,) int array
+            For each hidden hit, the index of the visible hit of the same sample.
+        is_close : (n,) bool array
+            Whether the face at the hidden hit may meet the visible surface in the cell.  If it may
+            not, then another face of the box may, if the eye is inside the box.
+
+        Yields
+        ------
+        cell, values : arrays
+            See `intersections`.
         """
         prepared, owner = hidden.prepared, hidden.hit_object
-        boxes, eye, angle = prepared.boxes, prepared.frame.eye, _angle(prepared.frame, self.size)
-        flat = indices(boxes.objects.contains(owner) & (close | prepared.eye_inside[owner]))
-        obj, p, distance = owner[flat], hidden.local[:, flat], hidden.distance[flat]
-        seen, reach = self.hits.distance[at[flat]], self.footprint[at[flat]]
-        for k in range(3):
-            height = prepared.frame.scene_component(take3(p, slice(None)), k)
-            low, high = (
-                m[k, boxes.objects.positions(obj)] - eye[k] for m in (boxes.min_pt, boxes.max_pt)
-            )
-            level = np.where(prepared.eye_inside[obj] == (height > 0), high, low)
-            farther = level / height
-            footprint = _on_face(farther * p[2] * angle, np.abs(height) / distance, angle)
-            near = np.abs(farther * distance - seen) <= reach + footprint
-            for some in pieces(indices(near)):
-                d, inverse = self.rays(at[flat[some]])
-                across = prepared.frame.scene_component(d, k)
-                yield self.cell[at[flat[some]]], inverse - across / level[some]
+        frame, boxes = prepared.frame, prepared.boxes
+        angle = _half_diagonal(frame, self.cell_width)
+        index = indices(boxes.objects.contains(owner) & (is_close | prepared.eye_inside[owner]))
+        owner, hit, distance = owner[index], take3(hidden.local, index), hidden.distance[index]
+        visible = visible[index]
+        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
+        box = boxes.objects.positions(owner)
+        for axis in range(3):
+            height = frame.scene_component(hit, axis)
+            low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
+            face = np.where(prepared.eye_inside[owner] == (height > 0), high, low)
+            level = face - frame.eye[axis]
+            # The ray meets the plane of the other face at this factor times the hidden hit.
+            factor = level / height
+            n_dot_v = np.abs(height) / distance
+            face_footprint = _footprint_on_face(factor * hit[2] * angle, n_dot_v, angle)
+            gap = np.abs(factor * distance - visible_distance)
+            for batch in edge_batches(indices(gap <= footprint + face_footprint)):
+                ray, inverse = self.rays(visible[batch])
+                face_inverse = frame.scene_component(ray, axis) / level[batch]
+                yield self.cell[visible[batch]], inverse - face_inverse
 
     def shadows(
-        self, apexes: Apexes, light: Ints, point: Ints, occluder: Ints
+        self, apexes: Apexes, light: Ints, hit: Ints, occluder: Ints
     ) -> Iterator[EdgeValues]:
-        """Edges of shadows, given lights, hits and objects that may shade around these."""
-        for pair in pieces(np.arange(light.size)):
-            at, number = point[pair], light[pair]
-            d, inverse = self.rays(at)
-            q = map3(np.subtract, d, scaled(take3(apexes[1].T, number), inverse))
-            pairs = number, self.cell[at], occluder[pair]
-            yield from silhouettes(self.hits.prepared, apexes, *pairs, q)
+        """Yield the edges of shadows: silhouettes of objects, seen from lights.
+
+        Parameters
+        ----------
+        apexes : Apexes
+            Positions of the lights.
+        light, hit, occluder : (n,) int arrays
+            Triples of a light, a hit, and an object whose shadow may have an edge near the hit.
+
+        Yields
+        ------
+        cell : (k,) int array
+            The cell of each edge.
+        values : (6, k) float array
+            Values of the edge function at the six points of the cell.
+        """
+        for batch in edge_batches(np.arange(light.size)):
+            batch_hit, batch_light = hit[batch], light[batch]
+            ray, inverse = self.rays(batch_hit)
+            # Vectors from the light to the surface, divided by t.
+            light_position = take3(apexes.local.T, batch_light)
+            light_ray = map3(np.subtract, ray, scaled(light_position, inverse))
+            triples = batch_light, self.cell[batch_hit], occluder[batch]
+            yield from silhouettes(self.hits.prepared, apexes, *triples, light_ray)
 
     def terminators(self, apexes: Apexes, n_dot_l: Floats, length2: Floats) -> Iterator[EdgeValues]:
-        """Lines at which lights, and their highlights, begin on spheres: see `LightGeometry`."""
-        prepared, obj = self.hits.prepared, self.hits.hit_object
-        turn = self.footprint * prepared.curvature[obj]
-        for pair in pieces(indices(n_dot_l**2 < turn * turn * length2)):
-            light, at = np.divmod(pair, turn.size)
-            d, inverse = self.rays(at)
-            center, apex = take3(prepared.spheres.local, obj[at]), take3(apexes[1].T, light)
-            # The rays meet the sphere at d / inverse: normal and way to the light, times inverse.
-            n = map3(np.subtract, d, scaled(center, inverse))
-            to_light = map3(np.subtract, scaled(apex, inverse), d)
-            yield self.cell[at], dot(n, to_light) / np.sqrt(dot(n, n) * dot(to_light, to_light))
+        """Yield the terminators of spheres: the lines where the surface turns away from a light.
+
+        Parameters
+        ----------
+        apexes : Apexes
+            Positions of the lights.
+        n_dot_l : (lights, n) float array
+            n . l, with the unit normal n at each hit, and the vector l to the light.
+        length2 : (lights, n) float array
+            l . l
+
+        Yields
+        ------
+        cell : (k,) int array
+            The cell of each edge.
+        values : (6, k) float array
+            Values of the edge function, which is the cosine between n and l.
+        """
+        prepared, owner = self.hits.prepared, self.hits.hit_object
+        # The normal turns by this angle within the footprint, in radians.
+        turn = self.footprint * prepared.curvature[owner]
+        for pair in edge_batches(indices(n_dot_l**2 < turn * turn * length2)):
+            light, hit = np.divmod(pair, turn.size)
+            ray, inverse = self.rays(hit)
+            # The rays meet the sphere at ray / inverse.  All vectors are multiplied by `inverse`.
+            center = scaled(take3(prepared.spheres.local, owner[hit]), inverse)
+            normal = map3(np.subtract, ray, center)
+            light_position = scaled(take3(apexes.local.T, light), inverse)
+            to_light = map3(np.subtract, light_position, ray)
+            length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
+            yield self.cell[hit], dot(normal, to_light) / length
 
     def creases(self) -> Iterator[EdgeValues]:
-        """Edges between faces of boxes that are both seen."""
-        prepared, eye = self.hits.prepared, self.hits.prepared.frame.eye
-        ends = (prepared.boxes.min_pt, -1), (prepared.boxes.max_pt, 1)
-        for group, k in product(self.hits.groups, range(3)):
-            across_face = group.face != k
-            if not group.shape.is_planar or not np.any(across_face):
+        """Yield the edges between two visible faces of the same box.
+
+        Yields
+        ------
+        cell : (k,) int array
+            The cell of each edge.
+        values : (6, k) float array
+            Values of the edge function, which is the difference of 1 / t of the two faces.
+        """
+        prepared, frame = self.hits.prepared, self.hits.prepared.frame
+        corners = prepared.boxes.min_pt, prepared.boxes.max_pt
+        for group, axis in product(self.hits.groups, range(3)):
+            is_other_face = group.face != axis
+            if not group.shape.is_planar or not np.any(is_other_face):
                 continue
-            height = prepared.frame.scene_component(take3(self.hits.local, group.interval), k)
-            for corner, sign in ends:
-                level = corner[k, prepared.boxes.objects.positions(group.run_object)] - eye[k]
-                shown = prepared.eye_inside[group.run_object] | (sign * level < 0)
-                level, shown = group.repeat_runs(level), group.repeat_runs(shown & across_face)
-                near = np.abs(height - level) < self.footprint[group.interval]
-                for at in pieces(indices(near & shown)):
-                    d, inverse = self.rays(group.interval.start + at)
-                    value = inverse - prepared.frame.scene_component(d, k) / level[at]
-                    yield self.cell[group.interval][at], value
+            height = frame.scene_component(take3(self.hits.local, group.interval), axis)
+            box = prepared.boxes.objects.positions(group.run_object)
+            for corner, sign in zip(corners, (-1, 1), strict=True):
+                level = corner[axis, box] - frame.eye[axis]
+                is_visible = prepared.eye_inside[group.run_object] | (sign * level < 0)
+                is_visible = group.repeat_runs(is_visible & is_other_face)
+                level = group.repeat_runs(level)
+                is_near = np.abs(height - level) < self.footprint[group.interval]
+                for batch in edge_batches(indices(is_near & is_visible)):
+                    ray, inverse = self.rays(group.interval.start + batch)
+                    face_inverse = frame.scene_component(ray, axis) / level[batch]
+                    yield self.cell[group.interval][batch], inverse - face_inverse
