@@ -204,7 +204,9 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
     at = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
     lights = [PointLight(position=position, intensity=(0.03,) * 3) for position in at]
     scene = from_afar(wall(9, -1), BALL, light=lights, pixels=24)
-    counts = record_calls(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
+    counts = record_calls(
+        monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
+    )
     render(scene, 16)
     assert sum(counts) < 4 * 16 * 24 * 24
     no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 16))
@@ -242,7 +244,9 @@ def test_unresolved_pixels_that_look_alike_are_sampled(monkeypatch):
     scenes = from_afar(back), from_afar(back, bead)
     means = [true_means(scene) for scene in scenes]
     monkeypatch.setattr(antialias, "classify", unresolved)
-    counts = record_calls(monkeypatch, visibility, "_candidates", lambda _, samples: samples.size)
+    counts = record_calls(
+        monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
+    )
     for scene, mean in zip(scenes, means, strict=True):
         counts.clear()
         np.testing.assert_allclose(render(scene, 64), mean, atol=2e-3)
