@@ -51,16 +51,10 @@ __all__ = [
 
 
 if not TYPE_CHECKING:
-    # Names are imported when first used: `python -m tracer` is to begin before NumPy is imported.
+    # Names are imported when first used: `python -m tracer` must begin before NumPy is imported.
     _MODULES = (
-        *("scene.model", "scene.reader", "scene.schema", "scene.writer"),
-        *(
-            "picture.render",
-            "picture.png",
-            "picture.lint",
-            "trace.first_hits",
-            "picture.explanation",
-        ),
+        *("scene.model", "scene.reader", "scene.schema", "scene.writer", "trace.first_hits"),
+        *("picture.render", "picture.png", "picture.lint", "picture.explanation"),
     )
 
     def __getattr__(name: str) -> object:
@@ -70,4 +64,4 @@ if not TYPE_CHECKING:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
-        return [*__all__, "__version__"]  # what help() shows
+        return [*__all__, "__version__"]  # the names that help() shows

@@ -6,7 +6,7 @@ from tracer.command.process import run
 
 
 def main() -> NoReturn:
-    """Run the command as a process of its own."""
+    """Run the command, and exit with its status."""
     run("tracer.command.cli")
 
 

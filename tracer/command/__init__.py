@@ -1,1 +1,1 @@
-"""What only commands need: arguments, signals, exit statuses."""
+"""Tools for commands: arguments, failures, progress, signals and exit statuses."""

@@ -149,7 +149,8 @@ class Batch:
             [*items, *jobs[whole:]],
             None,
             partial(_render_whole, self._settings),
-            lambda _, result: isinstance(result, Report),
+            # This process repeats what a worker could not do, for example for lack of memory.
+            lambda _, report: isinstance(report, Report) and not report.is_failure,
             workers=self._pool.workers,
         )
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
