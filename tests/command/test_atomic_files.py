@@ -1,4 +1,4 @@
-"""Files appear under their name only when they are whole, whatever goes wrong."""
+"""Files appear under their name only when they are complete, whatever goes wrong."""
 
 import errno
 import os
@@ -17,89 +17,91 @@ MAGIC = b"magic"
 PRECIOUS = MAGIC + b": precious"
 
 
-@pytest.fixture(params=["without a name", "beside it"])
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Path:
-    """A file that is to be replaced; the new one has no name, or one of its own, until then."""
-    if request.param == "beside it":
+@pytest.fixture(params=["nameless", "named"])
+def target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Path:
+    """Create a file to be replaced by a new one, which has no name until then, or has one."""
+    if request.param == "named":
         monkeypatch.delattr(os, "O_TMPFILE", raising=False)
-    path = tmp_path / "there"
+    path = tmp_path / "target"
     path.write_bytes(PRECIOUS)
     return path
 
 
 def write(path: Path, data: bytes = MAGIC) -> None:
+    """Write a complete file."""
     with atomic_file(path, MAGIC) as file:
         file.write(data)
 
 
 def contents(folder: Path) -> list[bytes]:
+    """Return the contents of all files in a folder."""
     return [path.read_bytes() for path in folder.iterdir()]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
-def test_a_failure_halfway(there, error):
-    with pytest.raises(error), atomic_file(there, MAGIC) as file:  # noqa: PT012
+def test_a_failure_halfway(target, error):
+    with pytest.raises(error), atomic_file(target, MAGIC) as file:  # noqa: PT012
         file.write(MAGIC)
         file.flush()
         raise error
-    assert contents(there.parent) == [PRECIOUS]
+    assert contents(target.parent) == [PRECIOUS]
 
 
-@pytest.mark.parametrize("size", [20, 100_000], ids=["less than a buffer", "more"])
-def test_a_full_disk(there, size):
-    """The system refuses to let a file grow beyond the limit of a process."""
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+@pytest.mark.parametrize("size", [20, 100_000], ids=["smaller than the buffer", "larger"])
+def test_a_full_disk(target, size):
+    """A limit of the process on the size of files stands for a full disk."""
+    old_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10, old[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, old_limit[1]))
     try:
         with pytest.raises(OSError, match="File too large"):
-            write(there, bytes(size))
+            write(target, bytes(size))
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        resource.setrlimit(resource.RLIMIT_FSIZE, old_limit)
         signal.signal(signal.SIGXFSZ, handler)
-    assert contents(there.parent) == [PRECIOUS]
+    assert contents(target.parent) == [PRECIOUS]
 
 
-def test_a_file_that_may_not_be_written(there, monkeypatch):
-    """As by a user without privileges, for root may write everything."""
+def test_a_file_that_may_not_be_written(target, monkeypatch):
+    """`open` refuses to write, as for a user without privileges: root may write everything."""
 
-    def refuses(path: str | int, mode: str) -> IO[Any]:
-        if path == str(there) and mode != "rb":
+    def refuse(path: str | int, mode: str) -> IO[Any]:
+        if path == str(target) and mode != "rb":
             raise PermissionError(errno.EACCES, "Permission denied", path)
         return open(path, mode)  # noqa: PTH123
 
-    monkeypatch.setattr("tracer.files.open", refuses, raising=False)
+    monkeypatch.setattr("tracer.files.open", refuse, raising=False)
     with pytest.raises(PermissionError):
-        write(there)
-    assert contents(there.parent) == [PRECIOUS]
+        write(target)
+    assert contents(target.parent) == [PRECIOUS]
 
 
 @pytest.mark.parametrize("text", [b"<scene>", MAGIC[:-1], b"\n"])
-def test_a_file_of_another_kind_stays(there, text):
-    there.write_bytes(text)
+def test_a_file_of_another_kind_stays(target, text):
+    target.write_bytes(text)
     with pytest.raises(FileExistsError, match="a file of another kind is there"):
-        write(there)
-    assert contents(there.parent) == [text]
-    there.write_bytes(b"")  # holds nobody's work
-    write(there)
-    assert contents(there.parent) == [MAGIC]
+        write(target)
+    assert contents(target.parent) == [text]
+    target.write_bytes(b"")  # an empty file contains nobody's work
+    write(target)
+    assert contents(target.parent) == [MAGIC]
 
 
-def test_permissions_are_kept_and_a_link_stays_one(there):
-    there.chmod(0o640)
-    link, new, other = (there.with_name(name) for name in ("link", "new", "other"))
-    link.symlink_to(there.name)
+def test_permissions_are_kept_and_a_link_stays_one(target):
+    target.chmod(0o640)
+    link, new, other = (target.with_name(name) for name in ("link", "new", "other"))
+    link.symlink_to(target.name)
     write(link)
     assert link.is_symlink()
-    assert there.read_bytes() == MAGIC
-    assert stat.S_IMODE(there.stat().st_mode) == 0o640
+    assert target.read_bytes() == MAGIC
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
     write(new)
     other.touch()
     assert new.stat().st_mode == other.stat().st_mode
 
 
 @pytest.mark.parametrize(
-    ("target", "reason"),
+    ("name", "reason"),
     [
         ("folder", "not a regular file"),
         ("pipe", "not a regular file"),
@@ -107,15 +109,15 @@ def test_permissions_are_kept_and_a_link_stays_one(there):
         ("loop", "Too many levels of symbolic links"),
     ],
 )
-def test_targets_that_cannot_be_written(there, target, reason):
-    folder = there.parent
+def test_paths_that_cannot_be_written(target, name, reason):
+    folder = target.parent
     (folder / "folder").mkdir()
     os.mkfifo(folder / "pipe")
     (folder / "loop").symlink_to("loop")
     before = sorted(folder.rglob("*"))
     with pytest.raises(OSError, match=reason) as caught:
-        write(folder / target)
-    assert caught.value.filename == str(folder / target)
+        write(folder / name)
+    assert caught.value.filename == str(folder / name)
     assert sorted(folder.rglob("*")) == before
     assert (folder / "loop").is_symlink()
 
@@ -132,14 +134,14 @@ WRITER = """if True:
 
 
 def test_a_killed_writer_leaves_nothing_behind(tmp_path):
-    with start_process(tmp_path / "there", python=("-c", WRITER)) as process:
+    with start_process(tmp_path / "target", python=("-c", WRITER)) as process:
         assert process.stdout.readline() == "begun\n"
         process.kill()
     assert contents(tmp_path) == []
 
 
-def test_two_writers_at_once_leave_one_whole_file(there):
-    with atomic_file(there, MAGIC) as first, atomic_file(there, MAGIC) as second:
+def test_two_writers_leave_one_complete_file(target):
+    with atomic_file(target, MAGIC) as first, atomic_file(target, MAGIC) as second:
         first.write(MAGIC + b"1")
         second.write(MAGIC + b"2")
-    assert contents(there.parent) == [MAGIC + b"1"]
+    assert contents(target.parent) == [MAGIC + b"1"]

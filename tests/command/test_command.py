@@ -171,7 +171,7 @@ def test_little_memory(scene, size, megabytes, error):
 
 @pytest.mark.parametrize("megabytes", [20, 40])
 def test_too_little_memory_to_load_numpy(scene, megabytes):
-    """With 60 to 80 MB some versions of OpenBLAS never end; above, Python may fail anywhere."""
+    """Some versions of OpenBLAS never end with 60 to 80 MB; above, Python may fail anywhere."""
     limit = megabytes << 20
     status, out, err = run(
         scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -201,7 +201,7 @@ def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size)
     ],
 )  # fmt: skip
 def test_a_picture_that_cannot_be_rendered(scene, monkeypatch, capsys, render_tile, error):
-    """Whatever the reason, the command prints a line instead of a traceback."""
+    """The command prints a line instead of a traceback."""
     monkeypatch.setattr("tracer.picture.render.RenderJob.render_tile", render_tile)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     assert capsys.readouterr().err == error.format(scene)
@@ -339,8 +339,8 @@ THREADS = "return int(os.environ['OPENBLAS_NUM_THREADS'])"
 def test_how_any_command_starts(tmp_path, code, environment, status, error):
     (tmp_path / "other.py").write_text(f"import os\ndef main(): {code}")
     script = "from tracer.command.process import run\nrun('other')"
-    found = run(python=("-c", script), env=environment, cwd=tmp_path)
-    assert found == (status, "", error)
+    result = run(python=("-c", script), env=environment, cwd=tmp_path)
+    assert result == (status, "", error)
 
 
 def test_a_small_picture_imports_no_module_that_it_does_not_need(scene):

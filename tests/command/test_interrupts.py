@@ -1,4 +1,4 @@
-"""Commands that are interrupted at any moment: they end at once, and leave nothing behind."""
+"""Commands that are interrupted at any moment end immediately, and leave nothing behind."""
 
 import os
 import random

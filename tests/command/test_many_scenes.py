@@ -84,9 +84,9 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
     for path in paths:
         path.write_text(SCENE.format(*size))
     submitted = counted_pool(monkeypatch)
-    many = Batch(SETTINGS, 2)
-    assert many.render([Job(str(path), f"{path}.png") for path in paths])
-    many.close()
+    batch_of_two = Batch(SETTINGS, 2)
+    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in paths])
+    batch_of_two.close()
     assert {*submitted} == expected
     assert len({codes(path) for path in paths}) == 1
 
@@ -95,9 +95,9 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     monkeypatch.setattr(batch, "_MAX_WHOLE_SECONDS", 0.05)
     scenes[30].write_text(SCENE.format(4000, 2000))
     submitted = counted_pool(monkeypatch)
-    many = Batch(SETTINGS, 2)
-    assert many.render([Job(str(path), f"{path}.png") for path in scenes])
-    many.close()
+    batch_of_two = Batch(SETTINGS, 2)
+    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
+    batch_of_two.close()
     assert {*submitted} == {"encoded_tile", "_render_whole"}
     assert codes(scenes[30])[0] == (4000, 2000)
 
@@ -136,7 +136,7 @@ def test_a_worker_that_dies_at_any_moment_costs_no_picture(scenes, moments):
 @needs_two
 @pytest.mark.parametrize("limit", range(5, 15))
 def test_few_open_files_suffice(scenes, limit):
-    """Whatever part of a pool can be started, all pictures are written."""
+    """All pictures are written, even if only a part of the pool can be started."""
     few = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))  # noqa: E731
     assert run(*scenes, "--quiet", "--processes", 2, preexec_fn=few) == (0, "", "")
     assert all(Path(f"{path}.png").exists() for path in scenes)

@@ -1,4 +1,4 @@
-"""What `import tracer` gives, and when; and what is in a wheel."""
+"""The names that `import tracer` gives, when they are imported, and the contents of a wheel."""
 
 import importlib.util
 import os
@@ -17,7 +17,7 @@ import pytest
 import tracer
 
 
-def test_what_is_public_is_imported_on_first_use():
+def test_public_names_are_imported_on_first_use():
     script = """
 import sys
 import tracer
@@ -31,7 +31,7 @@ for name in tracer.__all__:
         _ = tracer.ray
 
 
-def test_help_shows_what_is_public():
+def test_help_shows_the_public_names():
     text = pydoc.render_doc(tracer, renderer=pydoc.plaintext)
     shown = re.findall(r"^    (?:class )?(\w+)(?:\(| = )", text, re.MULTILINE)
     assert set(shown) == set(tracer.__all__)
@@ -45,16 +45,16 @@ def test_scenes_can_be_keys_of_a_weak_dictionary():
 
 @pytest.mark.slow
 def test_a_wheel_renders_and_converts(tmp_path):
-    """In a fresh environment, outside of the checkout; dependencies are those of this one."""
+    """The wheel is used outside of the checkout, with the dependencies of this environment."""
     root = Path(tracer.__file__).parents[1]
-    here = ["--no-build-isolation"] if importlib.util.find_spec("hatchling") else []
+    isolation = ["--no-build-isolation"] if importlib.util.find_spec("hatchling") else []
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
 
     def run(*command: object, **options: Any) -> str:
         options |= {"check": True, "cwd": tmp_path, "timeout": 300, "capture_output": True}
         return subprocess.run([*map(str, command)], **options, text=True).stdout
 
-    run(*pip, "wheel", "-q", "--no-deps", *here, "-w", tmp_path, root)
+    run(*pip, "wheel", "-q", "--no-deps", *isolation, "-w", tmp_path, root)
     (wheel,) = tmp_path.glob("*.whl")
     venv.create(tmp_path / "new", with_pip=False)
     python = tmp_path / "new" / "bin" / "python"
@@ -67,8 +67,8 @@ def test_a_wheel_renders_and_converts(tmp_path):
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     for command in ("tracer ball.xml --samples 4", "converters.to_mitsuba ball.xml"):
         run(python, "-m", *command.split(), env=environment)
-    where = run(python, "-c", "import tracer; print(tracer.__file__)", env=environment)
-    assert where.startswith(str(packages))
+    path = run(python, "-c", "import tracer; print(tracer.__file__)", env=environment)
+    assert path.startswith(str(packages))
     assert {path.name for path in packages.iterdir() if path.is_dir()} == {
         *("tracer", "converters", "bin"),
         f"pencil_tracer-{tracer.__version__}.dist-info",

@@ -132,9 +132,9 @@ def test_tiles_make_the_picture(rows, columns):
     """Tiles are whole rows, or parts of one row if they are narrower than the picture."""
     image = np.random.default_rng(rows).uniform(size=(300, 50, 3))
     tiles = (
-        compressed(image[top : top + rows, left : left + columns], from_left=left == 0)
-        for top in range(0, 300, rows)
-        for left in range(0, 50, columns)
+        compressed(image[row : row + rows, column : column + columns], from_left=column == 0)
+        for row in range(0, 300, rows)
+        for column in range(0, 50, columns)
     )
     write_tiles(file := io.BytesIO(), 50, 300, tiles)
     assert (checked(file) == to_codes(image)).all()

@@ -1,4 +1,4 @@
-"""What commands refuse: wrong usage, and results that cannot be written.
+"""Wrong usage of commands, and results that cannot be written.
 
 Each command has its rows in both tables.
 """
@@ -156,9 +156,9 @@ UNWRITTEN = [
 def test_results_that_cannot_be_written(folder, capsys, command, status, name, reason):
     before, (main, *arguments) = contents(folder), command.split()
     try:
-        found = MAIN[main](arguments), capsys.readouterr().err
+        result = MAIN[main](arguments), capsys.readouterr().err
     except Failure as failure:
-        found = failure.status, f"{failure}\n"
+        result = failure.status, f"{failure}\n"
     remedy = f"; {OTHER}" * (main != "compare")
-    assert found == (status, f"{name}: cannot be written: {reason}{remedy}\n")
+    assert result == (status, f"{name}: cannot be written: {reason}{remedy}\n")
     assert contents(folder) == before

@@ -1,6 +1,7 @@
-"""What every system must draw, Windows and macOS too: this file needs pytest and Pillow alone.
+"""Pictures that every system must render, Windows and macOS too.
 
-`python tests/command/test_systems.py` stores the codes anew.
+This file needs only pytest and Pillow.  `python tests/command/test_systems.py` stores the codes
+again.
 """
 
 import subprocess
@@ -22,18 +23,18 @@ STORED = Path(__file__).with_name("codes.png")
 
 
 def codes() -> NDArray[np.uint8]:
-    """The same, as this system draws them."""
+    """Render the three scenes on this system, and return their codes as in `STORED`."""
     scenes = (tracer.load_scene(ROOT / "scenes" / f"{name}.xml") for name in NAMES)
     sized = (replace(scene, width=96, height=54) for scene in scenes)
     return np.concatenate([tracer.to_codes(tracer.render(scene)) for scene in sized])
 
 
-def test_all_scenes_are_drawn(tmp_path):
-    """By two processes, which no system but Linux starts as forks."""
+def test_two_processes_render_all_scenes(tmp_path):
+    """Only on Linux is the second process a fork of the first."""
     command = [sys.executable, "-m", "tracer", *map(str, SCENES), "-o", f"{tmp_path}/pictures/"]
     options = ["--size", "320x180", "--processes", "2", "--quiet"]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    process = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
     for path in SCENES:
         scene = replace(tracer.load_scene(path), width=320, height=180)
         with Image.open(tmp_path / "pictures" / f"{path.name}.png") as picture:
@@ -49,12 +50,12 @@ def test_a_picture_is_replaced(tmp_path):
 
 
 def test_codes_are_those_of_other_systems():
-    """But for roundings of exp and log, which may differ in the last place."""
+    """Roundings of exp and log may differ in the last place between systems."""
     with Image.open(STORED) as picture:
-        apart = np.abs(np.asarray(picture).astype(int) - codes()).max(axis=2)
-    assert apart.shape == (3 * 54, 96)
-    assert (apart > 0).sum() <= 3
-    assert apart.max() <= 1
+        difference = np.abs(np.asarray(picture).astype(int) - codes()).max(axis=2)
+    assert difference.shape == (3 * 54, 96)
+    assert (difference > 0).sum() <= 3
+    assert difference.max() <= 1
 
 
 if __name__ == "__main__":
