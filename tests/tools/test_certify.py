@@ -11,10 +11,12 @@ from PIL import Image
 from scene_files import small
 
 from reference.certify import judgement, main
-from reference.judges.certificate import certify
+from reference.judges.certificate import Certificate, certify
 from tracer import Camera, render, save_scene, to_codes, write_png
 from tracer.command.failure import Failure
 
+# Bounds on the radiance of two pixels: lower bounds, then upper bounds.
+BOUNDS = (0.5, 0.2), (0.5003, 0.6)
 MISSING, OTHER = "No such file or directory", "choose another with -o"
 
 
@@ -62,6 +64,31 @@ def test_codes_that_are_certainly_wrong_are_counted(capsys: pytest.CaptureFixtur
         assert status == 1
         verdict = "room.png: 1 of 1728 codes are certainly wrong, by up to 60, at 5,7, where G is "
         assert lines[2] == f"{verdict}{wrong} and must be {right}"
+
+
+@pytest.mark.usefixtures("room")
+def test_certain_codes_may_replace_the_permitted_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Both pixels have wide bounds, and the codes of the first are certain nevertheless.
+    low, high = (np.array([[[first] * 3, [second] * 3]]) for first, second in BOUNDS)
+    calls = list[tuple[float, bool]]()
+
+    def certify(_scene: object, error: float, *, codes: bool, **_: object) -> Certificate:
+        calls.append((error, codes))
+        return Certificate(low, high, low, 7)
+
+    monkeypatch.setattr("reference.certify.certify", certify)
+    for options, call, exceeding in (
+        ((), (1 / 128, False), 1),
+        (("--error", "1/65536"), (1 / 65536, False), 2),
+        (("--codes",), (1 / 65536, True), 1),
+    ):
+        _, lines = run(capsys, "room.xml", *options)
+        assert calls[-1] == call
+        assert lines[1] == "1 of 2 pixels have certain codes, 50.00%"
+        count = f"{exceeding} pixels exceed the permitted error"
+        assert lines[2] == f"{count}: edges touch each other there"
 
 
 def test_codes_within_the_bounds_are_not_wrong() -> None:

@@ -36,6 +36,8 @@ def test_tables_show_times_and_ratios_and_keep_their_origin(tmp_path):
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
         "| room | 50.0 (40.0–90.0) | 0.25× |\n| far | 10.0 (8.0–18.0) | 42× |"
     )
+    ratios = [benchmark.ratio(value) for value in (0.994, 0.996, 9.94, 9.96)]
+    assert ratios == ["0.99×", "1.0×", "9.9×", "10×"]
     origin = measurements.measured_on()
     assert re.search(r"commit [0-9a-f]{7}\b|no commit", origin)
     measurements.write_csv(tmp_path / "a.csv", origin, ("name", "error"), [("room", 1 / 3)])

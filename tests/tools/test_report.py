@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from reference.check import CheckResult
-from reference.figures import figures, linear
+from reference.figures import amplified, figures, linear
 from reference.report import main, page
 from tracer import load_scene
 from tracer.command.failure import Failure
@@ -37,6 +37,7 @@ def result(name: str = "pair") -> CheckResult:
     a, b = linear(TRACER), linear(MITSUBA)
     mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
     mask[5, 7] = True
+    b[5, 7] = 9  # a difference that must not change the amplification
     none = np.zeros_like(mask)
     pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
     arbitration = {"examined": 30, "wrong": 30, "first": (0, 0)}
@@ -80,11 +81,23 @@ def test_the_page_contains_everything_that_it_shows():
         for data in re.findall(r'src="data:image/png;base64,([^"]+)"', text)
     ]
     np.testing.assert_array_equal(pictures[0], TRACER)
-    np.testing.assert_array_equal(pictures[1], MITSUBA)
+    np.testing.assert_array_equal(pictures[1][:5], MITSUBA[:5])
     # linear(40) - linear(200) = -0.57, amplified once, in the blue of "darker".
     blue = np.round(255 * 0.5695 * np.array([0.34, 0.71, 0.91]))
     np.testing.assert_array_equal(pictures[2][0, 0], blue)
     assert pictures[2][5, 7].tolist() == [76, 76, 76], "an excluded pixel is grey"
+
+
+@pytest.mark.parametrize(("largest", "gain"), [(0.9, 1), (0.34, 2), (0.15, 5), (0.0011, 500)])
+def test_differences_are_amplified_to_fit_except_for_the_largest(largest, gain):
+    a = np.zeros((50, 50, 3))
+    a[0, :3, 1] = (1.5, -1.5, largest)  # a thousandth of the pixels may exceed the range
+    a[1, :, 2] = -largest
+    picture, actual_gain = amplified(a, np.zeros_like(a))
+    assert actual_gain == pytest.approx(gain)
+    np.testing.assert_allclose(picture[0, 2], gain * largest * np.array([1, 0.62, 0]))
+    np.testing.assert_allclose(picture[1, 9], gain * largest * np.array([0.34, 0.71, 0.91]))
+    assert not picture[2:].any()
 
 
 @pytest.fixture
@@ -145,6 +158,7 @@ def test_scenes_that_cannot_be_compared_are_reported(small, report):
     reason = "No such file or directory; check the path and its permissions"
     message = f"{missing}: cannot be read: {reason}"
     assert (status, error) == (1, f"{message}\n")
+    assert "Where methods fail" not in text, "charts belong to the project's own scenes"
     assert f"Not compared: {message}" in text
     assert "1 agree." in text
 
