@@ -99,6 +99,13 @@ def test_first_hits_in_closed_form():
         inside = first_hits(seen(surface), [2], [2])
         np.testing.assert_allclose(inside.point, [(0, 0, -3)], atol=1e-15)
         np.testing.assert_allclose(inside.normal, [(0, 0, 1)], atol=1e-15)
+    # No digit of a short distance to the wall of a ball is lost: here power = 1 - |eye|^2.
+    z = 2.0**-20 - 1
+    close = replace(seen(Sphere()), camera=Camera(view_point=(0, 0, z), view_width=2))
+    cosine, power = np.sqrt([1, 0.8, 0.5]), (1 + z) * (1 - z)
+    expected = power / (np.hypot(z * cosine, np.sqrt(power)) - z * cosine)
+    distance = first_hits(close, [2, 3, 4], [2, 2, 2]).distance
+    np.testing.assert_allclose(distance, expected, rtol=1e-15)
 
 
 def test_first_hits_of_nothing():
