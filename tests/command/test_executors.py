@@ -1,0 +1,286 @@
+"""Pictures shared with an executor: whatever its workers do, the picture is the same."""
+
+import asyncio
+import multiprocessing
+import random
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor as Threads
+from contextlib import ExitStack
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from probe import scene_of
+from running import SCENE, run
+
+from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer.picture import parallel
+from tracer.picture import render as render_module
+from tracer.picture.render import RenderJob
+
+# Numbers of random cases: some in the quick run, many in the slow one.
+some_or_many = pytest.mark.parametrize(
+    "count", [5, pytest.param(200, marks=pytest.mark.slow)], ids=["some", "many"]
+)
+
+
+def picture(width: int = 300, height: int = 200) -> Scene:
+    """Return a scene of a sphere, in all of the picture but its corners."""
+    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
+    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
+    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
+
+
+@pytest.fixture(autouse=True)
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let pictures have many tiles, and share even the smallest pictures."""
+    monkeypatch.setattr(render_module, "MIN_SHARED_SECONDS", 0)
+    for name in ("_MAX_TILE_SAMPLES", "_MAX_CLASSIFIED_TILE_SAMPLES"):
+        monkeypatch.setattr(render_module, name, 1000)
+
+
+class Wrapped(Executor):
+    """Another executor that keeps its futures, and waits for the first of them."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.executor, self.futures = executor, list[Future[Any]]()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.futures.append(self.executor.submit(fn, *args, **kwargs))
+        self.futures[0].exception()
+        return self.futures[-1]
+
+
+def executor_of(kind: str, stack: ExitStack) -> Executor:
+    """Start an executor of a kind, which ends with `stack`."""
+    if kind == "threads":
+        return stack.enter_context(Threads(2))
+    if kind == "loky":
+        loky = pytest.importorskip("loky", reason="loky is not installed")
+        pool = loky.ProcessPoolExecutor(2)
+        stack.callback(pool.shutdown, kill_workers=True)
+        return pool
+    if kind == "dask":
+        distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+        options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+        client = stack.enter_context(distributed.Client(**options))
+        return stack.enter_context(client.get_executor())
+    context = multiprocessing.get_context(kind)
+    return stack.enter_context(ProcessPoolExecutor(2, context))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks, and of what Dask imports
+@pytest.mark.parametrize("kind", ["fork", "spawn", "forkserver", "threads", "loky", "dask"])
+def test_any_executor_renders_the_same_picture(kind, capfd):
+    with ExitStack() as stack:
+        executor = Wrapped(executor_of(kind, stack))
+        for scene, samples in ((picture(), 1), (picture(400, 3), 1), (picture(90, 60), 16)):
+            alone = render(scene, samples)
+            executor.futures.clear()
+            assert np.array_equal(render(scene, samples, executor=executor), alone)
+            assert executor.futures[0].exception() is None
+            assert all(f.cancelled() or f.exception() is None for f in executor.futures)
+    if kind != "dask":  # which logs what it likes
+        assert capfd.readouterr() == ("", "")
+
+
+def test_without_an_executor_nothing_is_started():
+    before = threading.active_count()
+    render(picture())
+    assert threading.active_count() == before
+    assert multiprocessing.active_children() == []
+
+
+def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
+    monkeypatch.undo()
+    with Threads(1) as pool:
+        executor = Wrapped(pool)
+        render(picture(40, 30), executor=executor)
+        assert executor.futures == []
+        render(picture(1280, 720), executor=executor)
+        assert executor.futures != []
+
+
+@pytest.mark.parametrize("executor", [3, "pool", object()])
+def test_what_is_no_executor_is_refused(executor):
+    with pytest.raises(TypeError, match=r"^executor must be a concurrent\.futures\.Executor, is "):
+        render(picture(), executor=executor)
+
+
+def outcome(value: object) -> Callable[[Future[Any]], None]:
+    """Return a function that ends a future with an exception or a result."""
+    if isinstance(value, BaseException):
+        return lambda future: future.set_exception(value)
+    return lambda future: future.set_result(value)
+
+
+def refuse(error: Exception) -> Callable[[Future[Any]], None]:
+    """Return a function that raises an error, as `submit`."""
+
+    def fail(_: Future[Any]) -> None:
+        raise error
+
+    return fail
+
+
+NO_TILES = [None, 0, True, "tile", [], np.zeros((1, 1, 3)), np.zeros(3), Scene(width=1, height=1)]
+ERRORS = [MemoryError(), SystemExit(143), KeyboardInterrupt(), CancelledError()]
+FAILURES: dict[str, list[Callable[[Future[Any]], object]]] = {
+    "no tile": [outcome(value) for value in NO_TILES],
+    "an error": [outcome(error) for error in (*ERRORS, asyncio.CancelledError(), GeneratorExit())],
+    "cancelled": [Future.cancel],
+    "never begun": [lambda _: None],
+    "never ended": [Future.set_running_or_notify_cancel],
+    "refused": [
+        refuse(e) for e in (RuntimeError(), OSError(), TypeError(), Exception(), LookupError())
+    ],
+}
+
+
+class Unreliable(Executor):
+    """An executor that fails at random moments in some of the ways that are given."""
+
+    def __init__(self, failures: list[Callable[[Future[Any]], object]], seed: int) -> None:
+        self.failures, self.random = failures, random.Random(seed)
+        self.share = self.random.random()
+        self.failed = self.succeeded = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        if self.random.random() < self.share:
+            self.failed += 1
+            self.random.choice(self.failures)(future)
+        else:
+            self.succeeded += 1
+            future.set_result(fn(*args, **kwargs))
+        return future
+
+
+@pytest.mark.parametrize("kind", FAILURES)
+@some_or_many
+def test_what_an_executor_fails_to_do_is_done_here(kind, count):
+    scene = picture(90, 60)
+    alone = render(scene)
+    executors = [Unreliable(FAILURES[kind], seed) for seed in range(count)]
+    for executor in executors:
+        assert np.array_equal(render(scene, executor=executor), alone)
+    assert sum(executor.failed for executor in executors) > count / 2
+    assert sum(executor.succeeded for executor in executors) > 0
+
+
+def test_an_executor_that_is_shut_down():
+    pool = Threads(1)
+    pool.shutdown()
+    assert np.array_equal(render(picture(), executor=pool), render(picture()))
+
+
+@pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt, SystemExit])
+def test_an_error_here_is_raised_here(error, monkeypatch):
+    def fail(*_: Any, **__: Any) -> None:
+        raise error
+
+    never = Unreliable(FAILURES["never ended"], 0)
+    never.share = 1
+    for owner, name in ((render_module, "radiance_at"), (parallel.Distribution, "_wait")):
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, name, fail)
+            with pytest.raises(error):
+                render(picture(), executor=never)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_renders_in_threads_may_share_the_pool_of_these_threads(count):
+    scene, alone = picture(), render(picture())
+    with Threads(count) as pool:
+        futures = [pool.submit(render, scene, executor=pool) for _ in range(count)]
+        images = [future.result() for future in futures]
+        images += pool.map(partial(render, executor=pool), [scene] * count)
+
+        async def render_all() -> list[Any]:
+            run = asyncio.get_running_loop().run_in_executor
+            calls = [run(pool, partial(render, scene, executor=pool)) for _ in range(count)]
+            return await asyncio.gather(*calls)
+
+        images += asyncio.run(render_all())
+    assert all(np.array_equal(image, alone) for image in images)
+
+
+class Waiting(Executor):
+    """An executor whose results come when this process waits for them; counts unfinished calls."""
+
+    def __init__(self) -> None:
+        self.unfinished = list[tuple[Future[Any], Callable[[], Any]]]()
+        self.max_unfinished = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        future.set_running_or_notify_cancel()
+        self.unfinished.append((future, partial(fn, *args, **kwargs)))
+        self.max_unfinished = max(self.max_unfinished, len(self.unfinished))
+        return future
+
+    def finish(self, *_: Any) -> bool:
+        future, call = self.unfinished.pop(0)
+        future.set_result(call())
+        return True
+
+
+@pytest.mark.parametrize("processors", [1, 2, 6, 100])
+def test_an_executor_has_work_for_all_processors_and_no_more(processors, monkeypatch):
+    for module in (parallel, render_module):
+        monkeypatch.setattr(module, "processors", lambda: processors)
+    waiting = Waiting()
+    monkeypatch.setattr(parallel.Distribution, "_wait", waiting.finish)
+    assert np.array_equal(render(picture(), executor=waiting), render(picture()))
+    tiles = len(RenderJob(picture()).tiles(shared=True))
+    share = tiles * processors // (processors + 1)
+    assert waiting.max_unfinished == min(2 * processors, share)
+    assert waiting.unfinished == []
+
+
+# Renders pictures with worker processes that are killed, or stopped, at random while they send
+# their results: half of a message is sent.
+CUT_OFF = """
+import multiprocessing, os, random, signal, sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import Connection
+import numpy as np
+from tracer import load_scene, render
+from tracer.picture import render as module
+
+send, count = Connection._send, int(sys.argv[2])
+
+def send_a_part(self, data, *rest):
+    if multiprocessing.parent_process() and len(data) > 1000 and random.random() < 0.3:
+        send(self, data[: random.randrange(len(data))], *rest)
+        os.write(1, b"lost ")
+        os.kill(os.getpid(), random.choice([signal.SIGKILL, signal.SIGSTOP]))
+    send(self, data, *rest)
+
+Connection._send = send_a_part
+module.MIN_SHARED_SECONDS, module._MAX_TILE_SAMPLES = 0, 1000
+scene = load_scene(sys.argv[1])
+alone = render(scene)
+for k in range(count):
+    random.seed(k)
+    pool = ProcessPoolExecutor(2, multiprocessing.get_context("fork"))
+    assert np.array_equal(render(scene, executor=pool), alone)
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in multiprocessing.active_children():
+        process.kill()
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have other connections")
+@some_or_many
+def test_workers_that_are_killed_while_they_send_a_result(count, tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(SCENE.format(200, 150))
+    status, out, err = run(path, count, python=["-c", CUT_OFF])
+    assert (status, err) == (0, "")
+    assert out.count("lost") >= count / 2
