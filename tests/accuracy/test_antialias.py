@@ -32,7 +32,7 @@ from tracer import (
     render,
 )
 from tracer.antialias import refine as antialias
-from tracer.antialias.lattice import CENTRES, Lattice
+from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats
 from tracer.trace import visibility
 from tracer.trace.radiance import radiance_and_ids
@@ -140,7 +140,7 @@ def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
 
 def test_pictures_full_of_outlines_are_lattices():
     scene = crowd(3000, width=96, height=54)
-    points = Lattice.of(4).points()
+    points = Lattice.at_least(4).points()
     image = render(scene, samples=16)
     # Every other row of pixels has the mirror image.
     for first, sign in ((0, 1), (1, -1)):
@@ -261,7 +261,7 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     lights = [PointLight(position=p) for p in ((2, 9, 1), (9, 5, 2), (3, 4, 9))]
     lens = {"eye": (5, 4, 3), "ahead": (-5, -4, -3), "size": (16, 12)}
     scene = seen(lights, ball((1, 0, 2), 0.7), *boxes, **lens)
-    samples = CENTRES.samples(slice(0, scene.height), slice(0, scene.width))
+    samples = CENTERS.samples(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
         _, ids = radiance_and_ids(PreparedScene(scene), samples)
     keys = {}

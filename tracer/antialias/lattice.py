@@ -1,4 +1,17 @@
-"""Lattices of samples: the same in all pixels."""
+"""Lattices of samples: the points of a pixel through which rays are traced.
+
+The edges of boxes often follow the rows or columns of an upright grid.  Then an edge passes a whole
+row of samples at once, and the error is large.  Few points of a rotated lattice share a row or a
+column.  Yet the lattice can be the same in all pixels, so the samples of a picture lie in rows.
+
+The lattices are rank-1 lattices: the point of each row lies a fixed number of columns to the right
+of the point in the row above it, modulo the number of rows.  They are chosen so that a quarter turn
+maps each lattice onto itself.  So the mean of a smooth function is as accurate as that of an
+upright grid.
+
+Dammertz and Keller, Image synthesis by rank-1 lattices, Monte Carlo and Quasi-Monte Carlo Methods
+2006, 2008.
+"""
 
 from __future__ import annotations
 
@@ -11,62 +24,75 @@ from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
 Points2D: TypeAlias = NDArray[np.complex128]
-"""Positions x + iy in cells."""
+"""Points x + iy in a cell, relative to its centre, in widths of the cell."""
 
-# Of rank-1 lattices with so many points: by how many columns each lies to the right of that above.
+# For each number of points in a rank-1 lattice: by how many columns the point of each row lies to
+# the right of the point in the row above.  The square of this number is -1 modulo the number of
+# points, which makes the lattice equal to itself after a quarter turn.
 _GENERATORS = {5: 2, 13: 5, 25: 7, 65: 18}
 
-# A lattice has at least this many points for each of the grid's.
-_MORE = 2.5
+# Number of points of a lattice that replaces an upright grid, divided by that of the grid.  The
+# mean error of most pictures needs fewer points; this many are needed for the largest error, and
+# for edges in a direction of the lattice itself.
+_POINTS_PER_GRID_POINT = 2.5
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: a square grid, upright or rotated by atan(1 / 2), say.
-
-    Edges of boxes often follow the rows or columns of an upright grid, and pass a whole row of its
-    points at once.  Here few points share a row or a column, and yet all pixels can have the same:
-    a rank-1 lattice (Dammertz and Keller, Image synthesis by rank-1 lattices, 2008) of 13, 25 or 65
-    points, or one of five that is repeated `columns` times across the pixel and down.  A quarter
-    turn maps it onto itself, so what is smooth is averaged as well as by an upright grid.  Where
-    all pixels have it (`samples`), every other row of them has its mirror image: an edge along one
-    of its own directions meets those in only half of the pixels.
+    """Points of a pixel: an upright grid, a rank-1 lattice, or a rank-1 lattice that is repeated.
 
     Attributes
     ----------
     columns : int
-        Points in each row.
+        Number of points in each row.
     rows : int
-        13, 25, 65 or 5 * `columns`; or, of an upright grid, as many as the columns.
+        Number of rows.  An upright grid has as many rows as columns.  A rank-1 lattice of m points
+        (5, 13, 25 or 65) has one column and m rows; repeated k times in both directions, it has k
+        columns and k m rows.
     """
 
     columns: int
     rows: int
 
     @classmethod
-    def of(cls, per_side: int, more: float = _MORE) -> Lattice:
-        """A lattice that mostly errs less than an upright grid of per_side x per_side points.
+    def at_least(cls, per_side: int, factor: float = _POINTS_PER_GRID_POINT) -> Lattice:
+        """Return the smallest lattice with at least `factor` times as many points as a grid.
 
-        For the mean error of most pictures it need not have `more` points: these are for the
-        largest error, and for edges along its own directions.
+        Parameters
+        ----------
+        per_side : int
+            The grid has per_side x per_side points.
+        factor : float
+            Minimum number of points of the lattice, divided by that of the grid.  With the default,
+            the error of the lattice is mostly less than that of the grid.
+
+        Returns
+        -------
+        lattice : Lattice
+            A rank-1 lattice of 13, 25 or 65 points, or a repeated lattice of 5 points.
         """
         repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
         lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated
-        return min((m for m in lattices if m.size >= more * per_side**2), key=lambda m: m.size)
+        large_enough = (lattice for lattice in lattices if lattice.size >= factor * per_side**2)
+        return min(large_enough, key=lambda lattice: lattice.size)
 
     @property
     def size(self) -> int:
-        """Points in a pixel."""
+        """Number of points in a pixel."""
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
-        """The points in a rectangle of pixels."""
+        """Return the points in all pixels of a rectangle of the picture, as samples.
+
+        Pixels in every other row have the mirror image of the lattice.  So an edge in a direction
+        of the lattice has this direction in only half of its pixels.
+        """
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
         return Rows(y, x, self._shift(row) / self.columns, (self.columns, self.rows))
 
     def points(self) -> Points2D:
-        """The points x + iy, row by row, from -1/2 to 1/2 across the pixel."""
+        """Return the points (size,) of one pixel, row by row."""
         row, column = np.arange(self.rows), np.arange(self.columns)
         x = np.add.outer(self._shift(row), column + 0.5) / self.columns - 0.5
         y = (row + 0.5) / self.rows - 0.5
@@ -74,16 +100,41 @@ class Lattice(NamedTuple):
         return points
 
     def mean(self, radiance: Floats, width: int) -> Floats:
-        """Mean (height, width, 3) over pixels of radiance (3, n) at all their `samples`."""
+        """Average the radiance of the samples in each pixel of a rectangle.
+
+        Parameters
+        ----------
+        radiance : (3, n) float array
+            Radiance of all samples in the rectangle, in the order of `samples`.
+        width : int
+            Number of pixels in each row of the rectangle.
+
+        Returns
+        -------
+        mean : (height, width, 3) float array
+            Mean radiance of each pixel.
+        """
         points = radiance.reshape(3, -1, self.rows, width, self.columns)
-        # Row by row: how NumPy adds along an axis depends on the width.
+        # Row by row, because the order in which NumPy adds along an axis depends on the width.
         total = points[:, :, 0].copy()
         for row in range(1, self.rows):
             total += points[:, :, row]
         return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
     def _shift(self, row: Ints) -> Floats:
-        """How far each row is moved, in columns, so that its middle row and column cross."""
+        """Compute how far the points of each row are shifted to the right.
+
+        Parameters
+        ----------
+        row : (n,) int array
+            Rows of points, numbered from the top of the picture.
+
+        Returns
+        -------
+        shift : (n,) float array
+            Shift in widths of a column, between -1/2 and 1/2.  The middle row of a pixel is not
+            shifted.  Shifts in every other row of pixels have the opposite sign.
+        """
         points = self.rows // self.columns
         middle = points // 2
         column = (_GENERATORS.get(points, 0) * (row - middle) + middle) % points
@@ -91,5 +142,5 @@ class Lattice(NamedTuple):
         return np.where(row // self.rows % 2, -shift, shift)
 
 
-CENTRES = Lattice(1, 1)
-"""The one point in the middle of each pixel."""
+CENTERS = Lattice(1, 1)
+"""One point in each pixel: the centre."""

@@ -28,8 +28,8 @@ import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
-from tracer.antialias.lattice import CENTRES, Lattice
-from tracer.antialias.regions import mixed, stratified
+from tracer.antialias.lattice import CENTERS, Lattice
+from tracer.antialias.regions import mixed_regions, stratified
 from tracer.antialias.smooth import SmoothMeans, means_of_pixels, means_of_quarters
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.trace.radiance import radiance_and_ids
@@ -110,8 +110,8 @@ class _Plan(NamedTuple):
         if cells.samples_per_side > _MAX_SAMPLED_SIDE:
             return cls(Lattice(1, 25), False, None)
         if cells.width == 1:
-            return cls(Lattice(1, 5), False, Lattice.of(cells.samples_per_side))
-        return cls(Lattice(1, 13), True, Lattice.of(5))
+            return cls(Lattice(1, 5), False, Lattice.at_least(cells.samples_per_side))
+        return cls(Lattice(1, 13), True, Lattice.at_least(5))
 
 
 def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
@@ -136,7 +136,7 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     # One more pixel on every side, because `curvature` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
-    samples = CENTRES.samples(slice(top, top + height), slice(first_column, first_column + width))
+    samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
     row, column, object_index = silhouette_pixels(prepared, rows, columns)
     pixel = (row - top) * width + column - first_column
     every_pixel = np.arange(samples.size)
@@ -149,7 +149,7 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.crowded)
     mean = _mean_of_cells(prepared, *refinable)
     mean[:, crowded], _ = _mean_of_samples(
-        prepared, classified, crowded, Lattice.of(per_side, more=1)
+        prepared, classified, crowded, Lattice.at_least(per_side, factor=1)
     )
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
@@ -288,7 +288,7 @@ def _mean_of_samples(
         radiance, sample_id = radiance_and_ids(prepared, samples)
         for mean_channel, channel in zip(mean, radiance, strict=True):
             mean_channel[batch] = np.bincount(cell, weight * channel, batch.size)
-        missed_edge[batch[cell[mixed(region, sample_id)]]] = True
+        missed_edge[batch[cell[mixed_regions(region, sample_id)]]] = True
     return mean, missed_edge
 
 
@@ -327,7 +327,7 @@ def _mean_of_quarters(
     all_unresolved = classified_quarters.unresolved.reshape(-1, 4).all(axis=1)
     lines_per_cell = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
     tested = indices(all_unresolved & (lines_per_cell == 0))
-    lattice = Lattice.of(classified.cells.samples_per_side, more=1)
+    lattice = Lattice.at_least(classified.cells.samples_per_side, factor=1)
     sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
     expected_mean = smooth.radiance.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.lattice import CENTRES, Lattice
+from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.refine import antialiased, prefers_supersampling
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
@@ -321,7 +321,7 @@ class RenderJob:
             self.prepared, samples_per_side
         )
         is_supersampled = samples_per_side > 1 and not self._is_classified
-        self._lattice = Lattice.of(samples_per_side) if is_supersampled else CENTRES
+        self._lattice = Lattice.at_least(samples_per_side) if is_supersampled else CENTERS
         self._max_tile_samples = (
             _MAX_CLASSIFIED_TILE_SAMPLES if self._is_classified else _MAX_TILE_SAMPLES
         )
