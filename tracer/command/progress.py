@@ -75,9 +75,10 @@ class Progress:
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
 
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
-            options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0}
+            options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
             bar = tqdm(total=self._total, unit=self._unit, **options)
-            bar.start_t -= seconds
+            # The time left follows from all the time so far, and the first update is shown.
+            bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False
 

@@ -65,4 +65,5 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     try:
         OpenEXR.File(header, channels).write(file.name)
     except RuntimeError as error:
-        raise OSError(str(error)) from error
+        reason = str(error).rpartition(f'"{file.name}". ')[2].rstrip(".")
+        raise OSError(reason) from error
