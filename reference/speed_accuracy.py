@@ -58,6 +58,9 @@ _ROUNDS, _MIN_TOTAL_SECONDS = 3, 0.3
 # Approximate error of rounding to 8 bits.
 _EIGHT_BIT_ERROR = 1e-3
 
+# Style of the numbers of samples in the chart, next to the points of this tracer.
+_LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "right", "va": "top"}
+
 # Titles of the table's columns.  For the certified tracer, `samples` is the reciprocal of the
 # permitted error.  `seconds`, `low` and `high` are the median, the minimum and the maximum.
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
@@ -167,9 +170,7 @@ def _draw(rows: Sequence[Sequence[str]]) -> Any:
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
                 if method == _OURS:
-                    _label(axes, f"{samples:g}", (seconds, error), (-5, -3), "#000000")
-                elif method == _CERTIFIED:
-                    _label(axes, f"1/{samples:g}", (seconds, error), (5, 3), "#009e73")
+                    axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
         label = "error of rounding to 8 bits"
         axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=label)
         axes.set_title(scene)
@@ -182,29 +183,6 @@ def _draw(rows: Sequence[Sequence[str]]) -> Any:
     panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", fontsize=10)
     figure.subplots_adjust(0.08, 0.09, 0.98, 0.84, hspace=0.5, wspace=0.16)
     return figure
-
-
-def _label(
-    axes: Any, text: str, point: tuple[float, float], offset: tuple[int, int], color: str
-) -> None:
-    """Write a text next to a point of a curve.
-
-    Parameters
-    ----------
-    axes : Axes
-        The panel.
-    text : str
-        The text: a number of samples, or a certified error.
-    point : (float, float)
-        Time and error.
-    offset : (int, int)
-        Distance of the text from the point, to the right and up, in printer's points.
-    color : str
-        Colour of the text.
-    """
-    align = {"ha": "left", "va": "bottom"} if offset[0] > 0 else {"ha": "right", "va": "top"}
-    look = {"textcoords": "offset points", "fontsize": 6.5, "color": color}
-    axes.annotate(text, point, offset, **align, **look)
 
 
 def _scenes(quick: bool) -> dict[str, Scene]:
@@ -238,7 +216,7 @@ def main() -> None:
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Points: 1, 4, 16, ...\nsamples per pixel (this tracer: 9, 36, ... as"
         " well; it divides pixels into quarters, which causes steps); thresholds of POV-Ray;\nfor"
-        " the certified tracer, the error that it guarantees for every pixel."
+        " the certified tracer, errors of at most 1/8, 1/32, ... in every pixel."
     )
     texts = ("Time against error: lower left is better", note)
     make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)

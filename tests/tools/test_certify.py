@@ -1,7 +1,5 @@
 """The command that certifies pictures: its output, its verdicts and its failures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +15,12 @@ from tracer.command.failure import Failure
 
 # Bounds on the radiance of two pixels: lower bounds, then upper bounds.
 BOUNDS = (0.5, 0.2), (0.5003, 0.6)
+SIZES = "its size is 4 x 3, the scene's 32 x 18; choose a picture of that size"
 MISSING, OTHER = "No such file or directory", "choose another with -o"
 
 
 @pytest.fixture
-def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def room(tmp_path, monkeypatch):
     """The scene "room" with 32 x 18 pixels, as room.xml in an empty working folder."""
     monkeypatch.chdir(tmp_path)
     save_scene(small("room", 32, 18), path := tmp_path / "room.xml")
@@ -35,7 +34,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[
 
 
 @pytest.mark.usefixtures("room")
-def test_a_picture_is_written_and_described(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture_is_written_and_described(capsys):
     status, lines = run(capsys, "room.xml", "--error", "1/64")
     certificate = certify(small("room", 32, 18), 1 / 64)
     assert status == 0
@@ -49,7 +48,7 @@ def test_a_picture_is_written_and_described(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.usefixtures("room")
-def test_codes_that_are_certainly_wrong_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_codes_that_are_certainly_wrong_are_counted(capsys):
     arguments = "room.xml", "-o", "out.png", "--codes", "--judge", "room.png"
     with pytest.raises(Failure, match=r"room\.png: cannot be read: No such file or directory"):
         main(arguments)
@@ -67,9 +66,7 @@ def test_codes_that_are_certainly_wrong_are_counted(capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.usefixtures("room")
-def test_certain_codes_may_replace_the_permitted_error(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_certain_codes_may_replace_the_permitted_error(capsys, monkeypatch):
     # Both pixels have wide bounds, and the codes of the first are certain nevertheless.
     low, high = (np.array([[[first] * 3, [second] * 3]]) for first, second in BOUNDS)
     calls = list[tuple[float, bool]]()
@@ -91,7 +88,7 @@ def test_certain_codes_may_replace_the_permitted_error(
         assert lines[2] == f"{count}: edges touch each other there"
 
 
-def test_codes_within_the_bounds_are_not_wrong() -> None:
+def test_codes_within_the_bounds_are_not_wrong():
     """A single sample per pixel has wrong codes at edges, many samples have few."""
     scene = small("room", 32, 18)
     certificate = certify(scene, 1 / 1024)
@@ -106,12 +103,7 @@ def test_codes_within_the_bounds_are_not_wrong() -> None:
     [
         ("none.xml", 3, f"none.xml: cannot be read: {MISSING}; check the path and its permissions"),
         ("on.xml", 3, "on.xml: cannot be certified: the eye is on a surface; move it off"),
-        (
-            "room.xml --judge small.png",
-            3,
-            "small.png: cannot be judged: its size is 4 x 3, the scene's 32 x 18;"
-            " choose a picture of that size",
-        ),
+        ("room.xml --judge small.png", 3, f"small.png: cannot be judged: {SIZES}"),
         ("room.xml --error 0", 2, "--error: must be a number or fraction above 0, is '0'"),
         ("room.xml --error 1/0", 2, "--error: must be a number or fraction above 0, is '1/0'"),
         ("room.xml -o room.xml", 2, f"room.xml: this would replace an input; {OTHER}"),
@@ -119,9 +111,7 @@ def test_codes_within_the_bounds_are_not_wrong() -> None:
     ],
 )
 @pytest.mark.usefixtures("room")
-def test_one_line_says_why_the_command_fails(
-    arguments: str, status: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_line_says_why_the_command_fails(arguments, status, message, capsys):
     write_png("small.png", np.zeros((3, 4, 3)))
     save_scene(replace(small("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml"))
     with pytest.raises((Failure, SystemExit)) as caught:
