@@ -16,6 +16,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -34,6 +35,11 @@ _ITEMS_PER_WORKER = 2
 
 # Maximum number of times that a pool is started: again if a worker has died.
 _MAX_STARTS = 4
+
+# Maximum time, in seconds, for which the end of a pool is waited for.  Usually it takes
+# milliseconds, but a worker that dies while it sends a result leaves half of a message, and then a
+# thread of the pool waits for the rest.
+_MAX_END_SECONDS = 0.5
 
 
 def processors() -> int:
@@ -256,14 +262,23 @@ class WorkerPool:
         return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
 
     def close(self) -> None:
-        """End the workers without waiting for them, whatever they do; nothing is left behind."""
+        """End the workers, whatever they do; nothing is left behind."""
         if self._executor is None:
             return
         import multiprocessing
 
-        self._executor.shutdown(wait=False, cancel_futures=True)
         for process in {*multiprocessing.active_children()} - self._other_children:
             process.kill()
+        end = partial(self._executor.shutdown, wait=True, cancel_futures=True)
+        waiting = threading.Thread(target=end, daemon=True)
+        try:
+            waiting.start()
+            waiting.join(_MAX_END_SECONDS)
+            is_ended = not waiting.is_alive()
+        except RuntimeError:  # the system has no thread left
+            is_ended = False
+        # Beside a thread that has not ended no process can be forked.
+        self._starts = self._starts if is_ended else _MAX_STARTS
         self._executor, threading.excepthook = None, self._excepthook
 
 
