@@ -74,6 +74,7 @@ def counted_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (1, (300, 200), set()),  # one small scene starts no process
         (3, (30, 20), set()),  # and neither do a few that take less time than starting it
         (1, (4000, 3000), {"encoded_tile"}),
+        (3, (4000, 3000), {"encoded_tile", "_render_whole"}),  # two whole scenes, the third shared
         (40, (400, 400), {"_render_whole"}),
     ],
 )
@@ -100,6 +101,33 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     batch_of_two.close()
     assert {*submitted} == {"encoded_tile", "_render_whole"}
     assert codes(scenes[30])[0] == (4000, 2000)
+
+
+def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
+    """Workers, which are forked, have no memory to read a scene."""
+    parent, load = os.getpid(), batch.load_scene
+
+    def load_in_parent(path: str) -> Any:
+        if os.getpid() != parent:
+            raise MemoryError
+        return load(path)
+
+    monkeypatch.setattr(batch, "load_scene", load_in_parent)
+    submitted = counted_pool(monkeypatch)
+    batch_of_two = Batch(SETTINGS, 2)
+    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
+    batch_of_two.close()
+    assert len(submitted) > 10
+    assert all(Path(f"{path}.png").exists() for path in scenes)
+
+
+@needs_two
+def test_standard_input_among_many_scenes(scenes):
+    """Only the command's own process can read it."""
+    arguments = [*scenes[:20], "-", *scenes[20:], "-o", "new/", "--processes", 2, "--quiet"]
+    ended = run(*arguments, cwd=scenes[0].parent, input=SCENE.format(7, 5))
+    assert ended == (0, "", "")
+    assert codes(scenes[0].parent / "new" / "-")[0] == (7, 5)
 
 
 def workers_of(process: Any) -> list[int]:

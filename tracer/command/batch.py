@@ -1,14 +1,17 @@
 """Render many scene files to pictures with all processors.
 
 There are two ways to use several processes.  (1) Each process takes whole scenes: it reads them,
-renders them and writes the pictures, so that the processes need to exchange only names and lines of
-text.  This is best where there are as many scenes as processes or more.  (2) All processes share
-the tiles of one picture.  This is best for a single large picture.  So whole scenes are
-distributed, but a worker process returns a scene that is large, or is one of the last, and the
-command's own process shares the tiles of its picture with the workers.
+renders them and writes the pictures, so that the processes exchange only names and lines of text.
+This is best if there are at least as many scenes as processes.  (2) All processes share the tiles
+of one picture.  This is best for a single large picture.
 
-All workers come from one pool for the whole command, which is started only when enough work is left
-for this to be worth it.  A worker that dies costs time only: see `Distribution`.
+A batch combines both.  It distributes whole scenes, but a worker process refuses a scene that is
+large, or that is one of the last and not small.  The command's own process then renders the scene,
+and shares the tiles of the picture with the workers.
+
+All workers come from one pool for the whole command.  The pool is started only when the remaining
+work takes longer than to start it.  A worker that dies costs time, but no picture, because the
+command's own process repeats whatever a worker has not finished (see `Distribution`).
 """
 
 from __future__ import annotations
@@ -46,13 +49,13 @@ OTHER_NAME = "choose another with -o"
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SMALLER = "make the image smaller or take fewer samples"
 
-# Estimated seconds of rendering up to which one process renders a picture alone while there are
-# other scenes for the other processes.
+# Estimated seconds of rendering up to which one process renders a picture alone, while the other
+# processes render other scenes.
 _MAX_WHOLE_SECONDS = 1.0
 
 
 class Settings(NamedTuple):
-    """What all pictures of a command have in common.
+    """The settings that all pictures of a command have in common.
 
     Attributes
     ----------
@@ -83,7 +86,8 @@ class Job(NamedTuple):
     output : str
         Path of the picture; "-" is standard output.
     max_seconds : float
-        Estimated seconds of rendering from which on all processes share the picture.
+        If rendering takes at least this many seconds, by an estimate, all processes share the
+        picture.
     """
 
     scene: str
@@ -92,7 +96,7 @@ class Job(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What there is to print about a scene.
+    """The result of rendering a scene: the lines to print about it.
 
     Attributes
     ----------
@@ -101,7 +105,7 @@ class Report(NamedTuple):
     line : str
         The line about the picture; empty if it was not written, or the command is quiet.
     errors : tuple of str
-        Lines about why the picture was not written, or about probable mistakes in the scene.
+        Lines for standard error: why the picture was not written, or warnings about the scene.
     is_failure : bool
         Whether the picture was not written.
     """
@@ -130,11 +134,16 @@ class Batch:
     def __init__(self, settings: Settings, processes: int) -> None:
         self._settings = settings
         self._pool = WorkerPool(processes - 1, end_on_signals)
-        # None in a worker process, which renders one scene for the batch of its parent process.
+        # The work that is being done; None in a worker process, which renders only single scenes.
         self._work: Distribution[Job, Any] | None = None
 
     def render(self, jobs: Sequence[Job]) -> bool:
-        """Render scenes, and print a line for each, in the order of `jobs`.
+        """Render scenes, and print a line about each, in the order of `jobs`.
+
+        Parameters
+        ----------
+        jobs : sequence of Job
+            The scenes and their pictures.
 
         Returns
         -------
@@ -172,7 +181,7 @@ class Batch:
         self._pool.close()
 
     def _render(self, job: Job) -> Report | None:
-        """Do what `_write_picture` does, but return a failure as a report."""
+        """Write the picture of a scene as `_write_picture` does; return a failure as a report."""
         try:
             return self._write_picture(job)
         except _Obsolete:
@@ -183,15 +192,20 @@ class Batch:
     def _write_picture(self, job: Job) -> Report | None:
         """Read a scene, render it, and write the picture.
 
+        Parameters
+        ----------
+        job : Job
+            The scene and its picture.
+
         Returns
         -------
         report : Report or None
-            None if this is a worker process, and all processes should share the picture.
+            None if all processes should share the picture, but this is a worker process.
 
         Raises
         ------
         Failure
-            If the scene cannot be read or rendered, or the picture not be written.
+            If the scene cannot be read or rendered, or the picture cannot be written.
         _Obsolete
             If a worker has meanwhile written the picture.
         """
@@ -236,12 +250,14 @@ class Batch:
         return Report(pixels, printable(line), tuple(texts))
 
     def _after_tile(self, pixels: int, total: int) -> None:
-        """Show the progress after a tile, and keep the workers busy.
+        """Show the progress after a tile was rendered, and keep the workers busy.
 
         Parameters
         ----------
-        pixels, total : int
-            Number of pixels of this picture that are rendered, and that there are.
+        pixels : int
+            Number of pixels of the picture that have been rendered.
+        total : int
+            Number of pixels of the picture.
 
         Raises
         ------
@@ -255,7 +271,15 @@ class Batch:
                 raise _Obsolete
 
     def _show_progress(self, fraction: float, pixels: int) -> None:
-        """Show the pictures that are done, and a fraction or some pixels of the next one."""
+        """Show the progress of the batch.
+
+        Parameters
+        ----------
+        fraction : float
+            Fraction of the picture in work that has been rendered.
+        pixels : int
+            Number of pixels of the picture in work that have been rendered.
+        """
         note = f"{(self._pixels + pixels) / 1e6:.3g} million pixels"
         self._progress.update(self._done + fraction, note)
 

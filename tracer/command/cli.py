@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if file_format == "exr":
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
     if is_folder(arguments.output or ""):
-        # That something else has this name is reported for each picture.
+        # If something that is no folder has this name, each picture reports it.
         suppressed = suppress(FileExistsError, NotADirectoryError)
         with errors_as_failure(arguments.output, "written", OTHER_NAME), suppressed:
             os.makedirs(arguments.output, exist_ok=True)
@@ -123,13 +123,13 @@ def _whole_numbers(
     Parameters
     ----------
     separator : str
-        What stands between two numbers.
+        The text between two numbers.
     minimum : int
         The smallest number that is allowed.
     counts : tuple of int
-        How many numbers are allowed.
+        The allowed counts of numbers.
     rule : str
-        What an argument must be, for the message about a wrong one.
+        Completes "must be ..." in the message about a wrong argument.
     """
 
     def parse(text: str) -> tuple[int, ...]:
@@ -145,9 +145,9 @@ def _whole_numbers(
 
 
 def _file_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
-    """Return the format of the pictures: that of the option --format, or of the name of -o.
+    """Return the format of the pictures: from the option --format, or from the suffix of -o.
 
-    The parser ends the process with exit status 2 if the name is that of another format.
+    The parser ends the process with exit status 2 if the suffix is that of no or another format.
     """
     output = arguments.output or ""
     formats = [arguments.format] if arguments.format else list(FORMATS)
@@ -162,7 +162,7 @@ def _file_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
 
 
 def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
-    """Return the scenes to render and the pictures to write.
+    """Return the scenes to render, with the pictures to write.
 
     The parser ends the process with exit status 2 if the arguments contradict each other.
 
@@ -195,6 +195,8 @@ def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
     """Print an explanation of one pixel of each scene, and return the exit status.
 
+    A failure in one scene does not keep the others from being explained.
+
     The parser ends the process with exit status 2 if the arguments contradict each other.
     """
     if arguments.output is not None or arguments.format or arguments.watch:
@@ -220,7 +222,16 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
 
 
 def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
-    """Render each scene, and again whenever its file has changed.
+    """Render scenes, and each of them again whenever its file has changed.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        The scenes and their pictures.
+    batch : Batch
+        Renders them.
+    quiet : bool
+        Whether to print only errors.  If so, this function never returns.
 
     Returns
     -------
@@ -242,7 +253,8 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
             # An editor may write a file in pieces: wait until it stops changing.
             is_settled = latest.get(job.scene, version) == version
             latest[job.scene] = version
-            if is_settled and rendered.get(job.scene, ()) != version:  # () is no version: None is
+            # The version of a missing file is None; that of a file not yet rendered is ().
+            if is_settled and rendered.get(job.scene, ()) != version:
                 rendered[job.scene] = version
                 changed.append(job)
         if changed:
