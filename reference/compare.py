@@ -3,10 +3,11 @@
     python -m reference.compare HAND-IN.png SCENE.xml
     python -m reference.compare HAND-INS/ SCENES/
 
-On the right stands a scene file, which is drawn, a picture, or a folder of these.  The mistake is
-named that draws the very hand-in, or where that differs is; with a picture in place of a scene,
-only some of geometry and encoding can be drawn.  All pictures in a folder and its folders are
-compared with the scenes of their names: NAME.png, NAME.xml.png and ID_NAME.png with NAME.xml.
+RIGHT is a scene file, which is rendered, a picture, or a folder of these.  The mistake is reported
+with which the scene renders as the very hand-in; if there is none, the nearest, and where the
+pictures differ.  With a picture in place of a scene, only some mistakes of the camera and of the
+encoding are known.  All pictures in a folder and its subfolders are compared with the scenes of
+their names: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with NAME.xml.
 Exit status: 0 if all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for
 wrong usage; 3 if some cannot be compared.
 """
@@ -26,167 +27,206 @@ from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 
-from tqdm import tqdm
-
 from reference.command import forbid_overwriting_inputs, parser
 from reference.figures import figures, linear, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
-from reference.handins.folders import HandIn, empty_folders, hand_ins, match
-from reference.handins.results import MISSING, Result, csv_of, json_of, text_of
-from reference.handins.workers import shared
+from reference.handins.folders import HandIn, hand_ins, match
+from reference.handins.results import Result, csv_of, json_of, text_of, with_common_causes_first
+from reference.handins.workers import start_workers
 from reference.page import Pair
-from reference.pictures import UNREADABLE, read_picture, reason
-from tracer import SceneFileError, load_scene
+from reference.pictures import UNREADABLE, Picture, read_picture
+from tracer import load_scene
 from tracer.command.arguments import file_name, is_folder
+from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_line, print_result
+from tracer.command.progress import track
 from tracer.files import atomic_file
 from tracer.messages import printable
 
+_FAILED = 3
+
 
 def tolerance(text: str) -> float:
-    """The type of a tolerance; argparse names it so where the text is no number."""
+    """Convert the argument of an option; argparse uses this function's name in its message."""
     if not (value := float(text)) >= 0:
         raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
     return value
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    used = parser("reference.compare", __doc__)
-    add = used.add_argument
+def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
+    """Parse the command line.
+
+    Returns
+    -------
+    options : Namespace
+        The options, with `many`: whether the hand-ins are a folder's; and the `folder`.
+    matched : list of HandIn
+        The hand-ins, and the missing ones.
+    """
+    command_parser = parser("reference.compare", __doc__)
+    add, error = command_parser.add_argument, command_parser.error
     add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
-    add("--ssim", type=tolerance, metavar="S", help="least SSIM that is tolerated")
-    add("--max", type=tolerance, metavar="M", help="largest linear difference that is tolerated")
+    add("--ssim", type=tolerance, metavar="S", help="minimum SSIM that is tolerated")
+    add("--max", type=tolerance, metavar="M", help="maximum linear difference that is tolerated")
     where = "write a comparison picture: a file, or a folder, which may end in /"
     add("-o", "--output", type=file_name, metavar="PATH", help=where)
     add("--html", type=file_name, metavar="OUT.html", help="write one page that shows all of them")
-    form = used.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print a list with an object a picture")
+    form = command_parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print a list with an object per picture")
     form.add_argument("--csv", action="store_true", help="print the same as a table")
-    options = used.parse_args(arguments)
+    options = command_parser.parse_args(arguments)
     for path in (options.a, options.b):
         if not path.exists():
-            print_line(sys.stderr, printable(f"{path}: does not exist"))
-            return 3
+            raise Failure(str(path), "does not exist", status=_FAILED)
     options.many = options.a.is_dir()
-    folder = options.a if options.many else options.a.parent
-    pictures = hand_ins(folder) if options.many else [options.a]
+    options.folder = options.a if options.many else options.a.parent
+    pictures = hand_ins(options.a) if options.many else [options.a]
+    if options.a.suffix.lower() == ".xml" or (not pictures and [*options.a.glob("*.xml")]):
+        error(printable(f"{options.a}: a hand-in is a picture; give it first, then the scene"))
     if not pictures:
-        used.error(printable(f"{options.a}: holds no pictures"))
+        error(printable(f"{options.a}: contains no pictures"))
     if options.many and options.output and not is_folder(options.output):
         wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
-        used.error(printable(wrong))
-    matched, nobodys = match(pictures, options.b)
-    outputs = _outputs(options, folder, pictures) if options.output else [None] * len(pictures)
-    rights = (hand_in.right for hand_in in matched if hand_in.right)
-    page = Path(options.html) if options.html else None
-    forbid_overwriting_inputs(used, filter(None, (*outputs, page)), (*pictures, *rights))
-    # Hand-ins of one scene follow one another: what is drawn of it serves all of them.
-    jobs = [hand_in._replace(output=output)
-            for hand_in, output in zip(matched, outputs, strict=True)]  # fmt: skip
-    jobs.sort(key=lambda hand_in: str(hand_in.right))
-    judged = shared(partial(judge, options), jobs, lost)
-    few = len(jobs) < 3 or sys.stderr is None
-    judged = tqdm(judged, total=len(jobs), unit="picture", disable=few or None)
-    found = sorted(judged, key=lambda one: str(one[0].picture))
-    results = [result for result, _ in found]
-    for path in nobodys:
-        error = printable(f"{path}: nobody has handed in a picture of it")
-        results.append(Result(None, str(path), kind=MISSING, error=error))
-    for path in empty_folders(folder) if options.many else ():
-        error = printable(f"{path}: holds no pictures")
-        results.append(Result(str(path), None, kind=MISSING, error=error))
-    unread = any(result.word == "unread" for result in results)
-    try:
-        where = printable(str(page))
-        if page:
-            pairs = {str(result.picture): pair for result, pair in found if pair}
-            text = class_page(results, pairs, folder)
+        error(printable(wrong))
+    matched = [one._replace(output=_output(options, one.picture) if options.output else None)
+               for one in match(pictures, options.folder, options.b)]  # fmt: skip
+    outputs = [one.output for one in matched] + [options.html and Path(options.html)]
+    rights = (one.right for one in matched if one.right)
+    forbid_overwriting_inputs(command_parser, filter(None, outputs), (*pictures, *rights))
+    return options, matched
+
+
+def _output(options: argparse.Namespace, picture: Path | None) -> Path | None:
+    """Return where the comparison of a picture is written; each has another place."""
+    if picture is None or (not options.many and not is_folder(options.output)):
+        return picture and Path(options.output)
+    path = picture.relative_to(options.folder)
+    return Path(options.output, path.with_name(f"{path.name}.compare.png"))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line, and return the exit status."""
+    options, matched = _parse(arguments)
+    # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
+    jobs = sorted(matched, key=lambda one: str(one.right))
+    judged = start_workers(partial(judge, options), jobs, lost)
+    found = sorted(track(judged, len(jobs), "pictures"), key=_place)
+    results = with_common_causes_first([result for result, _ in found])
+    if options.html:
+        pairs = {str(result.picture): pair for result, pair in found if pair}
+        text = class_page(results, pairs, options.folder)
+        page = Path(options.html)
+        with errors_as_failure(page, "written", status=_FAILED):
             page.parent.mkdir(parents=True, exist_ok=True)
             with atomic_file(page, b"<!doctype html>") as file:
-                file.write(text.encode())
-        where = "standard output"
-        if options.json or options.csv:
-            print_result(sys.stdout, (json_of if options.json else csv_of)(results))
-        elif unread and not options.many:
-            print_line(sys.stderr, text_of(results, many=False))
-        else:
-            print_result(sys.stdout, text_of(results, many=options.many))
-    except OSError as error:
-        print_line(sys.stderr, f"{where}: cannot be written: {error.strerror or error}")
-        return 3
-    return 3 if unread else int(not all(result.agrees for result in results))
+                file.write(text.encode(errors="backslashreplace"))
+    unread = any(result.word == "unread" for result in results)
+    if options.json or options.csv:
+        text = (json_of if options.json else csv_of)(results)
+    else:
+        text = text_of(results, many=options.many)
+    if unread and not (options.many or options.json or options.csv):
+        print_line(sys.stderr, text)
+    else:
+        with errors_as_failure("standard output", "written", status=_FAILED):
+            print_result(sys.stdout, text)
+    return _FAILED if unread else int(not all(result.agrees for result in results))
 
 
-def _outputs(options: argparse.Namespace, folder: Path, pictures: list[Path]) -> list[Path]:
-    """Where the comparison of each picture goes; none to another's place."""
-    if not options.many and not is_folder(options.output):
-        return [Path(options.output)]
-    below = [picture.relative_to(folder) for picture in pictures]
-    return [Path(options.output, path.with_name(f"{path.name}.compare.png")) for path in below]
+def _place(one: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
+    """Return the key by which results are sorted: pictures by name, then what is missing."""
+    result = one[0]
+    return not result.picture, result.picture or result.student or "~", result.scene
 
 
 @lru_cache(maxsize=1)
 def _solution(path: Path) -> tuple[Solution, str]:
-    """The right picture of a file, and a note on what its format does to it."""
-    if path.suffix.lower() == ".xml":
-        return Solution(load_scene(path), shlex.quote(str(path))), ""
-    picture = read_picture(path)
-    return Solution(picture), picture.note
+    """Return the right picture of a file, and a note on what its format changes."""
+    with errors_as_failure(path, "read", status=_FAILED, errors=UNREADABLE):
+        if path.suffix.lower() == ".xml":
+            return Solution(load_scene(path), shlex.quote(str(path))), ""
+        picture = read_picture(path)
+        return Solution(picture), picture.note
 
 
 def lost(hand_in: HandIn) -> tuple[Result, None]:
-    """The result of a picture whose process died."""
-    reason = "cannot be compared: its process was ended; is memory short?"
-    return _failed(hand_in, f"{hand_in.picture}: {reason}")
+    """Return the result of a picture whose worker died."""
+    return _failed(hand_in, "cannot be compared: its process was ended; is there enough memory?")
 
 
-def _failed(hand_in: HandIn, error: str) -> tuple[Result, None]:
-    right = str(hand_in.right) if hand_in.right else None
-    return Result(str(hand_in.picture), right, error=printable(error)), None
+def _failed(hand_in: HandIn, what: str) -> tuple[Result, None]:
+    where = hand_in.picture or hand_in.right
+    if hand_in.picture is None and hand_in.student:
+        where = Path(hand_in.student, hand_in.scene)
+    return _result(hand_in)._replace(error=str(Failure(str(where), what))), None
+
+
+def _result(hand_in: HandIn) -> Result:
+    picture, right = (str(path) if path else None for path in (hand_in.picture, hand_in.right))
+    return Result(hand_in.student, hand_in.scene, picture, right)
 
 
 def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a picture; of many, a comparison is written only of those that differ."""
-    picture, right, error, output = hand_in
-    if right is None:
-        return _failed(hand_in, f"{picture}: {error}")
-    result, pair = Result(str(picture), str(right)), None
-    where, what = picture, "read"
+    """Compare a picture with the right one.
+
+    Returns
+    -------
+    result : Result
+        If the picture cannot be compared, the result states why.
+    pair : Pair or None
+        Both pictures, if a page is requested and the sizes are the same.
+    """
+    if hand_in.error or not (hand_in.picture and hand_in.right):
+        return _failed(hand_in, hand_in.error)
     try:
-        a = read_picture(picture)
-        where = right
-        solution, note = _solution(right)
-        where, what = picture, "compared"
-        found, b = solution.diagnose(a), solution.codes
-        notes = [f"{name} {n}" for name, n in (("It", a.note), (f"{right.name}", note)) if n]
-        text = " ".join([*(() if found.kind == "identical" else notes), str(found)])
-        result = result._replace(kind=found.kind, diagnosis=text)
-        if a.codes.shape != b.shape:
-            return result, None
-        light = linear(a.codes), linear(b)
-        distance = figures(*light)
-        same = found.kind in AGREEING
-        if options.ssim is not None or options.max is not None:
-            same = (options.max is None or distance.max <= options.max) and (
-                options.ssim is None or distance.ssim >= options.ssim
-            )
-        result = result._replace(
-            agrees=same, ssim=distance.ssim, rmse=distance.rmse, max=distance.max,
-            differing=int((a.codes != b).any(axis=2).sum()), worst=worst_pixel(a.codes, b),
-        )  # fmt: skip
-        if options.html:
-            pair = pair_of(result, (a.codes, b), light)
-        if output is not None and not (options.many and same):
-            where, what = output, "written"
+        with errors_as_failure(hand_in.picture, "read", status=_FAILED, errors=UNREADABLE):
+            picture = read_picture(hand_in.picture)
+        solution, note = _solution(hand_in.right)
+        remedy = "compare a part"
+        with errors_as_failure(hand_in.picture, "compared", memory_remedy=remedy, status=_FAILED):
+            return _compared(options, hand_in, picture, solution, note)
+    except Failure as failure:
+        return _result(hand_in)._replace(error=str(failure)), None
+    except Exception as bug:
+        what = f"{type(bug).__name__}: {bug}"
+        return _failed(hand_in, f"cannot be compared: {what}; this is a bug, please report it")
+
+
+def _compared(
+    options: argparse.Namespace, hand_in: HandIn, picture: Picture, solution: Solution, note: str
+) -> tuple[Result, Pair | None]:
+    """Compare a picture that was read with a solution; `note` is about the solution's format.
+
+    If there are several hand-ins, a comparison is written only for those that differ.
+    """
+    found, right = solution.diagnose(picture), solution.codes
+    names = ("It", picture.note), (str(hand_in.right and hand_in.right.name), note)
+    notes = [f"{name} {text}" for name, text in names if text and found.kind != "identical"]
+    found = found.preceded_by(" ".join(notes))
+    result, pair = _result(hand_in)._replace(found=found), None
+    if picture.codes.shape != right.shape:
+        return result, None
+    light = linear(picture.codes), linear(right)
+    distance = figures(*light)
+    agrees = found.kind in AGREEING
+    if options.ssim is not None or options.max is not None:
+        agrees = (options.max is None or distance.max <= options.max) and (
+            options.ssim is None or distance.ssim >= options.ssim
+        )
+    result = result._replace(
+        agrees=agrees, ssim=distance.ssim, rmse=distance.rmse, max=distance.max,
+        differing=int((picture.codes != right).any(axis=2).sum()),
+        worst=worst_pixel(picture.codes, right),
+    )  # fmt: skip
+    if options.html:
+        pair = pair_of(result, (picture.codes, right), light)
+    output = hand_in.output
+    if output is not None and not (options.many and agrees):
+        labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
+        with errors_as_failure(output, "written", status=_FAILED, errors=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, *light, (printable(picture.name), printable(right.name)))
-            result = result._replace(comparison=str(output))
-    except SceneFileError as fault:
-        return result._replace(error=str(fault)), None
-    except UNREADABLE as fault:
-        why = reason(fault, "compare a part")
-        return _failed(hand_in, f"{where}: cannot be {what}: {why}")
+            write_comparison(output, *light, (labels[0], labels[1]))
+        result = result._replace(comparison=str(output))
     return result, pair

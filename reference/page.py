@@ -20,6 +20,9 @@ TEMPLATE = HERE / "page.html"
 # Maximum side of a thumbnail in pixels.
 _MAX_THUMBNAIL = 96
 
+# Values for the template, unless others are given.
+_OPTIONAL = {"source": "", "faults": (), "charts": (), "below": (), "is_folded": False}
+
 Pair: TypeAlias = dict[str, Any]
 """Two pictures and their difference, for the template: see `pair`."""
 
@@ -85,7 +88,8 @@ def page(**content: Any) -> str:
         table), `head` (a sequence of column titles), `rows` (for each row a sequence of cells, each
         a sequence of Cell), `pairs` (a sequence of Pair), and `legend` (str).  Optional are
         `source` (str: how the pictures were made), `faults` (a sequence of paragraphs about what
-        could not be compared) and `charts` (pairs of a title and an SVG as bytes).
+        could not be compared), `charts` (pairs of a title and an SVG as bytes), `below` (a sequence
+        of paragraphs below the table) and `is_folded` (bool: whether good pairs are folded).
 
     Returns
     -------
@@ -105,7 +109,7 @@ def page(**content: Any) -> str:
     environment.filters |= {"source": picture, "png": _data_url}
     environment.filters["svg"] = lambda svg: _data_url(svg, "svg+xml")
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    return template.render({"source": "", "faults": (), "charts": ()} | content)
+    return template.render(_OPTIONAL | content)
 
 
 def png(codes: Codes, *, thumbnail: bool = False) -> bytes:

@@ -1,4 +1,4 @@
-"""A class in one page: by student and by scene, with each picture beside the right one."""
+"""The results of a class on one page: by student and by scene, with all pairs of pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from reference import page as pages
 from reference.figures import Floats, amplified
-from reference.handins.results import Result, count_of
+from reference.handins.results import Result, count_of, mistake_counts
 from reference.page import Cell, Pair, pair, png
 from reference.pictures import Codes
 
@@ -19,7 +19,11 @@ _LEGEND = (
 
 
 def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
-    """A hand-in and the right picture, of one size."""
+    """Return the pair of a hand-in and the right picture, which have the same size.
+
+    `codes` and `light` are the codes and the linear radiance of both.
+    """
+    found = result.found
     return pair(
         *codes,
         *amplified(*light),
@@ -29,56 +33,63 @@ def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Flo
         left="hand-in",
         right="right",
         thumbnail=png(codes[0], thumbnail=True),
-        notes=[str(result.diagnosis)],
+        notes=[str(found)],
         worst=result.worst if result.differing else None,
         figures=[
-            ("kind", result.kind), ("SSIM", f"{result.ssim:.6f}"), ("RMSE", f"{result.rmse:.2e}"),
+            ("kind", found and found.kind), ("hint", (found and found.hint) or "none"),
+            ("SSIM", f"{result.ssim:.6f}"), ("RMSE", f"{result.rmse:.2e}"),
             ("largest difference", f"{result.max:.2e}"), ("pixels that differ", result.differing),
         ],
     )  # fmt: skip
 
 
-def student_of(picture: str, folder: Path, scene: str) -> str:
-    """Who handed a picture in: the folders it is in, and what stands before `_NAME`."""
-    path = Path(picture)
-    above = path.parent.relative_to(folder) if path.is_relative_to(folder) else Path()
-    before = path.name[: path.name.lower().rfind(scene)].rstrip("_") if scene else ""
-    return "/".join(part for part in (*above.parts, before) if part) or folder.name
-
-
-def _cell(result: Result, pair: Pair | None, link: int | None) -> Cell:
-    """The verdict, or the first cause of those that draw the hand-in."""
-    text, cause = result.word, (result.kind or "").partition("|")[0]
-    if text == "differs" and cause != "unknown":
-        text = cause.replace("+", " + ")
-    return Cell(text, link, result.agrees, pair["thumbnail"] if pair else None)
+def _cell(result: Result, shown: Pair | None, link: int | None) -> Cell:
+    """Return the cell of the overview: the verdict, or the first cause in words."""
+    text = result.word
+    if result.found and text == "differs":
+        text = result.found.first
+    return Cell(text, link, result.agrees, shown["thumbnail"] if shown else None)
 
 
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
-    """The page as HTML; `pairs` by the names of pictures, `folder` holds all of these."""
-    cells: dict[str, dict[str, list[Cell]]] = {}
+    """Return the page as HTML.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        All results of the class.
+    pairs : dict of str to Pair
+        Pairs by the pictures' names.
+    folder : Path
+        Folder that contains all pictures.
+    """
     links = {name: k for k, name in enumerate(pairs)}
+    cells: dict[str, dict[str, list[Cell]]] = {}
+    right: dict[str, set[str]] = {}
     for result in results:
-        if result.picture and result.right:
-            name, scene = result.picture, Path(result.right).stem
-            student = cells.setdefault(student_of(name, folder, scene.lower()), {})
-            student.setdefault(scene, []).append(_cell(result, pairs.get(name), links.get(name)))
-    scenes = sorted(set().union(*cells.values()))  # handed in by anybody
-    nothing = [Cell("nothing", good=False)]
-    nobodys = [str(result.right) for result in results if not result.picture]
-    faults = [f"Nobody has handed in {', '.join(nobodys)}."] if nobodys else []
-    rows = [[[Cell(student)], *(of.get(scene, nothing) for scene in scenes)]
-            for student, of in sorted(cells.items())]  # fmt: skip
+        if result.student and result.scene:
+            name, student = result.picture or "", result.student
+            cell = _cell(result, pairs.get(name), links.get(name))
+            cells.setdefault(student, {}).setdefault(result.scene, []).append(cell)
+            right.setdefault(student, set()).update([result.scene] if result.agrees else [])
+    scenes = sorted({scene for row in cells.values() for scene in row})
+    rows = [[[Cell(student)], [Cell(f"{len(right[student])} of {len(scenes)}")],
+             *(row.get(scene, []) for scene in scenes)]
+            for student, row in sorted(cells.items())]  # fmt: skip
+    notes = [f"{result.picture}: {result.found}" for result in results
+             if result.found and result.picture not in pairs]  # fmt: skip
+    errors = [result.error for result in results if result.error and not (
+        result.student and result.scene and not result.picture)]  # fmt: skip
     return pages.page(
         title=f"Hand-ins in {folder}",
-        lead=f"{len(cells)} students, {len(scenes) + len(nobodys)} scenes.",
+        lead=f"{len(cells)} students, {len(scenes)} scenes.",
         verdict=f"{count_of(results)}.",
         good=all(result.agrees for result in results),
         overview="By student and by scene",
-        head=["student", *scenes],
+        head=["student", "right", *scenes],
         rows=rows,
-        pairs=[pair | {"name": os.path.relpath(name, folder)} for name, pair in pairs.items()],
+        pairs=[shown | {"name": os.path.relpath(name, folder)} for name, shown in pairs.items()],
         legend=_LEGEND,
-        faults=faults + [result.error or f"{result.picture}: {result.diagnosis}"
-                         for result in results if result.picture not in {None, *pairs}],
-    )  # fmt: skip
+        below=[*mistake_counts(results), *notes, *errors],
+        is_folded=True,
+    )

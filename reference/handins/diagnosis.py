@@ -74,6 +74,10 @@ class Diagnosis:
             words = f"(In this scene one cannot tell it from: {words})"
         return " ".join(filter(None, (self.before, self.first, words, self.after)))
 
+    def preceded_by(self, text: str) -> Diagnosis:
+        """Return the same with another sentence at the beginning."""
+        return replace(self, before=" ".join(filter(None, (text, self.before))))
+
     def preferring(self, kinds: Iterable[str]) -> Diagnosis:
         """Return the same with the causes of these keywords first, in this order."""
         place = {kind: k for k, kind in enumerate(kinds)}

@@ -1,4 +1,7 @@
-"""Work shared by two processes, neither of which can take the other's results with it."""
+"""Process many jobs in two isolated workers: if one crashes, one job is lost.
+
+A pool of processes would not do: if one of its processes dies, all unfinished jobs fail.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ from tracer.picture.parallel import end_with_parent
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-# Fewer jobs take less time than it takes to start processes.
-_MANY = 8
+# Minimum number of jobs for which starting processes is worth it.
+_MIN_JOBS = 8
 
 
 def _serve(work: Callable[[Any], Any], link: connection.Connection) -> None:
-    """Do each job that is sent, until the other end is closed."""
+    """Process each job that arrives, until the other end is closed."""
     threading.Thread(target=end_with_parent, daemon=True).start()
     with suppress(EOFError):
         while True:
@@ -29,12 +32,12 @@ def _serve(work: Callable[[Any], Any], link: connection.Connection) -> None:
 
 
 def _start(work: Callable[[Any], Any]) -> connection.Connection:
-    """Start a process for jobs, which Ctrl-C does not reach: it ends with this one."""
+    """Start a process for jobs; it ignores Ctrl-C, and ends with the calling process."""
     context = get_context("spawn")
     here, there = context.Pipe()
     mask = None
     if os.name != "nt":
-        # Started later, it would let signals through again (CPython's resource_tracker.py).
+        # If it started later, it would let signals through again (CPython's resource_tracker.py).
         resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -46,13 +49,21 @@ def _start(work: Callable[[Any], Any]) -> connection.Connection:
     return here
 
 
-def shared(
+def start_workers(
     work: Callable[[Job], Result], jobs: Sequence[Job], lost: Callable[[Job], Result]
 ) -> Iterator[Result]:
-    """Yield the result of each job, in any order; `lost` of one whose process died.
+    """Yield the result of each job, in any order.
 
-    One process begins with the first jobs, another with the last: what a process keeps for the
-    next job serves those beside it.  Where none can be started, all is done in this process.
+    One worker begins with the first jobs, the other with the last: neighbouring jobs may use the
+    same cached data.  If no process can be started, the calling process does all jobs.
+
+    Parameters
+    ----------
+    work : callable
+        Computes the result of a job, in a worker.
+    jobs : sequence
+    lost : callable
+        Returns the result of a job whose worker died.
     """
     todo = deque(jobs)
     running: dict[Any, tuple[Job, Callable[[], Job]]] = {}
@@ -65,14 +76,14 @@ def shared(
                 running[link] = take(), take
                 link.send(running[link][0])
 
-    for take in (todo.popleft, todo.pop) if len(jobs) >= _MANY else ():
+    for take in (todo.popleft, todo.pop) if len(jobs) >= _MIN_JOBS else ():
         give(take)
     while running:
         for link in connection.wait([*running]):
             job, take = running.pop(link)
             try:
                 result = link.recv()
-            except (EOFError, OSError):  # it died of this job, for it had no other
+            except (EOFError, OSError):  # this job ended the worker, which had no other job
                 result, link = lost(job), None
             yield result
             give(take, link)

@@ -8,6 +8,7 @@ import random
 import re
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,10 +23,10 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import main
 from reference.figures import figures, write_comparison
-from reference.handins.results import Result
-from reference.handins.workers import shared
+from reference.handins.workers import start_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
+from tracer.command.failure import Failure
 
 Compare = Callable[..., tuple[int, list[str], str]]
 SCENE = SCENES / "one-sphere.xml"
@@ -48,6 +49,9 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
             status = main([*map(str, arguments)])
         except SystemExit as wrong:
             status = int(wrong.code or 0)
+        except Failure as failure:
+            status = failure.status
+            print(failure, file=sys.stderr)
         told = capsys.readouterr()
         return status, told.out.splitlines(), told.err
 
@@ -100,15 +104,22 @@ DEEP_PNG = bytes.fromhex(
 )
 
 
-def test_colours_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
+def test_sixteen_bits_count_as_eight(tmp_path: Path) -> None:
+    """Of 16 bits, the upper 8: the levels 1, 2 and 3 of 65535 are black, those of 999 nearly."""
     path, contents = tmp_path / "deep", [DEEP_PNG, b"P6 1 1 65535\n123456", b"P3 1 1 999\n1 2 3\n"]
     for order in ("<", ">"):
         tifffile.imwrite(path, np.array([[[1, 2, 3]]], dtype=np.uint16), byteorder=order)
         contents.append(path.read_bytes())
     for content in contents:
         path.write_bytes(content)
-        with pytest.raises(ValueError, match="more than 8 bits a channel; 8-bit RGB is needed"):
-            read_picture(path)
+        picture = read_picture(path)
+        assert picture.codes[0, 0].tolist() in (
+            [0, 0, 0],
+            [0, 1, 1],
+            [ord("1"), ord("3"), ord("5")],
+        )
+        assert picture.lossy == 1
+        assert "more than 8 bits per channel" in picture.note
 
 
 def test_formats(tmp_path: Path) -> None:
@@ -184,25 +195,42 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     status, lines, error = compare(hand_ins, right)
     assert (status, error, sorted(hand_ins.rglob("*"))) == (3, "", before)
     words = [line.split()[0] for line in lines]
-    assert words == ["agrees", "agrees", "unread", "differs", "unread", "missing", "missing", "5"]
+    expected = ["agrees", "agrees", "unread", "differs", "unread"]
+    assert words == [*expected, *["missing"] * 7, "5"]
     assert lines[2].endswith("has this name; did you mean one-sphere.xml?")
     assert "The picture is mirrored" in lines[3]
-    assert lines[5] == f"missing  {right}/room.xml: nobody has handed in a picture of it"
-    assert lines[6] == f"missing  {hand_ins}/di: holds no pictures"
-    assert lines[7] == "5 pictures: 2 agree, 1 differ, 2 are missing, 2 cannot be compared"
+    assert lines[5] == "missing  ada/two-boxes: no picture of this scene"
+    assert lines[9] == "missing  di/one-sphere: no picture of this scene"
+    assert lines[11] == f"missing  {right}/room.xml: nobody has handed in a picture of it"
+    assert lines[12] == (
+        "5 pictures: 2 agree, 1 differ, 2 cannot be compared; 6 are missing;"
+        " scenes that nobody has handed in: 1"
+    )
     out = hand_ins.with_name("out")
     page = hand_ins.with_name("page.html")
     status, told, _ = compare(hand_ins, right, "--json", "-o", f"{out}/", "--html", page)
-    assert re.findall("[✓✗] ([^<]*)</span></a>", page.read_text()) == [
-        "agrees",
-        "agrees",
-        "mirrored",
+    shown = page.read_text()
+    mirrored = "The picture is mirrored: left and right are swapped."
+    assert re.findall("[✓✗] ([^<]*)</span></a>", shown) == ["agrees", "agrees", mirrored]
+    titles = ["student", "right", "one-sphere", "two-boxes"]
+    assert re.findall("<th .*?>([^<]+)", shown) == titles
+    assert re.findall("<td>(\\d of \\d)", shown) == [
+        "1 of 2",
+        "0 of 2",
+        "1 of 2",
+        "0 of 2",
+        "0 of 2",
     ]
-    assert re.findall("<th .*?>([^<]+)", page.read_text()) == ["student", "one-sphere", "two-boxes"]
-    assert f"Nobody has handed in {right}/room.xml." in page.read_text()
+    assert f"1 × {mirrored}" in shown
+    assert f"{right}/room.xml: nobody has handed in a picture of it" in shown
+    assert shown.count("<details>") == 2  # the pictures that agree
     found = json.loads("".join(told))
-    assert [*found[0]] == [*Result._fields]
     assert [one["kind"] for one in found[:4]] == ["identical", "rounding", None, "mirrored"]
+    assert [(one["student"], one["scene"]) for one in found[3:6]] == [
+        ("cy", "one-sphere"),
+        ("cy", "two-boxes"),
+        ("ada", "two-boxes"),
+    ]
     assert [*out.rglob("*.png")] == [out / "cy" / "one-sphere.png.compare.png"]
     assert found[3]["comparison"] == str(out / "cy" / "one-sphere.png.compare.png")
     x, y = found[3]["worst"]
@@ -221,19 +249,21 @@ def deadly(job: int) -> int:
 
 def test_a_worker_that_dies_takes_one_result_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     results = [-5 if job == 5 else 10 * job for job in range(10)]
-    assert sorted(shared(deadly, range(10), lambda job: -job)) == sorted(results)
+    assert sorted(start_workers(deadly, range(10), lambda job: -job)) == sorted(results)
 
     def none(*_arguments: object) -> None:
         raise OSError(errno.EAGAIN, "no process")
 
     monkeypatch.setattr("reference.handins.workers.get_context", none)
-    assert [*shared(str, range(10), str)] == [*map(str, range(10))]
+    assert [*start_workers(str, range(10), str)] == [*map(str, range(10))]
 
 
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """Whatever they are at: they hold their ends of its pipes for as long as they live."""
-    script = "import time; from reference.handins.workers import shared"
-    process = start_process(python=("-c", f"{script}; [*shared(time.sleep, [600] * 8, str)]"))
+    script = "import time; from reference.handins.workers import start_workers"
+    process = start_process(
+        python=("-c", f"{script}; [*start_workers(time.sleep, [600] * 8, str)]")
+    )
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(children.read_text(encoding="ascii").split()) < 3:  # two, and a tracker of resources
         assert process.poll() is None

@@ -18,7 +18,7 @@ from reference.handins.diagnosis import Solution
 from reference.handins.drawing import draw
 from reference.handins.formulas import parameters
 from reference.handins.mistakes import RIGHT, mistakes_of
-from reference.handins.workers import shared
+from reference.handins.workers import start_workers
 from reference.pictures import Codes, Picture, read_picture
 from tracer import Box, Camera, PointLight, Scene, Sphere, load_scene, render, to_codes
 
@@ -95,7 +95,7 @@ def test_what_shows_only_beside_another_mistake_is_found() -> None:
 @pytest.mark.slow
 def test_mistakes_are_found() -> None:
     """Two hundred pictures of eight scenes: 1 % are wrong at most, 94 % right or in part."""
-    counts = shared(partial(verdicts, count=25, seed=2), NAMES, lambda _: Counter(wrong=25))
+    counts = start_workers(partial(verdicts, count=25, seed=2), NAMES, lambda _: Counter(wrong=25))
     found = sum(counts, Counter[str]())
     print(found)
     assert found["wrong"] <= 2
