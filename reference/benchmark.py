@@ -125,7 +125,7 @@ def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
 
 
 def whole_process(quick: bool) -> str:
-    """Time commands that read a scene file and write a PNG file."""
+    """Time commands that read a scene file and write a PNG file; return the section of the page."""
     variant, png = use().variant, str(built("out.png"))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
     mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT]
@@ -165,7 +165,7 @@ def whole_process(quick: bool) -> str:
 
 
 def rendering(quick: bool) -> str:
-    """Time rendering alone, in one process, on every scene with one sample per pixel."""
+    """Time rendering alone, in this process, of every scene; return the section of the page."""
     variant = use().variant
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
@@ -194,7 +194,7 @@ def rendering(quick: bool) -> str:
 
 
 def objects(quick: bool) -> str:
-    """Time loading and rendering of scenes with more and more objects."""
+    """Time loading and rendering of scenes with up to 100,000 objects; return the section."""
     use()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
@@ -280,7 +280,7 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
 
 
 def frames(quick: bool) -> str:
-    """Time how many frames of an animation different commands render."""
+    """Time commands that render the frames of an animation; return the section of the page."""
     count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     commands = frame_commands(count, size)
     tasks = {name: partial(_run_all, steps) for name, steps in commands.items()}

@@ -150,7 +150,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
 
 
 def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
-    """Draw the difference of two pictures.
+    """Make a picture of the difference of two pictures, amplified so that it is visible.
 
     Parameters
     ----------
@@ -160,8 +160,8 @@ def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
     Returns
     -------
     picture : (height, width, 3) float array
-        Colours from 0 to 1: orange where `a` is brighter, blue where it is darker, in the channel
-        that differs most.
+        Colours from 0 to 1: orange where `a` is brighter, blue where it is darker.  Their
+        brightness is the amplified difference of the channel that differs most.
     gain : float
         Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, so that 99.9 %
         of the pixels' differences fit.  0 if there is no difference.

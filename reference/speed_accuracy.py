@@ -133,7 +133,8 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
     Yields
     ------
     row : tuple
-        Row of the table: see `_COLUMNS`.
+        A row of the table: the scene, the method, the number of samples per pixel, the error, and
+        the median, minimum and maximum of the time in seconds.
     """
     error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image, target = true_picture(scene, error).image, built("povray.ppm")

@@ -335,7 +335,11 @@ class CellForms:
         return is_always & ~is_never
 
     def _find_surfaces(self) -> None:
-        """Compute 1 / t = k.d + s; remove pairs whose face is outside the cell, or hidden."""
+        """Compute the inverse distance 1 / t = k.d + s of each pair's face from the eye.
+
+        Pairs are removed if their face is outside the cell, or hidden by another face in all of the
+        cell.  The silhouettes of the others are added to the edges.
+        """
         faces, cells, frame = self.faces, self.cells, self.faces.frame
         face, cell, is_planar = cells.face, cells.cell, faces.is_planar[cells.face]
         ball, cone, root = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
@@ -437,7 +441,11 @@ class CellForms:
         return self._half_space(pair, self.faces.height[:, light, self.cells.face[pair]])
 
     def _find_terminators(self) -> None:
-        """Settle lights that are behind a sphere's horizon; add terminators to the edges."""
+        """Find out which lights are below the horizon of a sphere, in each pair.
+
+        A light that is below the horizon in all of the cell becomes settled, without radiance.  If
+        it is below in a part of the cell, the terminator between light and dark is an edge.
+        """
         # Lights behind the plane of a rectangle are settled from the start.
         is_curved = ~self.faces.is_planar[self.cells.face]
         pair, light = np.nonzero(~self.cells.is_settled & is_curved[:, None])
@@ -467,9 +475,11 @@ class CellForms:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
 
     def _find_shadows(self) -> None:
-        """Settle lights that one object keeps from all of a pair; add shadows' edges to the edges.
+        """Find out which triples of a pair, a light and an occluder shade the face.
 
-        A question is a triple: does the occluder shade the face from the light?
+        A light becomes settled, without radiance, if a single occluder shades all of the face in
+        the cell.  Triples that shade nothing are removed.  For the others, the edge of the shadow
+        is added to the edges.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -580,17 +590,19 @@ class CellForms:
         self._decide(a, -1, np.zeros(a.size, np.bool_), [crossing])
 
     def edge_functions(self) -> tuple[Ints, Ints, Form]:
-        """Return all edge functions of all pairs.
+        """Return all edge functions, which are zero where the picture has an edge.
 
         Each function is enclosed as u + v s, or as u^2 - v^2 s^2 if its unknown part is then
         smaller relative to its slope.
 
         Returns
         -------
-        pair, light : (n,) int arrays
-            See `_Edges`.
+        pair : (n,) int array
+            The pair of a cell and a face to which each function belongs.
+        light : (n,) int array
+            The light whose radiance changes at the edge, or -1 if all radiance changes.
         form : Form
-            Enclosures (8, n) of the functions.
+            Enclosures (8, n) of the functions in the cells.
         """
         pair, light = (np.concatenate([edges[i] for edges in self._edges]) for i in (0, 1))
         u = Form(np.concatenate([edges.u.coef for edges in self._edges], axis=1))

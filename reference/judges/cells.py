@@ -14,6 +14,9 @@ settled
     its radiance has been added to the pair's, or if it is known to reach nothing of it.
 triple
     A pair, a light and an object that may shade a part of the face from the light.
+
+The tracer's antialiasing divides cells into quarters, too.  This module does not use its code, on
+purpose: a reference that shares code with what it validates would repeat its errors.
 """
 
 from __future__ import annotations

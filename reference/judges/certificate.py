@@ -424,7 +424,13 @@ class _Picture:
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def halves(self, cells: Cells) -> list[Cells]:
-        """Divide cells into two groups if they have many pairs; a pixel's cells stay together."""
+        """Divide cells into two groups if they are too many for one batch.
+
+        Returns
+        -------
+        groups : list of Cells
+            One or two groups.  All cells of a pixel are in the same group.
+        """
         items = cells.cell.size + cells.triples.shape[1] + np.count_nonzero(~cells.is_settled)
         if items <= _ITEMS_PER_BATCH:
             return [cells]
@@ -433,22 +439,28 @@ class _Picture:
         return [cells.take(is_first), cells.take(~is_first)] if is_first.any() else [cells]
 
     def pixels(self, cells: Cells) -> Ints:
-        """Return the flat index (c,) of each cell's pixel; the upper left one in wider cells."""
+        """Return the pixel of each cell.
+
+        Returns
+        -------
+        pixel : (c,) int array
+            Flat indices into `bound`.  For a cell that covers several pixels, the upper left one.
+        """
         half = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(m - half).astype(np.intp) for m in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
     def add(self, cells: Cells, index: Ints, radiance: Form) -> None:
-        """Add finished cells to their pixels.
+        """Add the mean radiance of finished cells to the pixels that they cover.
 
         Parameters
         ----------
         cells : Cells
-            All cells.
+            Cells, which may be narrower or wider than a pixel.
         index : (n,) int array
-            The finished ones.
+            Indices of the finished cells.
         radiance : Form
-            Their radiance (8, 3, n).
+            Radiance (8, 3, n) in the finished cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
         first = self.pixels(cells)[index][:, None, None]
@@ -464,7 +476,11 @@ class _Picture:
         np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
     def refine(self, cells: Cells) -> Cells:
-        """Examine cells, add those that are accurate enough, and return the others."""
+        """Examine cells, add those that are accurate enough to the picture, and return the others.
+
+        Cells of at most one pixel are accurate enough if their enclosure is.  Wider cells are only
+        if they show a single face, under the same lights everywhere.
+        """
         self.cells += cells.x.size
         forms = CellForms(self.faces, cells)
         cells = forms.cells

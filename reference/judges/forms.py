@@ -125,7 +125,7 @@ class Form:
     def power(
         self, exponent: Floats | float, minimum: float = 0.0, maximum: float = np.inf
     ) -> Form:
-        """Raise quantities z to a power, f(z) = z^exponent.
+        """Enclose powers f(z) = z^exponent of the quantities z that these forms enclose.
 
         Two enclosures are computed, and the one with the smaller radius is returned:
 
