@@ -5,7 +5,6 @@ this process nor mislead it.
 """
 
 import os
-import re
 import signal
 import xml.etree.ElementTree as ET
 
@@ -141,31 +140,30 @@ def test_rendering_ends_on_one_processor(small):
         assert (status, drop_jit(err)) == (0, "")
 
 
-NUMBERS = r"numbers end at 3\.4e\+38; keep the numbers of the scene closer to 1"
-ROWS = r"pixels are square, and 1e\+72 rows of 40 are too many; make viewWidth larger or viewHeig"
+NUMBERS = "and Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene closer to 1"
 
 
 @pytest.mark.parametrize(
-    ("flavours", "old", "new", "message"),
+    ("flavour", "old", "new", "message"),
     [
-        ("stock exact", "<position>3 5 4", "<position>1e70 5 4", NUMBERS),
-        ("stock exact", "<viewPoint>5 4 3", "<viewPoint>5e69 4e69 1e70", NUMBERS),
-        ("stock exact", ".25 .5 .85", "1e70 .5 .85", NUMBERS),
-        ("stock exact", "<center>0 0 0", "<center>-1e70 1e70 1e70", NUMBERS),
-        ("stock", "<viewWidth>2.5", "<viewWidth>1e-70", ROWS),
+        ("exact", "<position>3 5", "<position>1e70 5", f"position would be 7.21065e+70, {NUMBERS}"),
+        ("stock", "<position>3 5 4", "<position>1e70 5 4", f"position would be 1e+70, {NUMBERS}"),
+        ("exact", ".25 .5 .85", "1e70 .5 .85", f"diffuse would be 1e+70, {NUMBERS}"),
+        ("stock", ".25 .5 .85", "1e70 .5 .85", f"intensity would be 1.2595e+72, {NUMBERS}"),
+        ("exact", "<viewPoint>5 4 3", "<viewPoint>5e69 4 3", f"eye would be 2.5e+70, {NUMBERS}"),
+        ("stock", "<viewPoint>5 4 3", "<viewPoint>5e69 4 3", f"to_world would be 5e+69, {NUMBERS}"),
+        ("stock", "<viewWidth>2.5", "<viewWidth>1e-70",
+         "Mitsuba's pixels are square, and 1e+72 rows of 40 are too many;"
+         " make viewWidth larger or viewHeight smaller"),
     ],
-)
-def test_a_scene_beyond_mitsubas_range_is_not_converted(small, capsys, flavours, old, new, message):
+)  # fmt: skip
+def test_a_scene_beyond_mitsubas_range_is_not_converted(small, capsys, flavour, old, new, message):
     text = small.read_text(encoding="utf-8")
     assert old in text
     small.write_text(text.replace(old, new), encoding="utf-8")
-    for flavour in flavours.split():
-        for command in (main, check.main):
-            output = "-o", f"{small.parent}/made/"
-            assert command(["--flavour", flavour, str(small), *output]) == 1
-            error = capsys.readouterr().err
-            assert re.match(f"{small}: cannot be converted: .*Mitsuba's {message}", error)
-            assert error.count("\n") == 1
+    for command in (main, check.main):
+        assert command(["--flavour", flavour, str(small), "-o", f"{small.parent}/made/"]) == 1
+        assert capsys.readouterr().err == f"{small}: cannot be converted: {message}\n"
     assert file_names(small.parent) == ["small.xml"]
 
 

@@ -99,8 +99,8 @@ class Parser:
     descendant_count : int
         Number of elements so far inside the current child of the root.
     stray_element : Element or None
-        Element whose stray text has been reported since the last start tag.  Long texts come in
-        several events, of which only the first is reported.
+        The last element in which stray text has been reported.  Long texts come in several events,
+        of which only the first is reported.
     encoding : str
         Encoding that the XML declaration names; "" if it names none.
     parsed : int
@@ -195,7 +195,6 @@ class Parser:
         element.attrib = attrib
         element.line = self.expat.CurrentLineNumber
         element.text = ""
-        self.stray_element = None
         open_elements = self.open_elements
         open_elements.append(element)
         if len(open_elements) > 2:

@@ -384,7 +384,7 @@ class _Reader:
                 continue
             match = closest_name(name, known)
             remedy = suggestion(known, match)
-            if match is None and child_tags:
+            if child_tags:
                 tag_remedy, match = unknown_tag(name, child_tags)
                 if match == "shader":
                     remedy = f'write <shader ref="{shortened(value)}"/> in it'
