@@ -16,7 +16,7 @@ from tracer.command.failure import Failure
 # Bounds on the radiance of two pixels: lower bounds, then upper bounds.
 BOUNDS = (0.5, 0.2), (0.5003, 0.6)
 SIZES = "its size is 4 x 3, the scene's 32 x 18; choose a picture of that size"
-MISSING, OTHER = "No such file or directory", "choose another with -o"
+MISSING = "No such file or directory"
 
 
 @pytest.fixture
@@ -99,26 +99,18 @@ def test_codes_within_the_bounds_are_not_wrong():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "message"),
+    ("arguments", "message"),
     [
-        ("none.xml", 3, f"none.xml: cannot be read: {MISSING}; check the path and its permissions"),
-        ("on.xml", 3, "on.xml: cannot be certified: the eye is on a surface; move it off"),
-        ("room.xml --judge small.png", 3, f"small.png: cannot be judged: {SIZES}"),
-        ("room.xml --error 0", 2, "--error: must be a number or fraction above 0, is '0'"),
-        ("room.xml --error 1/0", 2, "--error: must be a number or fraction above 0, is '1/0'"),
-        ("room.xml -o room.xml", 2, f"room.xml: this would replace an input; {OTHER}"),
-        ("room.xml -o no/a.png", 3, f"no/a.png: cannot be written: {MISSING}; {OTHER}"),
+        ("none.xml", f"none.xml: cannot be read: {MISSING}; check the path and its permissions"),
+        ("on.xml", "on.xml: cannot be certified: the eye is on a surface; move it off"),
+        ("room.xml --judge small.png", f"small.png: cannot be judged: {SIZES}"),
     ],
 )
 @pytest.mark.usefixtures("room")
-def test_one_line_says_why_the_command_fails(arguments, status, message, capsys):
+def test_one_line_says_why_the_command_fails(arguments, message):
     write_png("small.png", np.zeros((3, 4, 3)))
     save_scene(replace(small("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml"))
-    with pytest.raises((Failure, SystemExit)) as caught:
+    with pytest.raises(Failure) as caught:
         main(arguments.split())
-    if isinstance(caught.value, Failure):
-        assert (str(caught.value), caught.value.status) == (message, status)
-    else:
-        assert caught.value.code == status
-        assert message in capsys.readouterr().err
+    assert (str(caught.value), caught.value.status) == (message, 3)
     assert not list(Path().glob(".*"))

@@ -2,7 +2,6 @@
 
 import base64
 import io
-import os
 import re
 import sys
 from collections.abc import Callable
@@ -17,8 +16,6 @@ from PIL import Image
 from reference.check import CheckResult
 from reference.figures import amplified, figures, linear
 from reference.report import main, page
-from tracer import load_scene
-from tracer.command.failure import Failure
 
 WIDTH, HEIGHT = 8, 6
 
@@ -135,21 +132,6 @@ def test_a_scene_is_described_by_its_first_comment(
     html = (folder / "report.html").read_text(encoding="utf-8")
     assert shown in html
     assert "ask somebody" not in html
-
-
-def test_neither_a_scene_nor_a_pipe_is_replaced(small, report, capsys):
-    link, pipe = small.with_name("link.xml"), small.with_name("pipe")
-    link.symlink_to(small.name)
-    with pytest.raises(SystemExit, match="2"):
-        report(link, small)
-    assert f"{link}: this would replace an input" in capsys.readouterr().err
-    assert load_scene(small).width == 40
-    os.mkfifo(pipe)
-    with pytest.raises(Failure) as caught:
-        report(pipe, small)
-    message = f"{pipe}: cannot be written: not a regular file; choose another with -o"
-    assert (str(caught.value), caught.value.status) == (message, 1)
-    assert pipe.is_fifo()
 
 
 def test_scenes_that_cannot_be_compared_are_reported(small, report):
