@@ -202,6 +202,10 @@ def test_scenes_that_warn(change, warning):
         load_scene(HARD_SCENES / "light-on-a-table.xml"),
         # A room that contains the eye and the light.
         replace(BALL, surfaces=[Sphere(center=(9, 9, -9)), Sphere(radius=20)]),
+        # Strong lights that are not 8-bit codes.
+        *(replace(BALL, surfaces=[Sphere(shader=Lambertian(diffuse=(0.003, 0.003, 0.003)))],
+                  lights=[PointLight(position=(3, 5, 4), intensity=(20, 20, blue))])
+          for blue in (20.5, 256)),
         replace(BALL, width=100, height=104),
         replace(BALL, width=104, height=100),
         small("room"),
