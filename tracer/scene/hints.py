@@ -65,6 +65,10 @@ _MESSAGE_REMEDIES = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
+# Suggested fixes for characters in numbers, by their categories in Unicode: format, dash and space.
+_CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
+_CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
+
 # Names of elements and attributes in other scene formats, in lower case, and their equivalents in
 # this one: names that the element around them may contain, of which the first that it does contain
 # is suggested.  Text after the name belongs to the suggestion.  "" stands for no equivalent.
@@ -190,13 +194,8 @@ def number_remedy(word: str) -> str:
     """
     odd = next((character for character in word if not character.isascii()), None)
     if odd is not None:
-        category, remedy = unicodedata.category(odd), "write a plain character in its place"
-        if category == "Cf":
-            remedy = "remove it"
-        elif category.startswith("Z"):
-            remedy = "write a plain space in its place"
-        elif category == "Pd" or odd == "\N{MINUS SIGN}":
-            remedy = "write - in its place"
+        category = "Pd" if odd == "\N{MINUS SIGN}" else unicodedata.category(odd)
+        remedy = _CHARACTER_REMEDIES.get(category, "write a plain character in its place")
         return f"{quoted(word)} contains U+{ord(odd):04X}, {unicodedata.name(odd, '?')}; {remedy}"
     if "," in word:
         return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"

@@ -374,10 +374,8 @@ class Surfaces(Sequence[Sphere | Box]):
         """Return the surface at index `i` of the arrays."""
         shader, line = self.shaders[self.shader_index[i]], self.line.item(i) or None
         if i < self.sphere_count:
-            center, radius = tuple(self.center[i].tolist()), self.radius.item(i)
-            return schema.construct_unchecked(
-                Sphere, center=center, radius=radius, shader=shader, line=line
-            )
+            numbers = {"center": tuple(self.center[i].tolist()), "radius": self.radius.item(i)}
+            return schema.construct_unchecked(Sphere, **numbers, shader=shader, line=line)
         low, high = (a[i - self.sphere_count].tolist() for a in (self.min_pt, self.max_pt))
         corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
         return schema.construct_unchecked(Box, **corners, shader=shader, line=line)

@@ -159,10 +159,7 @@ class _Reader:
             self.read_root(element)
         elif tag == "shader":
             self.read_shader(element)
-            allowed = "name", "type"
-            if "name" not in {
-                name if name in allowed else closest_name(name, allowed) for name in element.attrib
-            }:
+            if "name" not in element.attrib and closest_name("name", element.attrib) is None:
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.read_row(self.lights, element)
