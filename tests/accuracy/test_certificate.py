@@ -106,6 +106,11 @@ class SampledPoints:
         form, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
         self.compare(form, radiance[:, cell], x[cell], y[cell], more)
         self.max_excess = (radiance - result.max_radiance).max(initial=self.max_excess)
+        # The error of a cell includes the worst case in its strips.
+        strip_error = np.bincount(lines.cell, lines.area * lines.jump, n)
+        max_error = np.maximum(result.mean, result.max_radiance - result.mean).max(axis=0)
+        missing_error = np.fmin(strip_error, max_error) - result.error
+        self.max_excess = missing_error.max(initial=self.max_excess)
 
 
 def scenes(kinds: list[str], seeds: range, light_scale: float = 1.0) -> Iterator[Scene]:
@@ -225,6 +230,14 @@ def test_the_area_that_a_line_cuts_off_beyond_the_centroid() -> None:
             areas = parts.area[parts.signs & 1 == sign]
             worst = max(worst, areas.max() / areas.sum())
     assert MAX_AREA_BEYOND - 1e-3 < worst <= MAX_AREA_BEYOND + 1e-9
+
+
+def test_a_region_is_doubtful_if_its_centroid_is_in_a_strip() -> None:
+    # Strips around x = 0 and x = 0.02; the centroids are at -0.5, 0.01 and 0.51.
+    lines = strips_of(np.array([1, 0, 0]), np.array([1, 0, -0.02]))
+    lines = lines._replace(half_width=np.array([0.1, 0.001]), jump=np.array([3.0, 5.0]))
+    doubt = certificate._doubt(lines, divide(lines, 1), 1)
+    assert doubt.tolist() == [0, 3, 0]
 
 
 def strips_of(*lines: Floats) -> Strips:
