@@ -88,7 +88,8 @@ USAGE = [
     ("compare a.png a.png --max -1", "argument --max: must be 0 or more, is -1"),
     ("compare a.png a.png -o a.png", f"a.png: {AN_INPUT}"),
     ("compare a.png ball.xml --html ball.xml", f"ball.xml: {AN_INPUT}"),
-    ("compare sub ball.xml", "sub: holds no pictures"),
+    ("compare sub ball.xml", "sub: a hand-in is a picture; give it first, then the scene"),
+    ("compare empty ball.xml", "empty: contains no pictures"),
     ("report ball.xml -o link.xml", f"link.xml: {AN_INPUT}"),
 ]  # fmt: skip
 
@@ -98,6 +99,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Change to a folder that contains what the commands of both tables read."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
+    (tmp_path / "empty").mkdir()
     for name in ("ball.xml", "other.xml", "sub/ball.xml", "ball", "-dashed.xml"):
         Path(name).write_text(SCENE.format(8, 6))
     write_png("a.png", np.zeros((6, 8, 3)))
