@@ -29,13 +29,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from converters.mitsuba_xml import HEAD, ConversionError
-from tracer.command.arguments import CommandParser, file_name, is_folder, output_paths, whole_number
+from tracer.command.arguments import (
+    CommandParser,
+    file_name,
+    make_output_folder,
+    output_paths,
+    whole_number,
+)
 from tracer.command.failure import Failure, errors_as_failure, reason_of
 from tracer.command.process import FAILED, attempt, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
 
-__all__ = ["add_scene_arguments", "choose_variant", "main", "make_output_folder"]
+__all__ = ["add_scene_arguments", "choose_variant", "main"]
 __all__ += ["mitsuba_errors_as_failure", "without_converted"]
 
 _FLAVOURS = "stock", "exact"
@@ -97,19 +103,6 @@ def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
         remedy = "install it with pip install -e '.[reference]'" if is_missing else ""
         raise Failure("", f"Mitsuba cannot run: {reason_of(error)}", remedy, status) from error
     print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
-
-
-def make_output_folder(output: str | None) -> None:
-    """Make the folder that the option ``-o`` names, if it names one; raise a Failure if this fails.
-
-    Parameters
-    ----------
-    output : str or None
-        Argument of the option.
-    """
-    if output is not None and is_folder(output):
-        with errors_as_failure(output, "written", "choose another with -o"):
-            Path(output).mkdir(parents=True, exist_ok=True)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ Mitsuba cannot run, 3 if one is undecided and none is worse.
 from __future__ import annotations
 
 from tracer.command.process import run
+from tracer.command.progress import track
 
 if __name__ == "__main__":
     run(__spec__.name)
@@ -43,7 +44,6 @@ from converters.rendering import Rendering, load
 from converters.to_mitsuba import (
     add_scene_arguments,
     choose_variant,
-    make_output_folder,
     mitsuba_errors_as_failure,
     without_converted,
 )
@@ -53,7 +53,7 @@ from reference.figures import Bools, Figures, figures, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Ints
 from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import output_paths
+from tracer.command.arguments import make_output_folder, output_paths
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.messages import printable
@@ -500,7 +500,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make_output_folder(options.output)
     # If a picture is black, the comparison shows it.
     warnings.simplefilter("ignore", SceneWarning)
-    pairs = zip(scenes, map(Path, targets), strict=True)
+    pairs = track(zip(scenes, map(Path, targets), strict=True), len(scenes), "scenes")
     return worst_status([attempt(_check_to_file, *pair, options) for pair in pairs])
 
 

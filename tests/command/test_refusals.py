@@ -134,9 +134,9 @@ EXISTING = "a file of another kind is there"
 UNWRITTEN = [
     ("tracer ball.xml -o missing/a.png", 1, "missing/a.png", MISSING),
     ("tracer ball.xml -o ball.xml/a.png", 1, "ball.xml/a.png", NO_FOLDER),
-    ("tracer ball.xml -o ball.xml/", 1, "ball.xml/ball.xml.png", NO_FOLDER),
-    ("tracer ball.xml -o ball.xml/deep/", 1, "ball.xml/deep/ball.xml.png", NO_FOLDER),
-    ("tracer ball.xml -o nothing/", 1, "nothing/ball.xml.png", MISSING),
+    ("tracer ball.xml -o ball.xml/", 1, "ball.xml/", "File exists"),
+    ("tracer ball.xml -o ball.xml/deep/", 1, "ball.xml/deep/", NO_FOLDER),
+    ("tracer ball.xml -o nothing/", 1, "nothing/", "File exists"),
     (f"tracer ball.xml -o {LONG}.png", 1, f"{LONG}.png", "File name too long"),
     ("tracer ball.xml -o text.png", 1, "text.png", EXISTING),
     ("tracer ball.xml -o missing/a.npy", 1, "missing/a.npy", MISSING),

@@ -8,8 +8,11 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
-from tracer.command.failure import Failure, reason_of
+from tracer.command.failure import Failure, errors_as_failure, reason_of
 from tracer.messages import printable
+
+OTHER_NAME = "choose another with -o"
+"""What to do if a result cannot be written."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -47,6 +50,24 @@ def whole_number(minimum: int) -> Callable[[str], int]:
 def is_folder(path: str) -> bool:
     """Return whether a path names a folder, which need not exist yet."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
+
+
+def make_output_folder(output: str | None) -> None:
+    """Create the folder that the option -o names, if it names a folder that is missing.
+
+    Parameters
+    ----------
+    output : str or None
+        The argument of the option.
+
+    Raises
+    ------
+    Failure
+        If the folder cannot be created, or something else has its name.
+    """
+    if output is not None and is_folder(output):
+        with errors_as_failure(output, "written", OTHER_NAME):
+            os.makedirs(output, exist_ok=True)
 
 
 def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
@@ -112,7 +133,7 @@ def output_paths(
         for path in files_of(target):
             absolute = real_path(path)
             if absolute in inputs:
-                problem = "this would replace a scene; choose another with -o"
+                problem = f"this would replace a scene; {OTHER_NAME}"
                 parser.error(printable(f"{path}: {problem}"))
             if absolute in scene_of:
                 problem = f"{scene_of[absolute]} and {scene} would both be written there"

@@ -23,8 +23,9 @@ from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
+from tracer.command.arguments import OTHER_NAME
 from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import end_on_signals
+from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
 from tracer.files import atomic_file
 from tracer.messages import printable
@@ -45,7 +46,6 @@ FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
 """Formats of pictures.  For each: the first bytes of a file, the function that encodes a tile, and
 the function that writes a file from encoded tiles."""
 
-OTHER_NAME = "choose another with -o"
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SMALLER = "make the image smaller or take fewer samples"
 
@@ -170,10 +170,9 @@ class Batch:
                 succeeded &= not report.is_failure
                 self._show_progress(0, 0)
                 for line in report.errors:
-                    self._progress.print_line(sys.stderr, line)
+                    print_line(sys.stderr, line)
                 if report.line:
-                    stream = sys.stderr if job.output == "-" else sys.stdout
-                    self._progress.print_line(stream, report.line)
+                    print_line(sys.stderr if job.output == "-" else sys.stdout, report.line)
         return succeeded
 
     def close(self) -> None:

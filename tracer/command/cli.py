@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from importlib import import_module
 from time import sleep
 
@@ -14,10 +14,11 @@ from tracer.command.arguments import (
     CommandParser,
     file_name,
     is_folder,
+    make_output_folder,
     output_paths,
     whole_number,
 )
-from tracer.command.batch import FORMATS, OTHER_NAME, Batch, Job, Settings, read_scene
+from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.messages import printable
@@ -55,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     SystemExit
         With status 2 for wrong usage, and 0 for ``--help`` and ``--version``.
     Failure
-        If the working folder is gone.
+        If the working folder is gone, or the folder of the pictures cannot be created.
     """
     parser = _parser()
     arguments = parser.parse_args(argv)
@@ -65,11 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     jobs = _jobs(parser, arguments, file_format)
     if file_format == "exr":
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
-    if is_folder(arguments.output or ""):
-        # If something that is no folder has this name, each picture reports it.
-        suppressed = suppress(FileExistsError, NotADirectoryError)
-        with errors_as_failure(arguments.output, "written", OTHER_NAME), suppressed:
-            os.makedirs(arguments.output, exist_ok=True)
+    make_output_folder(arguments.output)
     settings = Settings(arguments.samples, arguments.size, file_format, arguments.quiet)
     processes = min(arguments.processes or processors(), processors())
     with closing(Batch(settings, processes)) as batch:

@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from typing import NoReturn, TextIO, TypeVar
 
@@ -109,7 +109,9 @@ def print_line(stream: TextIO | None, text: str) -> None:
 
 
 def print_result(stream: TextIO | None, text: str) -> None:
-    """Print a line immediately.  Characters that the stream cannot encode are escaped.
+    """Print a line immediately, above a progress bar if one is shown.
+
+    Characters that the stream cannot encode are escaped.
 
     Raises
     ------
@@ -118,9 +120,11 @@ def print_result(stream: TextIO | None, text: str) -> None:
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
-    encoding = stream.encoding or "utf-8"
+    encoding, tqdm = stream.encoding or "utf-8", sys.modules.get("tqdm")
     try:
-        print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
+        with tqdm.tqdm.external_write_mode(stream) if tqdm else nullcontext():
+            line = text.encode(encoding, "backslashreplace").decode(encoding)
+            print(line, file=stream, flush=True)
     except OSError:
         # What remains in the stream's buffer would fail again at the end.
         with suppress(OSError):

@@ -1,4 +1,7 @@
-"""A progress bar for any command, shown once the command's work has taken a second."""
+"""A progress bar for any command, shown once the command's work has taken a second.
+
+While a bar is shown, `tracer.command.process` prints lines above it.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from time import perf_counter
-from typing import Any, TextIO, TypeVar
-
-from tracer.command.process import print_line
+from typing import Any, TypeVar
 
 _Item = TypeVar("_Item")
 
@@ -56,14 +57,6 @@ class Progress:
         if self._bar:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(round(done, 2) - self._bar.n)
-
-    def print_line(self, stream: TextIO | None, text: str) -> None:
-        """Print a notice as `tracer.command.process.print_line` does, above the bar."""
-        if self._bar:
-            self._bar.clear()
-        print_line(stream, text)
-        if self._bar:
-            self._bar.refresh()
 
     def _new_bar(self, seconds: float) -> Any:
         """Return a progress bar for work that has taken some seconds; False if there can be none.
