@@ -22,6 +22,7 @@ from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, unit
 
 # Depth of a layer, as a multiple of the width of a packet at this depth: see `CameraFrame.layer`.
+# Tuned on six scenes of 4 to 1,000 objects: half of it takes 1.03 to 1.06 times as long.
 _LAYER_ASPECT = 4
 
 
