@@ -228,7 +228,7 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 @np.errstate(all="ignore")
 def test_shading_can_be_read_between_lights():
     scene = with_nine_lights(crowd(40, width=48, height=27))
-    prepared, samples = PreparedScene(scene), CENTRES.samples(slice(0, 27), slice(0, 48))
+    prepared, samples = PreparedScene(scene), CENTERS.samples(slice(0, 27), slice(0, 48))
     hits = radiance_module.nearest_hits(prepared, samples)
     first, *others = prepared.light_batches
     shading = shade(hits, [first])
